@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+# Two commands for a fresh machine: `make demo` and `make test`. Both build .venv first, once.
+
+PYTHON   ?= python3
+VENV     ?= .venv
+SCENARIO ?= paper
+ARGS     ?=
+# Extra arguments for pytest, as in: make test PYTEST_ARGS="-k packaging"
+PYTEST_ARGS ?=
+
+override PREFIX := $(abspath $(VENV))
+PY := $(PREFIX)/bin/python
+PIP := $(PY) -m pip --disable-pip-version-check --no-input
+
+# ament finds packages below these prefixes, and the virtual environment is ours.
+export AMENT_PREFIX_PATH := $(PREFIX)
+export PATH := $(PREFIX)/bin:$(PATH)
+# Other machines on the network take no part, unless asked.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# rclpy.init needs a home for its log files.
+export HOME ?= $(PREFIX)
+
+# A sourced ROS installation, or a parent process that runs on ROS wheels of its own, must not mix its
+# libraries with those in .venv.
+ifneq ($(ROS_DISTRO)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport LD_LIBRARY_PATH
+unexport RMW_IMPLEMENTATION
+endif
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport PYTHONPATH
+unexport PYTHONHOME
+unexport VIRTUAL_ENV
+
+# Everything that ends up in the installed package.
+INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
+	$(shell find tactile_hand_ros config scripts resource -type f ! -name '*.pyc' | LC_ALL=C sort)
+
+.PHONY: help demo run test lint bench setup clean FORCE
+.DELETE_ON_ERROR:
+
+help:
+	@echo 'make demo                 the paper'"'"'s experiment across ROS 2 processes, recorded in runs/latest'
+	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
+	@echo 'make test                 ruff, mypy and the whole test suite'
+	@echo 'make bench                measure'
+	@echo 'make lint                 ruff and mypy'
+	@echo 'make clean                remove .venv, build results and caches; runs/ stays'
+
+demo: $(PREFIX)/.package
+	@$(PY) -m tactile_hand_ros.ros.executables orchestrator --scenario paper $(ARGS)
+
+run: $(PREFIX)/.package
+	@$(PY) -m tactile_hand_ros.ros.executables orchestrator --scenario '$(SCENARIO)' $(ARGS)
+
+bench: $(PREFIX)/.package
+	@$(PREFIX)/bin/tactile-hand bench $(ARGS)
+
+# `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
+# was installed. Message fields are not type-checked by default; in tests they are.
+test: lint
+	ROS_PYTHON_CHECK_FIELDS=1 $(PREFIX)/bin/pytest $(PYTEST_ARGS)
+
+lint: $(PREFIX)/.dev $(PREFIX)/.package
+	$(PREFIX)/bin/ruff check .
+	$(PREFIX)/bin/mypy
+
+setup: $(PREFIX)/.dev $(PREFIX)/.package
+
+# --- set-up: each stamp is made once and again when what it depends on changes -----------------------
+
+# A virtual environment cannot be moved: build it anew when the tree has been.
+ifneq ($(shell cat '$(PREFIX)/.created' 2>/dev/null),$(PREFIX))
+$(PREFIX)/.created: FORCE
+endif
+
+$(PREFIX)/.created:
+	@$(PYTHON) requirements/check_python.py
+	@echo 'set-up 1/3: virtual environment $(VENV)'
+	@rm -rf '$(PREFIX)'
+	@$(PYTHON) -m venv '$(PREFIX)'
+	@echo '$(PREFIX)' > '$@'
+
+$(PREFIX)/.run: requirements/ros.txt requirements/run.txt $(PREFIX)/.created
+	@echo 'set-up 2/3: ROS 2 Jazzy and the libraries, about a minute and 1 GB'
+	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt
+	@touch '$@'
+
+$(PREFIX)/.dev: requirements/dev.txt $(PREFIX)/.run
+	@echo 'set-up: test tools'
+	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt -r requirements/dev.txt
+	@touch '$@'
+
+# Changes only when a file is added or removed, which no time stamp would show.
+$(PREFIX)/.sources: FORCE | $(PREFIX)/.created
+	@echo '$(INSTALLED)' | cmp -s - '$@' || echo '$(INSTALLED)' > '$@'
+
+# A real install, not `pip install -e`: an editable one has no data files, so ament would find no package,
+# no executables and no configuration. It takes two seconds, and happens again whenever a source is newer.
+# What setuptools left behind goes first, or deleted modules would be installed again.
+$(PREFIX)/.package: $(INSTALLED) $(PREFIX)/.sources $(PREFIX)/.run
+	@echo 'set-up 3/3: tactile_hand_ros into $(VENV)'
+	@rm -rf build/lib build/bdist.* *.egg-info
+	@$(PIP) install -qq --no-deps --no-build-isolation --force-reinstall .
+	@rm -rf build/lib build/bdist.* *.egg-info
+	@touch '$@'
+
+clean:
+	rm -rf '$(PREFIX)' build/lib build/bdist.* *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find tactile_hand_ros test scripts -name __pycache__ -type d -prune -exec rm -rf {} +
