@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quaternions (x, y, z, w) and rotation matrices, fast for the handful of contacts of a hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_NAN_ROTATION = [[math.nan] * 3] * 3
+_NAN_QUATERNION = [math.nan] * 4
+
+
+def rotation_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Convert quaternions to rotation matrices.
+
+    The length of a quaternion does not matter. Rows with NaN, and zero quaternions, give NaN.
+
+    Args:
+        quaternion: Order x, y, z, w. Shape (..., 4).
+
+    Returns:
+        Rotation matrices. Shape (..., 3, 3).
+    """
+    rows = np.asarray(quaternion, dtype=np.float64)
+    # Scalars beat array expressions by far for a few rows.
+    flat = [_rotation(*row) for row in rows.reshape(-1, 4).tolist()]
+    return np.array(flat, dtype=np.float64).reshape(rows.shape[:-1] + (3, 3))
+
+
+def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
+    square = x * x + y * y + z * z + w * w
+    if not square > 0.0:
+        return _NAN_ROTATION
+    s = 2.0 / square
+    sx, sy, sz = s * x, s * y, s * z
+    xx, xy, xz, xw = x * sx, x * sy, x * sz, w * sx
+    yy, yz, zz, yw, zw = y * sy, y * sz, z * sz, w * sy, w * sz
+    return [
+        [1.0 - yy - zz, xy - zw, xz + yw],
+        [xy + zw, 1.0 - xx - zz, yz - xw],
+        [xz - yw, yz + xw, 1.0 - xx - yy],
+    ]
+
+
+def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
+    """Convert rotation matrices to unit quaternions with w >= 0.
+
+    Of the two quaternions of a half turn (w = 0) the one whose first non-zero component is
+    positive is returned. Matrices with NaN give NaN.
+
+    Args:
+        rotation: Rotation matrices. Shape (..., 3, 3).
+
+    Returns:
+        Order x, y, z, w. Shape (..., 4).
+
+    Source:
+        S. W. Shepperd, Quaternion from rotation matrix, 1978: divides by the largest component.
+    """
+    matrices = np.asarray(rotation, dtype=np.float64)
+    flat = [_quaternion(*row) for row in matrices.reshape(-1, 9).tolist()]
+    return np.array(flat, dtype=np.float64).reshape(matrices.shape[:-2] + (4,))
+
+
+def _quaternion(
+    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
+) -> list[float]:
+    trace = a + e + i
+    largest = max(trace, a, e, i)
+    if largest == trace:
+        x, y, z, w = h - f, c - g, d - b, 1.0 + trace
+    elif largest == a:
+        x, y, z, w = 1.0 + a - e - i, b + d, c + g, h - f
+    elif largest == e:
+        x, y, z, w = b + d, 1.0 - a + e - i, f + h, c - g
+    else:
+        x, y, z, w = c + g, f + h, 1.0 - a - e + i, d - b
+    square = x * x + y * y + z * z + w * w
+    if not square > 0.0:
+        return _NAN_QUATERNION
+    leading = w or x or y or z
+    scale = math.copysign(1.0 / math.sqrt(square), leading)
+    return [x * scale, y * scale, z * scale, w * scale]

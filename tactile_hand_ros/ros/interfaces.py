@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topic names and quality of service: the wiring between the nodes.
+
+All names except `DIAGNOSTICS` and `CLOCK` are relative, so a namespace gives a second hand.
+"""
+
+from __future__ import annotations
+
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+
+JOINT_STATES = "joint_states"
+JOINT_COMMAND = "joint_command"
+CONTACTS = "tactile/contacts"
+GRASP_FORCE = "grasp_force"
+DESIRED_POSE = "desired_pose"
+AUXILIARY_POSE = "auxiliary_pose"
+USER_GRASP_FORCE = "user_grasp_force"
+HAPTIC_FEEDBACK = "haptic_feedback"
+OBJECT_POSE = "ground_truth/object_pose"
+TRUE_CONTACTS = "ground_truth/contacts"
+ROBOT_DESCRIPTION = "robot_description"
+DIAGNOSTICS = "/diagnostics"
+CLOCK = "/clock"
+TF = "/tf"
+
+RESET = "~/reset"
+ENABLE = "~/enable"
+
+PALM_FRAME = "palm"
+OBJECT_FRAME = "object"
+
+TICK_DEPTH = 100
+"""Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
+
+
+def wrench(finger: str) -> str:
+    """Return the topic of the measured contact force of a finger."""
+    return f"tactile/{finger}/wrench"
+
+
+def optimal_force(finger: str) -> str:
+    """Return the topic of the optimal normalised force of a finger."""
+    return f"optimal_force/{finger}"
+
+
+def true_wrench(finger: str) -> str:
+    """Return the topic of the true contact force of a finger."""
+    return f"ground_truth/{finger}/wrench"
+
+
+def contact_frame(finger: str) -> str:
+    """Return the name of the contact frame C_i of a finger."""
+    return f"{finger}_contact"
+
+
+def tick_qos() -> QoSProfile:
+    """Return the profile of everything that carries a tick: reliable, deep, volatile.
+
+    A new object each time, because rclpy writes QoS overrides into the profile it is given.
+    """
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=TICK_DEPTH,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def latched_qos() -> QoSProfile:
+    """Return the profile of values that late subscribers must get: transient local, depth 1."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def user_qos() -> QoSProfile:
+    """Return the profile of what a user or tool sends and watches: reliable, depth 10."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=10,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
