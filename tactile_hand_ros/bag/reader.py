@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading of bags: thin functions on top of rosbags, with errors that say what to do."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.metadata import FILE_NAME
+
+
+class RecordedMessage(NamedTuple):
+    """One decoded message; log time in ns since the epoch."""
+
+    topic: str
+    log_time: int
+    message: Any
+
+
+class RawMessage(NamedTuple):
+    """One serialized message; log time in ns since the epoch."""
+
+    topic: str
+    log_time: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class BagSummary:
+    """What a bag holds; times in ns since the epoch, None without messages."""
+
+    counts: dict[str, int]
+    types: dict[str, str]
+    start_time: int | None
+    end_time: int | None
+    custom_data: dict[str, str]
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages on all topics."""
+        return sum(self.counts.values())
+
+
+@contextlib.contextmanager
+def open_bag(path: Path | str) -> Iterator[AnyReader]:
+    """Open a bag folder or a single ``.mcap`` or ``.db3`` file.
+
+    Raises:
+        BagError: If it is missing, empty, truncated or otherwise broken.
+    """
+    path = Path(path)
+    _check_present(path)
+    reader = _open(path)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def summarize(path: Path | str) -> BagSummary:
+    """Return topics, message counts and times of a bag.
+
+    Raises:
+        BagError: If the bag cannot be read.
+    """
+    with open_bag(path) as reader:
+        counts: dict[str, int] = {}
+        for connection in reader.connections:
+            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+        some = bool(reader.message_count)
+        return BagSummary(
+            counts=counts,
+            types={connection.topic: connection.msgtype for connection in reader.connections},
+            start_time=reader.start_time if some else None,
+            end_time=reader.end_time - 1 if some else None,  # rosbags reports the time after it
+            custom_data=dict(_custom_data(reader)),
+        )
+
+
+def read_messages(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    *,
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[RecordedMessage]:
+    """Yield decoded messages in order of their log time.
+
+    Args:
+        path: Bag folder or file.
+        topics: Full names of the wanted topics; all if None. Absent topics give no messages.
+        start: Earliest log time in ns, inclusive.
+        stop: Latest log time in ns, exclusive.
+
+    Raises:
+        BagError: If the bag cannot be read.
+    """
+    with open_bag(path) as reader:
+        for connection, log_time, data in _messages(reader, topics, start, stop):
+            message = _decode(reader, connection, data)
+            yield RecordedMessage(connection.topic, log_time, message)
+
+
+def read_raw(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    *,
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[RawMessage]:
+    """Yield messages as their recorded bytes; arguments and errors as `read_messages`."""
+    with open_bag(path) as reader:
+        for connection, log_time, data in _messages(reader, topics, start, stop):
+            yield RawMessage(connection.topic, log_time, bytes(data))
+
+
+def _messages(
+    reader: AnyReader, topics: Collection[str] | None, start: int | None, stop: int | None
+) -> Iterator[tuple[Connection, int, bytes]]:
+    wanted = [c for c in reader.connections if topics is None or c.topic in topics]
+    messages = iter(reader.messages(wanted, start=start, stop=stop)) if wanted else iter(())
+    while True:
+        try:
+            item = next(messages, None)
+        except Exception as error:  # damaged data can fail anywhere in the parsers
+            raise _broken(reader.paths[0], error) from error
+        if item is None:
+            return
+        yield item
+
+
+def _decode(reader: AnyReader, connection: Connection, data: bytes) -> Any:
+    try:
+        return reader.deserialize(data, connection.msgtype)
+    except Exception as error:  # as above
+        raise _broken(reader.paths[0], error) from error
+
+
+def _open(path: Path) -> AnyReader:
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+    except PermissionError as error:
+        raise BagError(
+            f"The bag {path} cannot be read: {error.strerror}; check its mode."
+        ) from None
+    except Exception as error:  # damaged data can fail anywhere in the parsers
+        raise _broken(path, error) from error
+    return reader
+
+
+def _check_present(path: Path) -> None:
+    if not path.exists():
+        raise BagError(f"The bag {path} does not exist; check the path.")
+    if not path.is_dir() or (path / FILE_NAME).exists():
+        return
+    if not any(path.glob("*.mcap")):
+        raise BagError(
+            f"The folder {path} is no bag: it has neither {FILE_NAME} nor an .mcap file; "
+            "check the path."
+        )
+    raise BagError(
+        f"The bag {path} has no {FILE_NAME}: its recording was cut off or still runs; run "
+        f"`tactile-hand recover {path}`."
+    )
+
+
+def _broken(path: object, error: Exception) -> BagError:
+    reason = str(error).rstrip(".") or type(error).__name__
+    return BagError(
+        f"The bag {path} is empty, cut off or damaged ({reason}); "
+        f"run `tactile-hand recover {path}`."
+    )
+
+
+def _custom_data(reader: AnyReader) -> dict[str, str]:
+    parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
+    return next((part.metadata.custom for part in parts if part.metadata.custom), {})

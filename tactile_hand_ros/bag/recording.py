@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recording of a ROS graph: finds topics, takes their messages, writes them to a bag."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rclpy.node import Node
+
+from tactile_hand_ros.bag.config import RecorderConfig
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.metadata import BagMetadata
+from tactile_hand_ros.bag.qos import OfferedQos
+from tactile_hand_ros.bag.raw_topic import DirectTakeGroup, RawTopic
+from tactile_hand_ros.bag.schema import message_definition
+from tactile_hand_ros.bag.selection import TopicSelection
+from tactile_hand_ros.bag.writer import BagWriter
+
+QUIET = 0.05  # s without a message after which nothing more is on its way
+LAST_CALL = 0.5  # s, longest wait for that when publishers go on
+_ATTENTION = 0.002  # s between two visits to the queues in that time
+
+
+@dataclass(frozen=True)
+class RecordingStatus:
+    """Counters of a recording."""
+
+    messages: int
+    size: int  # bytes of the messages
+    topics: int
+    lost: int
+    refused: int  # topics whose type is not installed
+
+
+class Recording:
+    """Writes all messages of the chosen topics to a new bag.
+
+    Call `step` every few milliseconds, `close` at the end. Topics are subscribed as soon as the
+    graph knows them, with or without a publisher, so that a publisher that appears later finds the
+    subscription already there.
+    """
+
+    def __init__(self, node: Node, config: RecorderConfig) -> None:
+        """Create the bag.
+
+        Args:
+            node: Node that owns the subscriptions.
+            config: What to record and where to.
+
+        Raises:
+            BagError: If the folder exists or cannot be written.
+        """
+        self._node = node
+        self._config = config
+        self._selection = TopicSelection(config.topics, config.exclude)
+        self._group = DirectTakeGroup()
+        self._topics: dict[str, RawTopic] = {}
+        self._refused: set[str] = set()
+        self._next_discovery = 0.0
+        self._next_flush = 0.0
+        self._writer = BagWriter(
+            Path(config.output), compression=config.compression, chunk_size=config.chunk_size
+        )
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the bag."""
+        return self._writer.folder
+
+    @property
+    def status(self) -> RecordingStatus:
+        """Present counters."""
+        return RecordingStatus(
+            messages=self._writer.message_count,
+            size=self._writer.bytes_received,
+            topics=len(self._topics),
+            lost=sum(topic.lost for topic in self._topics.values()),
+            refused=len(self._refused),
+        )
+
+    def lost(self) -> dict[str, int]:
+        """Return the topics that lost messages and how many."""
+        return {topic.name: topic.lost for topic in self._topics.values() if topic.lost}
+
+    def step(self) -> int:
+        """Write what has arrived and look for topics when it is time.
+
+        Returns:
+            Number of messages written.
+
+        Raises:
+            BagError: If the disk refuses the data.
+        """
+        now = time.monotonic()
+        if now >= self._next_discovery:
+            self._next_discovery = now + self._config.discovery_period
+            self._discover()
+        count = self._drain()
+        if now >= self._next_flush:
+            self._next_flush = now + self._config.flush_period
+            self._writer.flush()
+        return count
+
+    def close(self) -> BagMetadata:
+        """Write what is still on its way, then index and metadata.
+
+        Returns:
+            The metadata of the bag.
+
+        Raises:
+            BagError: If the disk refuses the data.
+        """
+        if self._writer.is_open:
+            self._last_call()
+            lost = self.lost()
+            self._writer.custom_data["lost_messages"] = str(sum(lost.values()))
+            for name, count in lost.items():
+                self._writer.custom_data[f"lost_messages{name}"] = str(count)
+        return self._writer.close()
+
+    def _last_call(self) -> None:
+        """Write until the topics are quiet: what was sent before the end must be in the bag."""
+        pause = threading.Event()
+        end = time.monotonic() + LAST_CALL
+        quiet = time.monotonic() + QUIET
+        while time.monotonic() < min(end, quiet):
+            if self._drain():
+                quiet = time.monotonic() + QUIET
+            pause.wait(_ATTENTION)
+        self._drain()
+
+    def _drain(self) -> int:
+        return sum(topic.drain(self._write) for topic in self._topics.values())
+
+    def _write(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
+        channel = topic.channel or self._open_channel(topic)
+        self._writer.write(channel, data, received, sent)
+
+    def _discover(self) -> None:
+        for name, types in self._node.get_topic_names_and_types():
+            topic = self._topics.get(name)
+            if topic is None:
+                self._consider(name, types[0])
+            elif self._node.count_publishers(name) != topic.publishers:
+                topic.adapt(self._node.get_publishers_info_by_topic(name), self._write)
+                if topic.channel is None and topic.publishers:
+                    self._open_channel(topic)
+
+    def _consider(self, name: str, type_name: str) -> None:
+        """Subscribe to a new topic if it is wanted and its type is known."""
+        if name in self._refused or name not in self._selection:
+            return
+        publishers = self._node.get_publishers_info_by_topic(name)
+        depth = self._config.queue_depth
+        try:
+            message_definition(type_name)
+            topic = RawTopic(self._node, self._group, name, type_name, publishers, depth)
+        except BagError as error:
+            self._refused.add(name)
+            self._node.get_logger().error(f"{name} is not recorded: {error}")
+            return
+        self._topics[name] = topic
+        if publishers:
+            self._open_channel(topic)
+
+    def _open_channel(self, topic: RawTopic) -> int:
+        publishers = self._node.get_publishers_info_by_topic(topic.name)
+        hashes = [str(p.topic_type_hash) for p in publishers if p.topic_type == topic.type_name]
+        topic.channel = self._writer.add_channel(
+            topic.name,
+            topic.type_name,
+            offers=[OfferedQos.from_profile(p.qos_profile) for p in publishers],
+            type_hash=hashes[0] if hashes else "",
+        )
+        return topic.channel

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of topics by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+
+class TopicSelection:
+    """Decides by name which topics are recorded."""
+
+    def __init__(self, include: Sequence[str], exclude: Sequence[str] = ()) -> None:
+        """Compile the patterns.
+
+        Args:
+            include: Regular expressions, one of which must match the whole name.
+            exclude: Regular expressions, none of which may match the whole name.
+        """
+        self._include = [re.compile(pattern) for pattern in include]
+        self._exclude = [re.compile(pattern) for pattern in exclude]
+
+    def __contains__(self, topic: str) -> bool:
+        """Return whether a topic, given by its full name, is chosen."""
+        if is_hidden(topic) or any(pattern.fullmatch(topic) for pattern in self._exclude):
+            return False
+        return any(pattern.fullmatch(topic) for pattern in self._include)
+
+
+def is_hidden(topic: str) -> bool:
+    """Return whether ROS hides a topic: a part of its name starts with an underscore."""
+    return any(part.startswith("_") for part in topic.split("/"))

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading chooses topics and times, and says what is wrong with a broken bag."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.bag.writer import BagWriter
+
+FLOAT = b"\0\1\0\0" + bytes(range(8))
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Return a bag of ten messages on each of two topics, times 0, 1, ... 19 ns."""
+    folder = tmp_path / "run"
+    with BagWriter(folder) as writer:
+        even = writer.add_channel("/even", "std_msgs/msg/Float64")
+        odd = writer.add_channel("/odd", "std_msgs/msg/Float64")
+        for i in range(20):
+            writer.write(odd if i % 2 else even, FLOAT, i, i)
+    return folder
+
+
+def test_topics_can_be_chosen(bag: Path) -> None:
+    """One, none, an absent one, all."""
+    assert [m.log_time for m in read_messages(bag, ["/odd"])] == list(range(1, 20, 2))
+    assert list(read_messages(bag, [])) == []
+    assert list(read_messages(bag, ["/absent"])) == []
+    assert len(list(read_messages(bag))) == 20
+
+
+def test_times_can_be_chosen(bag: Path) -> None:
+    """The start is inclusive, the end exclusive."""
+    assert [m.log_time for m in read_raw(bag, start=3, stop=6)] == [3, 4, 5]
+
+
+def test_messages_are_decoded(bag: Path) -> None:
+    """Fields have their ROS names."""
+    assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]
+
+
+def test_summary(bag: Path) -> None:
+    """Counts by topic, types, first and last log time."""
+    summary = summarize(bag)
+    assert summary.counts == {"/even": 10, "/odd": 10}
+    assert summary.types["/odd"] == "std_msgs/msg/Float64"
+    assert (summary.start_time, summary.end_time, summary.message_count) == (0, 19, 20)
+
+
+def test_single_file_without_metadata_can_be_read(bag: Path) -> None:
+    """An .mcap file that left its folder still has everything."""
+    assert summarize(bag / "run_0.mcap").counts == {"/even": 10, "/odd": 10}
+
+
+def test_missing_bag(tmp_path: Path) -> None:
+    """The sentence names the path."""
+    with pytest.raises(BagError, match="nowhere does not exist"):
+        summarize(tmp_path / "nowhere")
+
+
+def test_folder_that_is_no_bag(tmp_path: Path) -> None:
+    """No metadata and no data: recovering would not help."""
+    with pytest.raises(BagError, match="is no bag"):
+        summarize(tmp_path)
+
+
+def test_folder_without_metadata(bag: Path) -> None:
+    """What a killed recorder leaves."""
+    (bag / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
+        summarize(bag)
+
+
+@pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
+def test_truncated_file(bag: Path, size: int) -> None:
+    """Wherever the file ends, the error says what to do."""
+    path = bag / "run_0.mcap"
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
+        list(read_messages(bag))
+
+
+@pytest.mark.parametrize("text", ["", "no: metadata", "[", "rosbag2_bagfile_information: 3"])
+def test_damaged_metadata(bag: Path, text: str) -> None:
+    """Metadata that is no metadata."""
+    (bag / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match="damaged"):
+        summarize(bag)
+
+
+def test_unknown_kind_of_file(tmp_path: Path) -> None:
+    """A file of another format."""
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(BagError, match="Unrecognized storage format"):
+        summarize(tmp_path / "notes.txt")
+
+
+def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
+    """The index is whole, a message is not: the checksum tells."""
+    path = bag / "run_0.mcap"
+    data = bytearray(path.read_bytes())
+    at = data.rindex(FLOAT)
+    data[at + 5] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(BagError, match="checksum"):
+        list(read_messages(bag))
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
+def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
+    """Bytes that cannot be decoded are an error of the bag, too; raw reading gives them."""
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write(writer.add_channel("/x", "std_msgs/msg/Float64"), data, 1, 1)
+    with pytest.raises(BagError, match="damaged"):
+        list(read_messages(tmp_path / "run"))
+    assert next(read_raw(tmp_path / "run")).data == data

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Schema texts are complete, in rosbag2's order, and mean the same type to other readers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_share_directory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tactile_hand_ros.bag import schema
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.schema import message_definition
+
+LINE = "=" * 80 + "\n"
+TYPES = [
+    "builtin_interfaces/msg/Time",
+    "std_msgs/msg/Empty",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/String",
+    "std_msgs/msg/Float64MultiArray",
+    "rosgraph_msgs/msg/Clock",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "geometry_msgs/msg/PoseArray",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/WrenchStamped",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/JoyFeedbackArray",
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/MultiDOFJointState",
+    "trajectory_msgs/msg/JointTrajectory",
+    "visualization_msgs/msg/MarkerArray",
+]
+
+
+def source(package: str, name: str) -> str:
+    """Return the unchanged text of an installed .msg file."""
+    return (Path(get_package_share_directory(package)) / "msg" / f"{name}.msg").read_text()
+
+
+def test_text_is_the_files_with_separators() -> None:
+    """Byte for byte: the root without a heading, then each used type once, under its heading."""
+    expected = (
+        source("geometry_msgs", "WrenchStamped")
+        + f"\n{LINE}MSG: geometry_msgs/Wrench\n"
+        + source("geometry_msgs", "Wrench")
+        + f"\n{LINE}MSG: geometry_msgs/Vector3\n"
+        + source("geometry_msgs", "Vector3")
+        + f"\n{LINE}MSG: std_msgs/Header\n"
+        + source("std_msgs", "Header")
+        + f"\n{LINE}MSG: builtin_interfaces/Time\n"
+        + source("builtin_interfaces", "Time")
+    )
+    definition = message_definition("geometry_msgs/msg/WrenchStamped")
+    assert (definition.encoding, definition.text) == ("ros2msg", expected)
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_text_means_the_same_type_as_in_rosbags(type_name: str) -> None:
+    """Parsed on its own, it yields the fields and the hash of rosbags' own Jazzy definitions."""
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    own = get_typestore(Stores.EMPTY)
+    own.register(get_types_from_msg(message_definition(type_name).text, type_name))
+    assert own.hash_rihs01(type_name) == jazzy.hash_rihs01(type_name)
+    assert own.generate_msgdef(type_name) == jazzy.generate_msgdef(type_name)
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_same_types_under_the_same_headings_as_rosbags(type_name: str) -> None:
+    """No type is missing, none is there twice."""
+    generated, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
+    assert sorted(headings(message_definition(type_name).text)) == sorted(headings(generated))
+
+
+def headings(text: str) -> list[str]:
+    """Return the headings of a definition text."""
+    lines = text.splitlines()
+    return [line for before, line in zip(lines, lines[1:], strict=False) if before == "=" * 80]
+
+
+def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
+    """Install a message package `my_msgs` with the given files below `root`."""
+    (root / "share/ament_index/resource_index/packages").mkdir(parents=True)
+    (root / "share/ament_index/resource_index/packages/my_msgs").touch()
+    (root / "share/my_msgs/msg").mkdir(parents=True)
+    for name, text in files.items():
+        path = root / "share/my_msgs/msg" / name.replace("_dot_", ".")
+        path.write_bytes(text.encode())
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(root))
+    message_definition.cache_clear()
+    schema._read.cache_clear()
+
+
+def test_arrays_comments_and_line_ends_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Used types are found behind array marks and sorted; nothing of the text changes."""
+    root = "# µ\r\nZ[<=3] z\nstring<=4 s\nA[2]  a # B b\nmy_msgs/M m\nint32 N=1\n"
+    package(tmp_path, monkeypatch, Root_dot_msg=root, Z_dot_msg="bool z\n", A_dot_msg="Z z",
+            M_dot_msg="bool m\n")  # fmt: skip
+    expected = (
+        f"{root}\n{LINE}MSG: my_msgs/A\nZ z\n{LINE}MSG: my_msgs/Z\nbool z\n"
+        f"\n{LINE}MSG: my_msgs/M\nbool m\n"
+    )
+    assert message_definition("my_msgs/msg/Root").text == expected
+
+
+def test_type_with_only_an_idl_file_is_written_as_idl(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then the root has a heading, too, and used types follow the includes."""
+    root = '#include "my_msgs/msg/Part.idl"\nmodule my_msgs {};\n'
+    package(tmp_path, monkeypatch, Root_dot_idl=root, Part_dot_idl="module my_msgs {};\n")
+    definition = message_definition("my_msgs/msg/Root")
+    expected = (
+        f"{LINE}IDL: my_msgs/msg/Root\n{root}\n{LINE}IDL: my_msgs/msg/Part\nmodule my_msgs {{}};\n"
+    )
+    assert (definition.encoding, definition.text) == ("ros2idl", expected)
+
+
+@pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])
+def test_unknown_type_is_an_error_that_names_it(name: str) -> None:
+    """The sentence says which type and where it was looked for."""
+    with pytest.raises(BagError, match=f"'{name}'.*AMENT_PREFIX_PATH"):
+        message_definition(name)

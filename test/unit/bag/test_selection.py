@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics are chosen by their whole name."""
+
+from __future__ import annotations
+
+import pytest
+
+from tactile_hand_ros.bag.config import RecorderConfig
+from tactile_hand_ros.bag.selection import TopicSelection
+from tactile_hand_ros.core.config import from_flat
+from tactile_hand_ros.core.errors import ConfigurationError
+
+
+@pytest.mark.parametrize(
+    ("topic", "chosen"),
+    [
+        ("/left/joint_states", True),
+        ("/right/joint_states", False),
+        ("/left/joint_states/raw", True),
+        ("/left/debug", False),
+        ("/left/_hidden", False),
+        ("/prefix/left/joint_states", False),
+    ],
+)
+def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
+    """Exclusion wins over inclusion; hidden topics are never chosen."""
+    assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
+
+
+def test_everything_but_parameter_events_is_the_default() -> None:
+    """Simulated time, logs, diagnostics and namespaces are part of a recording."""
+    config = RecorderConfig(output="bag")
+    selection = TopicSelection(config.topics, config.exclude)
+    names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
+    assert [name in selection for name in names] == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize("key", ["topics", "exclude"])
+def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
+    """The text names the key and the pattern."""
+    with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is no regular expression"):
+        from_flat(RecorderConfig, {"output": "bag", key: ["("]})
+
+
+def test_output_is_required() -> None:
+    """A recorder never invents where to write."""
+    with pytest.raises(ConfigurationError, match="output is missing"):
+        from_flat(RecorderConfig, {})

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags written here are whole to every reader, also after a failure."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from std_msgs.msg import String
+
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.qos import OfferedQos, qos_text
+from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.bag.schema import message_definition
+from tactile_hand_ros.bag.writer import BagWriter
+
+STRING = "std_msgs/msg/String"
+STRING_HASH = get_typestore(Stores.ROS2_JAZZY).hash_rihs01(STRING)
+
+
+def payload(text: str) -> bytes:
+    """Return the CDR of a String."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
+    """Add a channel of type String."""
+    return writer.add_channel(topic, STRING, offers=[OfferedQos()], type_hash=STRING_HASH)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -> None:
+    """Counts, times, types, QoS and bytes."""
+    sent = [payload(f"message {i}") for i in range(3000)]
+    with BagWriter(tmp_path / "run", compression=compression, chunk_size=4096) as writer:
+        channel, other = add_string(writer), add_string(writer, "/left/other")
+        for i, data in enumerate(sent):
+            writer.write(channel, data, 10_000 + i, 9_000 + i)
+        writer.write(other, payload("x"), 10_500, 10_400)
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == 3001
+        assert (reader.start_time, reader.end_time) == (10_000, 13_000)
+        connection = reader.topics["/chatter"].connections[0]
+        assert (connection.msgtype, connection.digest) == (STRING, STRING_HASH)
+        assert connection.ext.offered_qos_profiles[0].reliability.name == "RELIABLE"
+        got = [(time, bytes(data)) for _, time, data in reader.messages([connection])]
+    assert got == [(10_000 + i, data) for i, data in enumerate(sent)]
+
+
+def test_mcap_holds_what_rosbag2_puts_there(tmp_path: Path) -> None:
+    """Profile, schema, channel texts, sequence zero, both times, metadata at open and at close."""
+    with BagWriter(tmp_path / "run", compression="zstd") as writer:
+        writer.write(add_string(writer), payload("x"), 2_000, 1_000)
+    with writer.path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        [(schema, channel, message)] = list(reader.iter_messages())
+        metadata = list(reader.iter_metadata())
+    assert schema is not None
+    assert (schema.name, schema.encoding) == (STRING, "ros2msg")
+    assert schema.data.decode() == message_definition(STRING).text
+    assert channel.message_encoding == "cdr"
+    assert channel.metadata == {
+        "offered_qos_profiles": qos_text([OfferedQos()]),
+        "topic_type_hash": STRING_HASH,
+    }
+    assert (message.sequence, message.log_time, message.publish_time) == (0, 2_000, 1_000)
+    assert [record.name for record in metadata] == ["rosbag2", "rosbag2"]
+    assert [message_count(record) for record in metadata] == [0, 1]
+    whole = yaml.safe_load((writer.folder / "metadata.yaml").read_text())
+    last = yaml.safe_load(metadata[1].metadata["serialized_metadata"])
+    assert whole == {"rosbag2_bagfile_information": last}
+
+
+def message_count(record: Metadata) -> Any:
+    """Return the message count in a metadata record."""
+    return yaml.safe_load(record.metadata["serialized_metadata"])["message_count"]
+
+
+def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
+    """A channel that never spoke, or no channel at all."""
+    with BagWriter(tmp_path / "silent") as writer:
+        add_string(writer)
+    BagWriter(tmp_path / "empty").close()
+    silent = summarize(tmp_path / "silent")
+    assert (silent.counts, silent.start_time) == ({"/chatter": 0}, None)
+    assert summarize(tmp_path / "empty").counts == {}
+
+
+def test_close_is_idempotent(tmp_path: Path) -> None:
+    """The second call writes nothing and says the same."""
+    writer = BagWriter(tmp_path / "run")
+    writer.write(add_string(writer), payload("x"), 1, 1)
+    first = writer.close()
+    size = writer.path.stat().st_size
+    assert writer.close() == first
+    assert writer.path.stat().st_size == size
+
+
+def test_custom_data_reaches_the_reader(tmp_path: Path) -> None:
+    """Texts that look like numbers stay texts."""
+    with BagWriter(tmp_path / "run") as writer:
+        writer.custom_data["lost_messages"] = "0"
+    assert summarize(tmp_path / "run").custom_data == {"lost_messages": "0"}
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_existing_output_is_refused(tmp_path: Path, kind: str) -> None:
+    """Nothing is overwritten."""
+    target = tmp_path / "run"
+    target.mkdir() if kind == "folder" else target.write_text("precious")
+    with pytest.raises(BagError, match=f"{target} exists already"):
+        BagWriter(target)
+    assert kind == "folder" or target.read_text() == "precious"
+
+
+def test_output_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
+    """The reason of the operating system is in the sentence."""
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="Not a directory"):
+        BagWriter(tmp_path / "file" / "run")
+
+
+def test_unknown_compression_is_refused_before_anything_is_created(tmp_path: Path) -> None:
+    """The sentence lists the valid names."""
+    with pytest.raises(BagError, match="'gzip'.*none, lz4, zstd"):
+        BagWriter(tmp_path / "run", compression="gzip")
+    assert not (tmp_path / "run").exists()
+
+
+def test_closed_bag_takes_nothing(tmp_path: Path) -> None:
+    """Neither messages nor channels."""
+    writer = BagWriter(tmp_path / "run")
+    channel = add_string(writer)
+    writer.close()
+    with pytest.raises(BagError, match="is closed"):
+        writer.write(channel, payload("x"), 1, 1)
+    with pytest.raises(BagError, match="is closed"):
+        add_string(writer, "/other")
+
+
+@pytest.fixture
+def small_disk() -> Iterator[int]:
+    """Let files of this process grow to 100 kB only, as a full disk would."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    yield 100_000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_full_disk_is_a_clear_error_and_keeps_whole_chunks(tmp_path: Path, small_disk: int) -> None:
+    """The file ends with its last whole chunk, from which all its messages can be read."""
+    writer = BagWriter(tmp_path / "run", chunk_size=10_000)
+    channel = add_string(writer)
+    with pytest.raises(BagError, match="could not be written.*tactile-hand recover"):
+        for i in range(10_000):
+            writer.write(channel, payload("x" * 100), i, i)
+    assert not writer.is_open
+    assert writer.path.stat().st_size <= small_disk
+    assert writer.close().message_count > 0  # closing after the failure is harmless
+    assert recovered(writer.path) >= writer.message_count - 10_000 // 100
+
+
+def recovered(path: Path) -> int:
+    """Return how many messages can be read from a file without an index."""
+    with path.open("rb") as stream:
+        records = StreamReader(stream, validate_crcs=True).records
+        return sum(_is_message(record) for record in _until_the_end(records))
+
+
+def _until_the_end(records: Iterator[Any]) -> Iterator[Any]:
+    try:
+        yield from records
+    except Exception as error:
+        assert type(error).__name__ == "EndOfFile"  # no footer, but only whole records
+
+
+def _is_message(record: Any) -> bool:
+    return type(record).__name__ == "Message"
+
+
+def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
+    """What was flushed before SIGKILL is on disk, byte for byte."""
+    code = (
+        "import os, signal, sys; from tactile_hand_ros.bag.writer import BagWriter\n"
+        "w = BagWriter(sys.argv[1], compression='lz4')\n"
+        f"c = w.add_channel('/c', '{STRING}')\n"
+        f"for i in range(123): w.write(c, {payload('x')!r}, i, i)\n"
+        "w.flush()\n"
+        f"w.write(c, {payload('x')!r}, 123, 123)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    run = subprocess.run([sys.executable, "-c", code, tmp_path / "run"], env=os.environ)
+    assert run.returncode == -signal.SIGKILL
+    assert recovered(tmp_path / "run" / "run_0.mcap") == 123
+    with pytest.raises(BagError, match="cut off.*tactile-hand recover"):
+        summarize(tmp_path / "run")
+
+
+_TIMES = st.integers(0, 2**62)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    messages=st.lists(st.tuples(st.booleans(), st.binary(max_size=300), _TIMES, _TIMES)),
+    compression=st.sampled_from(["none", "lz4", "zstd"]),
+)
+def test_any_bytes_and_times_come_back(
+    tmp_path_factory: pytest.TempPathFactory,
+    messages: list[tuple[bool, bytes, int, int]],
+    compression: str,
+) -> None:
+    """Payloads are opaque: whatever goes in comes out, in order of log time."""
+    folder = tmp_path_factory.mktemp("bags") / "run"
+    with BagWriter(folder, compression=compression, chunk_size=256) as writer:
+        channels = [add_string(writer, "/a"), add_string(writer, "/b")]
+        for second, data, log_time, publish_time in messages:
+            writer.write(channels[second], data, log_time, publish_time)
+    got = [tuple(message) for message in read_raw(folder)]
+    expected = [("/b" if second else "/a", time, data) for second, data, time, _ in messages]
+    assert sorted(got) == sorted(expected)
+    assert [time for _, time, _ in got] == sorted(time for _, time, _ in got)
+
+
+@settings(max_examples=25, deadline=None)
+@given(text=st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])))
+def test_messages_of_ros_decode_to_the_same_content(
+    tmp_path_factory: pytest.TempPathFactory, text: str
+) -> None:
+    """ROS serializes, rosbags decodes, ROS decodes the recorded bytes."""
+    folder = tmp_path_factory.mktemp("bags") / "run"
+    with BagWriter(folder) as writer:
+        writer.write(add_string(writer), serialize_message(String(data=text)), 1, 1)
+    [decoded] = read_messages(folder)
+    [raw] = read_raw(folder)
+    assert decoded.message.data == text
+    assert deserialize_message(raw.data, String).data == text
