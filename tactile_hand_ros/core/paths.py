@@ -17,9 +17,10 @@ _SHARE = Path("share") / "tactile_hand_ros" / "config"
 def config_directory() -> Path:
     """Find the directory with ``hands/`` and ``scenarios/``.
 
-    The first that exists of: the environment variable ``TACTILE_HAND_CONFIG`` (which must exist when set),
-    ``config/`` beside the package (a source tree), ``share/tactile_hand_ros/config`` of every prefix in
-    ``AMENT_PREFIX_PATH`` (a ROS workspace), the same below ``sys.prefix`` (a virtual environment).
+    The first that exists of: the environment variable ``TACTILE_HAND_CONFIG`` (which must exist
+    when set), ``config/`` beside the package (a source tree), ``share/tactile_hand_ros/config`` of
+    every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace), the same below ``sys.prefix`` (a virtual
+    environment).
 
     Returns:
         Absolute path of the directory.
@@ -44,7 +45,8 @@ def _chosen_directory(path: Path) -> Path:
     """Insist on what the user named; a silent fall-back would run with other values."""
     if not path.is_dir():
         raise ConfigurationError(
-            f"{ENVIRONMENT} is '{path}', which is no directory: name one with hands/ and scenarios/."
+            f"{ENVIRONMENT} is '{path}', which is no directory: name one with hands/ and"
+            " scenarios/, or unset it."
         )
     return path.resolve()
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find and start this package's executables as ``ros2 run`` does, also where no ``ros2`` is installed.
+"""Find and start this package's executables as ``ros2 run`` does, also where ``ros2`` is missing.
 
-``python -m tactile_hand_ros.ros.executables NAME [ARGUMENT ...]`` replaces itself by the executable.
+``python -m tactile_hand_ros.ros.executables NAME [ARGUMENT ...]`` becomes that executable.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ def executable_path(name: str) -> Path:
 def child_environment() -> dict[str, str]:
     """Return the environment for a child process, with this interpreter first on PATH.
 
-    The executables begin with ``#!/usr/bin/env python3``: without an activated virtual environment they would
-    find another Python.
+    The executables begin with ``#!/usr/bin/env python3``: without an activated virtual environment
+    they would find another Python.
     """
     environment = dict(os.environ)
-    own = os.path.join(sys.prefix, "bin")
-    environment["PATH"] = os.pathsep.join([own, *environment.get("PATH", os.defpath).split(os.pathsep)])
+    inherited = environment.get("PATH", os.defpath)
+    environment["PATH"] = os.pathsep.join([os.path.join(sys.prefix, "bin"), inherited])
     return environment
 
 

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two installations: pip into a virtual environment, colcon into a workspace."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.ros import executables
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "tactile_hand_ros"
+EXECUTABLES = [
+    "force_optimizer",
+    "manipulation_controller",
+    "orchestrator",
+    "plant",
+    "recorder",
+    "slip_regulator",
+    "tactile_sensor",
+]
+# What an installation is made of, and nothing that a developer may have lying about.
+SOURCES = ("config", "resource", "scripts", PACKAGE)
+FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE")
+# The ROS wheels re-execute an interpreter once and say so here; other installations must not see it.
+LEAKING = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH")
+# Resolves all imports of a script, but does not start it.
+LOAD = "import runpy, sys; runpy.run_path(sys.argv[1], run_name='loaded')"
+
+
+def run(*command: str | Path, cwd: Path, **variables: str) -> str:
+    """Run a command in an environment without ROS, insist on success and return its output."""
+    inherited = executables.child_environment()
+    environment = {name: value for name, value in inherited.items() if name not in LEAKING}
+    done = subprocess.run(
+        [str(part) for part in command],
+        cwd=cwd,
+        env=environment | variables,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=240,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+def installed_config(share: Path) -> list[Path]:
+    """List the configuration files of an installation, relative to its config directory."""
+    return sorted(
+        path.relative_to(share / "config")
+        for path in (share / "config").rglob("*")
+        if path.is_file()
+    )
+
+
+def source_config() -> list[Path]:
+    """List the configuration files of the tree."""
+    return installed_config(ROOT)
+
+
+class TestPip:
+    """The environment that runs these tests, as `make test` has built it."""
+
+    def test_ament_finds_the_package(self) -> None:
+        prefix = Path(get_package_prefix(PACKAGE))
+        share = Path(get_package_share_directory(PACKAGE))
+        assert share == prefix / "share" / PACKAGE
+        assert (share / "package.xml").read_bytes() == (ROOT / "package.xml").read_bytes()
+
+    def test_config_is_installed_recursively(self) -> None:
+        share = Path(get_package_share_directory(PACKAGE))
+        assert installed_config(share) == source_config()
+
+    def test_executables_are_those_of_the_contract(self) -> None:
+        assert executables.executable_names() == EXECUTABLES
+
+    @pytest.mark.parametrize("name", EXECUTABLES)
+    def test_executable_resolves_its_imports(self, name: str, tmp_path: Path) -> None:
+        path = executables.executable_path(name)
+        assert os.access(path, os.X_OK)
+        assert path.read_text().startswith("#!/usr/bin/env python3\n")
+        run(sys.executable, "-c", LOAD, path, cwd=tmp_path)
+
+    def test_config_is_found_without_ament(self, tmp_path: Path) -> None:
+        code = f"from {PACKAGE}.core.paths import config_directory; print(config_directory())"
+        found = Path(run(sys.executable, "-c", code, cwd=tmp_path).strip())
+        assert (found / "hands").is_dir()
+        assert ROOT not in found.parents or Path(sys.prefix) in found.parents
+
+    def test_command_line_answers(self, tmp_path: Path) -> None:
+        assert "reproduce" in run("tactile-hand", "--help", cwd=tmp_path, COLUMNS="200")
+
+    def test_unknown_executable_is_refused_with_the_known_ones(self) -> None:
+        with pytest.raises(executables.ExecutableError, match="'plamt'.*plant"):
+            executables.executable_path("plamt")
+
+    @pytest.mark.parametrize("name", ["", ".", "../tactile_hand_ros/plant"])
+    def test_executable_is_a_name_not_a_path(self, name: str) -> None:
+        with pytest.raises(executables.ExecutableError):
+            executables.executable_path(name)
+
+    def test_missing_index_is_named(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("AMENT_PREFIX_PATH", "/nowhere")
+        with pytest.raises(TactileHandError, match="/nowhere"):
+            executables.executable_directory()
+
+    def test_child_process_finds_this_interpreter(self) -> None:
+        path = executables.child_environment()["PATH"]
+        assert Path(str(shutil.which("python3", path=path))).parent == Path(sys.prefix) / "bin"
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build a clean copy of the tree with colcon."""
+    workspace = tmp_path_factory.mktemp("workspace")
+    source = workspace / "src" / PACKAGE
+    source.mkdir(parents=True)
+    ignored = shutil.ignore_patterns("__pycache__", "*.pyc")
+    for folder in SOURCES:
+        shutil.copytree(ROOT / folder, source / folder, ignore=ignored)
+    for file in FILES:
+        shutil.copy(ROOT / file, source / file)
+    run("colcon", "build", cwd=workspace)
+    return workspace
+
+
+class TestColcon:
+    """The same tree in a ROS workspace."""
+
+    def test_is_an_ament_python_package(self, workspace: Path) -> None:
+        listed = run("colcon", "list", cwd=workspace).split()
+        assert listed == [PACKAGE, f"src/{PACKAGE}", "(ros.ament_python)"]
+
+    def test_executables_are_where_ros2_run_looks(self, workspace: Path) -> None:
+        folder = workspace / "install" / PACKAGE / "lib" / PACKAGE
+        runnable = sorted(path.name for path in folder.iterdir() if os.access(path, os.X_OK))
+        assert runnable == sorted([*EXECUTABLES, "tactile-hand"])
+
+    def test_share_holds_config_and_manifest(self, workspace: Path) -> None:
+        share = workspace / "install" / PACKAGE / "share" / PACKAGE
+        assert (share / "package.xml").is_file()
+        assert installed_config(share) == source_config()
+
+    def test_sourced_workspace_is_found_by_ament(self, workspace: Path) -> None:
+        code = (
+            "from ament_index_python.packages import get_package_prefix as prefix;"
+            f"from {PACKAGE}.core.paths import config_directory;"
+            f"import {PACKAGE};"
+            f"print(prefix('{PACKAGE}'), config_directory(), {PACKAGE}.__file__, sep='\\n')"
+        )
+        command = f'. install/setup.sh && python3 -c "{code}"'
+        prefix, config, module = run("sh", "-c", command, cwd=workspace).splitlines()
+        install = workspace / "install" / PACKAGE
+        assert Path(prefix) == install
+        assert Path(config) == install / "share" / PACKAGE / "config"
+        assert install in Path(module).parents

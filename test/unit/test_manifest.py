@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""package.xml, setup.py, the requirements and the imports say the same."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import requires, version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import tactile_hand_ros
+
+ROOT = Path(__file__).resolve().parents[2]
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+EXEC_DEPENDS = [str(element.text) for element in MANIFEST.findall("exec_depend")]
+# Where the rosdep key or the module is named unlike the distribution on the Python index.
+KEY_TO_DISTRIBUTION = {"pinocchio": "pin", "python3-yaml": "pyyaml"}
+MODULE_TO_DISTRIBUTION = {"pinocchio": "pin", "yaml": "pyyaml"}
+
+
+def requirements(name: str) -> dict[str, Requirement]:
+    """Read a requirements file by distribution name, leaving out what this Python does not take."""
+    lines = (ROOT / "requirements" / name).read_text().splitlines()
+    wanted = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    return {
+        canonicalize_name(each.name): each
+        for each in wanted
+        if each.marker is None or each.marker.evaluate()
+    }
+
+
+def declared() -> list[Requirement]:
+    """Return install_requires and all extras, as installed."""
+    return [Requirement(text.split(";")[0]) for text in requires("tactile_hand_ros") or []]
+
+
+def python_keys() -> dict[str, str]:
+    """Map each rosdep key for a Python library to its distribution name."""
+    return {
+        key: KEY_TO_DISTRIBUTION.get(key, key.removeprefix("python3-"))
+        for key in EXEC_DEPENDS
+        if key in KEY_TO_DISTRIBUTION or key.startswith("python3-")
+    }
+
+
+def test_versions_agree() -> None:
+    stated = MANIFEST.findtext("version")
+    assert version("tactile_hand_ros") == stated
+    assert tactile_hand_ros.__version__ == stated
+
+
+def test_manifest_is_valid_for_colcon() -> None:
+    assert MANIFEST.get("format") == "3"
+    assert MANIFEST.findtext("export/build_type") == "ament_python"
+    maintainer = MANIFEST.find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(r"[\w.+-]+@[\w-]+(\.[\w-]+)+", str(maintainer.get("email")))
+    assert len(EXEC_DEPENDS) == len(set(EXEC_DEPENDS))
+
+
+@pytest.mark.parametrize("key", EXEC_DEPENDS)
+def test_exec_depend_is_installed_here_too(key: str) -> None:
+    if key in python_keys():
+        assert python_keys()[key] in requirements("run.txt")
+    else:
+        assert importlib.util.find_spec(key), f"requirements/ros.txt does not bring {key}"
+
+
+def test_everything_required_reaches_a_ros_workspace() -> None:
+    from_rosdep = set(python_keys().values())
+    from_pip = set(requirements("jazzy.txt"))
+    needed = {canonicalize_name(each.name) for each in declared()}
+    tested_with = set(requirements("dev.txt"))
+    assert needed - from_rosdep - from_pip - tested_with == set()
+
+
+def test_pins_lie_in_the_declared_ranges() -> None:
+    pinned = requirements("run.txt") | requirements("dev.txt")
+    for each in declared():
+        pin = next(iter(pinned[canonicalize_name(each.name)].specifier)).version
+        assert each.specifier.contains(pin), f"{each} is pinned to {pin}"
+
+
+@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "jazzy.txt"])
+def test_every_requirement_is_pinned(name: str) -> None:
+    for each in requirements(name).values():
+        operators = [specifier.operator for specifier in each.specifier]
+        assert operators == ["=="], each
+
+
+def test_jazzy_pins_are_those_of_run() -> None:
+    run = requirements("run.txt")
+    for name, each in requirements("jazzy.txt").items():
+        assert each.specifier == run[name].specifier
+
+
+def imported_modules() -> set[str]:
+    """Collect the top-level modules from outside that the package imports at load time or later."""
+    found: set[str] = set()
+    for path in (ROOT / "tactile_hand_ros").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                found.add(str(node.module).split(".")[0])
+    return found - sys.stdlib_module_names - {"tactile_hand_ros"}
+
+
+# tf2_msgs is used wherever it can be imported and never required.
+@pytest.mark.parametrize("module", sorted(imported_modules() - {"tf2_msgs"}))
+def test_import_is_declared(module: str) -> None:
+    distribution = canonicalize_name(MODULE_TO_DISTRIBUTION.get(module, module))
+    names = {canonicalize_name(each.name) for each in declared()}
+    assert module in EXEC_DEPENDS or distribution in names, f"declare {module} in package.xml"
