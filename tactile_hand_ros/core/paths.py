@@ -19,8 +19,8 @@ def config_directory() -> Path:
 
     The first that exists of: the environment variable ``TACTILE_HAND_CONFIG`` (which must exist
     when set), ``config/`` beside the package (a source tree), ``share/tactile_hand_ros/config`` of
-    every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace), the same below ``sys.prefix`` (a virtual
-    environment).
+    every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace), the same below ``sys.prefix`` (a
+    virtual environment).
 
     Returns:
         Absolute path of the directory.

@@ -29,7 +29,7 @@ EXECUTABLES = [
 # What an installation is made of, and nothing that a developer may have lying about.
 SOURCES = ("config", "resource", "scripts", PACKAGE)
 FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE")
-# The ROS wheels re-execute an interpreter once and say so here; other installations must not see it.
+# The ROS wheels re-execute an interpreter once and say so here; no other installation may see it.
 LEAKING = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH")
 # Resolves all imports of a script, but does not start it.
 LOAD = "import runpy, sys; runpy.run_path(sys.argv[1], run_name='loaded')"
