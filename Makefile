@@ -33,7 +33,7 @@ unexport VIRTUAL_ENV
 
 # Everything that ends up in the installed package.
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
-	$(shell find tactile_hand_ros config scripts resource -type f ! -name '*.pyc' | LC_ALL=C sort)
+	$(shell find tactile_hand_ros config scripts resource -type f ! -name '*.pyc' 2>/dev/null | LC_ALL=C sort)
 
 .PHONY: help demo run test lint bench setup clean FORCE
 .DELETE_ON_ERROR:
@@ -78,6 +78,9 @@ $(PREFIX)/.created: FORCE
 endif
 
 $(PREFIX)/.created:
+	@command -v '$(PYTHON)' >/dev/null || { \
+	echo "set-up: there is no '$(PYTHON)': install Python 3.10 or newer, or name one: make ... PYTHON=python3.12" >&2; \
+	exit 1; }
 	@$(PYTHON) requirements/check_python.py
 	@echo 'set-up 1/3: virtual environment $(VENV)'
 	@rm -rf '$(PREFIX)'
