@@ -228,9 +228,7 @@ _Loader.add_implicit_resolver(
 )
 
 
-def explain(
-    error: ValidationError, model: type[BaseModel], source: str = ""
-) -> ConfigurationError:
+def explain(error: ValidationError, model: type[BaseModel], source: str = "") -> ConfigurationError:
     """Turn pydantic's findings into one sentence each: place, what was given, what is allowed."""
     findings = error.errors(include_url=False)
     sentences = [_sentence(finding, model) for finding in findings]

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node knows about its own health, as a DiagnosticStatus."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+WARN_SECONDS = 5.0
+"""How long a rejected message keeps the level at WARN [s]."""
+
+_WINDOW = 4096
+"""Latest latencies of which percentiles are reported."""
+
+
+@dataclass
+class _Rejections:
+    count: int = 0
+    reason: str = ""
+    last: float = -np.inf
+    logged: float = -np.inf
+
+
+class Diagnostics:
+    """Counters and facts that `status` turns into one DiagnosticStatus.
+
+    Every method costs well below a microsecond except `status`, so it may be used each tick.
+    """
+
+    def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
+        """Name the status.
+
+        Args:
+            name: Full name of the node.
+            clock: Source of time [s], only for rates and how long a warning lasts.
+        """
+        self.name = name
+        self._clock = clock
+        self._ticks = 0
+        self._reported_ticks = 0
+        self._reported_at = clock()
+        self._rejections: dict[str, _Rejections] = {}
+        self._values: dict[str, Any] = {}
+        self._faults: dict[str, tuple[str, bytes]] = {}
+        self._latencies = np.zeros(_WINDOW)
+        self._latency_count = 0
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks were counted."""
+        return self._ticks
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How many messages were rejected, by topic."""
+        return {topic: entry.count for topic, entry in self._rejections.items()}
+
+    def tick(self) -> None:
+        """Count one tick."""
+        self._ticks += 1
+
+    def latency(self, seconds: float) -> None:
+        """Note how long one tick took [s]."""
+        self._latencies[self._latency_count % _WINDOW] = seconds
+        self._latency_count += 1
+
+    def value(self, key: str, value: Any) -> None:
+        """Show a value, such as a margin or a residual, under a key."""
+        self._values[key] = value
+
+    def fault(self, key: str, message: str, level: bytes = ERROR) -> None:
+        """Report a fault until `clear` is called with the same key."""
+        self._faults[key] = (message, level)
+
+    def clear(self, key: str) -> None:
+        """End a fault; without such a fault nothing happens."""
+        self._faults.pop(key, None)
+
+    def reject(self, topic: str, error: Exception | str) -> bool:
+        """Count a message that could not be used.
+
+        Returns:
+            Whether it should be logged: at most once in `WARN_SECONDS` for a topic.
+        """
+        entry = self._rejections.setdefault(topic, _Rejections())
+        now = self._clock()
+        entry.count += 1
+        entry.reason = str(error)
+        entry.last = now
+        is_due = now - entry.logged >= WARN_SECONDS
+        if is_due:
+            entry.logged = now
+        return is_due
+
+    def status(self) -> DiagnosticStatus:
+        """Return the state since the last call."""
+        now = self._clock()
+        ticks, seconds = self._ticks - self._reported_ticks, now - self._reported_at
+        self._reported_ticks, self._reported_at = self._ticks, now
+        level, message = self._worst(now, ticks)
+        rate = ticks / seconds if seconds > 0.0 else 0.0
+        facts: dict[str, Any] = {"ticks": self._ticks, "rate_hz": f"{rate:.1f}"}
+        facts |= self._percentiles() | self._values
+        for topic, entry in self._rejections.items():
+            facts[f"rejected {topic}"] = entry.count
+            facts[f"last reason {topic}"] = entry.reason
+        facts |= {f"fault {key}": text for key, (text, _) in self._faults.items()}
+        pairs = [KeyValue(key=key, value=_text(value)) for key, value in facts.items()]
+        return DiagnosticStatus(level=level, name=self.name, message=message, values=pairs)
+
+    def _worst(self, now: float, ticks: int) -> tuple[bytes, str]:
+        if self._faults:
+            text, level = max(self._faults.values(), key=lambda fault: fault[1])
+            return level, text
+        recent = [
+            (topic, entry)
+            for topic, entry in self._rejections.items()
+            if now - entry.last < WARN_SECONDS
+        ]
+        if recent:
+            topic, entry = max(recent, key=lambda item: item[1].last)
+            return WARN, f"{entry.count} messages on {topic} rejected: {entry.reason}"
+        if self._ticks and not ticks:
+            return STALE, f"no new tick, {self._ticks} so far"
+        return OK, "running" if self._ticks else "waiting for the first tick"
+
+    def _percentiles(self) -> dict[str, str]:
+        count = min(self._latency_count, _WINDOW)
+        if not count:
+            return {}
+        marks = np.percentile(self._latencies[:count], (50.0, 99.0, 100.0)) * 1e6
+        names = ("latency_p50_us", "latency_p99_us", "latency_max_us")
+        return {name: f"{mark:.0f}" for name, mark in zip(names, marks, strict=True)}
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Base of all nodes: configuration from parameters, guarded subscriptions, diagnostics."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from tactile_hand_ros.core.config import Config
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.diagnostics import Diagnostics
+from tactile_hand_ros.ros.parameters import ConfigParameters
+
+C = TypeVar("C", bound=Config)
+
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between two diagnostic messages [s]."""
+
+
+class TactileNode(Node, Generic[C]):
+    """A node whose parameters are one configuration and that survives bad messages.
+
+    Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second.
+
+    Attributes:
+        diagnostics: Counters and facts to report.
+    """
+
+    def __init__(self, name: str, model: type[C], **kwargs: Any) -> None:
+        """Create the node and declare its parameters.
+
+        Args:
+            name: Node name.
+            model: Configuration class, one field per parameter.
+            **kwargs: Passed to `rclpy.node.Node`.
+
+        Raises:
+            ConfigurationError: If a parameter that was given is unknown or refused.
+        """
+        super().__init__(name, **kwargs)
+        try:
+            self._config_parameters = ConfigParameters(self, model, self._take_config)
+        except TactileHandError:
+            self.destroy_node()
+            raise
+        self.diagnostics = Diagnostics(self.get_fully_qualified_name())
+        self._diagnostics_publisher = self.create_publisher(
+            DiagnosticArray, interfaces.DIAGNOSTICS, interfaces.user_qos()
+        )
+        # Health must be reported also while simulated time stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
+
+    @property
+    def config(self) -> C:
+        """The configuration in force."""
+        return self._config_parameters.config
+
+    def on_config(self, config: C) -> None:
+        """Take over a changed configuration; override it where parameters are live."""
+
+    def close(self) -> None:
+        """Finish work before the node is destroyed, also after a signal; override at need."""
+
+    def check_ready(self) -> None:
+        """Check what can only be known when all subscriptions exist.
+
+        Raises:
+            ConfigurationError: If a QoS override names a topic that the node does not take.
+        """
+        self._config_parameters.check_qos_overrides()
+
+    def _take_config(self, config: C) -> None:
+        try:
+            self.on_config(config)
+        except TactileHandError as error:
+            self.diagnostics.fault("configuration", str(error))
+            self.get_logger().error(str(error))
+        else:
+            self.diagnostics.clear("configuration")
+
+    def subscribe(
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        *,
+        qos: QoSProfile | None = None,
+        sensor: bool = False,
+        raw: bool = False,
+    ) -> Subscription:
+        """Subscribe such that a bad message is counted and reported instead of ending the node.
+
+        Args:
+            message_type: Message class.
+            topic: Relative topic name.
+            callback: Takes the message, bytes if raw; may raise TactileHandError to reject it.
+            qos: Quality of service, by default that of ticks.
+            sensor: Let the user override history, depth and reliability by parameters
+                ``qos_overrides.<full topic>.subscription.reliability`` and so on.
+            raw: Receive serialized bytes.
+        """
+        options = QoSOverridingOptions.with_default_policies() if sensor else None
+        profile = copy.copy(qos) if qos is not None else interfaces.tick_qos()
+        return self.create_subscription(
+            message_type,
+            topic,
+            self._guarded(topic, callback),
+            profile,
+            qos_overriding_options=options,
+            raw=raw,
+        )
+
+    def _guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except TactileHandError as error:
+                self.reject(topic, error)
+
+        return guarded
+
+    def reject(self, topic: str, error: TactileHandError | str) -> None:
+        """Count a message that could not be used, and log it now and then."""
+        if self.diagnostics.reject(topic, error):
+            self.get_logger().warning(f"rejected a message on '{topic}': {error}")
+
+    def publish_diagnostics(self) -> None:
+        """Publish the state of the node; the timer calls it, a node may at any time."""
+        message = DiagnosticArray(status=[self.diagnostics.status()])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_publisher.publish(message)

@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS parameters from a configuration model: types, ranges, validation, files and documentation."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+import yaml
+from pydantic.fields import FieldInfo
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tactile_hand_ros.core.config import (
+    Config,
+    allowed,
+    bound_of,
+    choices_of,
+    did_you_mean,
+    element_type,
+    flatten,
+    from_flat,
+    is_config,
+    is_live,
+    is_sequence,
+    leaves,
+    parse_yaml,
+    unit_of,
+)
+from tactile_hand_ros.core.errors import ConfigurationError
+
+C = TypeVar("C", bound=Config)
+Type = Parameter.Type
+
+_SCALARS = {bool: Type.BOOL, int: Type.INTEGER, float: Type.DOUBLE, str: Type.STRING}
+_ARRAYS = {
+    Type.BOOL: Type.BOOL_ARRAY,
+    Type.INTEGER: Type.INTEGER_ARRAY,
+    Type.DOUBLE: Type.DOUBLE_ARRAY,
+    Type.STRING: Type.STRING_ARRAY,
+}
+_OF_ROS = ("use_sim_time", "start_type_description_service")
+_QOS_PREFIX = "qos_overrides."
+_INT64 = (-(2**63), 2**63 - 1)
+
+
+class ConfigParameters(Generic[C]):
+    """The parameters of one node, declared from a model and kept equal to a validated config.
+
+    A change is refused as a whole, with the reason, or taken as a whole.
+
+    Attributes:
+        config: The configuration in force.
+    """
+
+    def __init__(
+        self, node: Node, model: type[C], on_change: Callable[[C], None] | None = None
+    ) -> None:
+        """Declare every field of the model with the values given at the start.
+
+        Args:
+            node: The node.
+            model: The configuration class.
+            on_change: Called with the new configuration after each accepted change.
+
+        Raises:
+            ConfigurationError: If a given value is refused or no field has the given name.
+        """
+        self._node = node
+        self._model = model
+        self._fields = leaves(model)
+        self._on_change = on_change
+        given = self._given()
+        self.config: C = from_flat(model, given, source=node.get_fully_qualified_name())
+        self._declare()
+        node.add_pre_set_parameters_callback(self._with_declared_types)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _given(self) -> dict[str, Any]:
+        """Return what files and command line set, as plain values by field name."""
+        # rclpy offers no public way to see overrides before they are declared.
+        overrides: Mapping[str, Parameter] = self._node._parameter_overrides
+        source = self._node.get_fully_qualified_name()
+        for name in overrides:
+            known = name in self._fields or name in _OF_ROS or name.startswith(_QOS_PREFIX)
+            if not known:
+                hint = did_you_mean(name, self._fields)
+                raise ConfigurationError(
+                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
+                )
+        return {
+            name: from_ros(field, overrides[name].value, f"{source}: {name}")
+            for name, field in self._fields.items()
+            if name in overrides
+        }
+
+    def _declare(self) -> None:
+        """Declare the types, then set the values: only so an empty array keeps its type."""
+        types = [(name, ros_type(field), descriptor(field)) for name, field in self._fields.items()]
+        self._node.declare_parameters("", types, ignore_override=True)
+        values = flatten(self.config)
+        result = self._node.set_parameters_atomically(
+            [to_parameter(name, field, values[name]) for name, field in self._fields.items()]
+        )
+        if not result.successful:
+            raise ConfigurationError(f"{self._node.get_fully_qualified_name()}: {result.reason}.")
+        for name, field in self._fields.items():
+            if not is_live(field):
+                self._node.set_descriptor(name, descriptor(field, read_only=True))
+
+    def _with_declared_types(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Let ``1`` pass for ``1.0`` and give empty arrays the declared type."""
+        return [
+            _retyped(parameter, ros_type(self._fields[parameter.name]))
+            if parameter.name in self._fields
+            else parameter
+            for parameter in parameters
+        ]
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._candidate(parameters)
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _candidate(self, parameters: list[Parameter]) -> C:
+        changes = {
+            parameter.name: from_ros(self._fields[parameter.name], parameter.value, parameter.name)
+            for parameter in parameters
+            if parameter.name in self._fields
+        }
+        return self.config.changed(changes)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        if any(parameter.name in self._fields for parameter in parameters):
+            self.config = self._candidate(parameters)
+            if self._on_change is not None:
+                self._on_change(self.config)
+
+    def check_qos_overrides(self) -> None:
+        """Refuse QoS overrides that no subscription of the node has asked for.
+
+        Call it when the node has all its subscriptions.
+
+        Raises:
+            ConfigurationError: With the names that can be overridden.
+        """
+        source = self._node.get_fully_qualified_name()
+        for name in self._node._parameter_overrides:
+            if name.startswith(_QOS_PREFIX) and not self._node.has_parameter(name):
+                known = self._node.get_parameters_by_prefix("qos_overrides")
+                hint = did_you_mean(name, [_QOS_PREFIX + rest for rest in known])
+                raise ConfigurationError(
+                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
+                )
+
+
+def _retyped(parameter: Parameter, wanted: Parameter.Type) -> Parameter:
+    value = parameter.value
+    if parameter.type_ is Type.INTEGER and wanted is Type.DOUBLE:
+        return Parameter(parameter.name, Type.DOUBLE, float(value))
+    if parameter.type_ is Type.INTEGER_ARRAY and wanted is Type.DOUBLE_ARRAY:
+        return Parameter(parameter.name, Type.DOUBLE_ARRAY, [float(item) for item in value])
+    if wanted in _ARRAYS.values() and parameter.type_ in _EMPTY_ARRAYS and not len(value):
+        return Parameter(parameter.name, wanted, [])
+    return parameter
+
+
+_EMPTY_ARRAYS = (Type.BYTE_ARRAY, *_ARRAYS.values())
+
+
+def ros_type(field: FieldInfo) -> Parameter.Type:
+    """Return the ROS parameter type of a field.
+
+    Raises:
+        TypeError: If ROS has no parameter type for it.
+    """
+    annotation = field.annotation
+    item = element_type(annotation)
+    scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS.get(item)
+    if scalar is None:
+        raise TypeError(f"{annotation} is no type that a ROS parameter can have")
+    return _ARRAYS[scalar] if is_sequence(annotation) else scalar
+
+
+def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
+    """Convert the value of a ROS parameter to what the field takes.
+
+    Raises:
+        ConfigurationError: If a list item that must be a YAML mapping is no YAML.
+    """
+    if not is_sequence(field.annotation):
+        # ROS types are strict, a configuration is not: 1 is as good as 1.0.
+        return float(value) if type(value) is int and field.annotation is float else value
+    items = [] if value is None else list(value) if not isinstance(value, str) else value
+    if is_config(element_type(field.annotation)) and isinstance(items, list):
+        return [parse_yaml(item, place) if isinstance(item, str) else item for item in items]
+    return items
+
+
+def to_ros(field: FieldInfo, value: Any) -> Any:
+    """Convert the value of a field to what a ROS parameter takes."""
+    if is_sequence(field.annotation):
+        return [_scalar_to_ros(item) for item in value]
+    return _scalar_to_ros(value)
+
+
+def _scalar_to_ros(value: Any) -> Any:
+    if isinstance(value, Config):
+        return _flow_mapping(value)
+    return value.value if isinstance(value, enum.Enum) else value
+
+
+def _flow_mapping(config: Config) -> str:
+    data = config.model_dump(mode="json")
+    text: str = yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9)
+    return text.strip()
+
+
+def to_parameter(name: str, field: FieldInfo, value: Any) -> Parameter:
+    """Return a field's value as a ROS parameter of the field's type."""
+    return Parameter(name, ros_type(field), to_ros(field, value))
+
+
+def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
+    """Describe a field to ROS: text with unit, type, range and whether it may change."""
+    unit = unit_of(field)
+    kind = ros_type(field)
+    described = ParameterDescriptor(
+        type=kind.value,
+        description=f"{field.description or ''} [{unit}]" if unit else field.description or "",
+        additional_constraints=f"expects {allowed(field.annotation, field)}",
+        read_only=read_only,
+    )
+    if kind is Type.DOUBLE:
+        described.floating_point_range = _float_range(field)
+    if kind is Type.INTEGER:
+        described.integer_range = _integer_range(field)
+    return described
+
+
+def _first(*bounds: Any) -> Any:
+    return next((bound for bound in bounds if bound is not None), None)
+
+
+def _float_range(field: FieldInfo) -> list[FloatingPointRange]:
+    """Return the closed range; an open end is left to the validation of the model."""
+    low = _first(bound_of(field, "ge"), bound_of(field, "gt"))
+    high = _first(bound_of(field, "le"), bound_of(field, "lt"))
+    if low is None and high is None:
+        return []
+    low, high = _first(low, -float("inf")), _first(high, float("inf"))
+    return [FloatingPointRange(from_value=float(low), to_value=float(high))]
+
+
+def _integer_range(field: FieldInfo) -> list[IntegerRange]:
+    above, below = bound_of(field, "gt"), bound_of(field, "lt")
+    low = _first(bound_of(field, "ge"), None if above is None else above + 1)
+    high = _first(bound_of(field, "le"), None if below is None else below - 1)
+    if low is None and high is None:
+        return []
+    low, high = _first(low, _INT64[0]), _first(high, _INT64[1])
+    return [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+
+
+class _Quoted(str):
+    """A text that YAML must not take for a number or a truth value."""
+
+
+class _Dumper(yaml.SafeDumper):
+    pass
+
+
+_Dumper.add_representer(
+    _Quoted, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style="'")
+)
+
+
+def to_params_yaml(config: Config, node_name: str = "") -> str:
+    """Write a configuration as a ROS parameter file.
+
+    Args:
+        config: The configuration.
+        node_name: Node that takes the values, in any namespace; empty for every node.
+
+    Returns:
+        Text for ``--params-file``.
+    """
+    fields = leaves(type(config))
+    tree: dict[str, Any] = {}
+    for name, value in flatten(config).items():
+        *parents, last = name.split(".")
+        node = tree
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[last] = _quoted(to_ros(fields[name], value))
+    content = {f"/**/{node_name}" if node_name else "/**": {"ros__parameters": tree}}
+    # One line per value: the parser of rcl does not join long flow sequences.
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=10**9)
+    return text
+
+
+def _quoted(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_quoted(item) for item in value]
+    return _Quoted(value) if isinstance(value, str) else value
+
+
+def document(model: type[Config]) -> str:
+    """Return a Markdown table of a model's parameters."""
+    titles = ("parameter", "default", "unit", "allowed", "live", "meaning")
+    rows = ["| " + " | ".join(titles) + " |", "|---" * len(titles) + "|"]
+    for name, field in leaves(model).items():
+        cells = (
+            f"`{name}`",
+            _default(field),
+            unit_of(field) or "-",
+            allowed(field.annotation, field).removesuffix(f" {unit_of(field)}"),
+            "yes" if is_live(field) else "no",
+            field.description or "",
+        )
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = to_ros(field, field.get_default(call_default_factory=True))
+    return f"`{value!r}`" if isinstance(value, Sequence) else f"`{value}`"

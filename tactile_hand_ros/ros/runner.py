@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The life of a process with nodes: start, spin, stop, exit code."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import InvalidHandle, NotInitializedException
+from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.ros.spinning import spin
+
+EXIT_OK = 0
+EXIT_FAILED = 1
+EXIT_REFUSED = 2
+
+
+def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Run one node until SIGINT, SIGTERM or shutdown; see `run_nodes`."""
+    return run_nodes([node], args)
+
+
+def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None) -> int:
+    """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
+
+    Before a node is destroyed its ``close()`` is called, if it has one.
+
+    Args:
+        factories: Node classes or functions that make a node.
+        args: Command line with program name; None takes ``sys.argv``.
+
+    Returns:
+        0 after a normal end, 1 when a node gave up while running, 2 when the configuration
+        was refused; the reason is one sentence on stderr.
+    """
+    line = list(sys.argv if args is None else args)
+    _let_signals_shut_down()
+    nodes: list[Node] = []
+    try:
+        _init(line, factories)
+        for factory in factories:
+            nodes.append(factory())
+            _check_ready(nodes[-1])
+    except BaseException as error:  # every way to fail must take down what was built
+        return _stop(nodes, _code_of(error, EXIT_REFUSED))
+    return _stop(nodes, _serve(nodes))
+
+
+def _serve(nodes: Sequence[Node]) -> int:
+    # What exists now lives as long as the process: the collector need not look at it again.
+    gc.collect()
+    gc.freeze()
+    try:
+        spin(nodes)
+    except BaseException as error:
+        return _code_of(error, EXIT_FAILED)
+    return EXIT_OK
+
+
+def _code_of(error: BaseException, code: int) -> int:
+    """Return the exit code for an error, and show what the user should see of it."""
+    if isinstance(error, KeyboardInterrupt | ExternalShutdownException):
+        return EXIT_OK
+    if isinstance(error, TactileHandError):
+        print(error, file=sys.stderr, flush=True)
+        return code
+    if isinstance(error, SystemExit) and isinstance(error.code, int):
+        return error.code
+    # A callback that meets a context which a signal took away is no failure.
+    if isinstance(error, _WITHOUT_CONTEXT) and _was_signalled:
+        return EXIT_OK
+    sys.excepthook(type(error), error, error.__traceback__)
+    return EXIT_FAILED
+
+
+_WITHOUT_CONTEXT = (_rclpy.RCLError, InvalidHandle, NotInitializedException)
+_was_signalled = False
+
+
+def _let_signals_shut_down() -> None:
+    """Make the first signal only shut down the context, so that no callback is torn apart."""
+    global _was_signalled
+    _was_signalled = False
+    signal.signal(signal.SIGINT, _note_signal)
+    signal.signal(signal.SIGTERM, _note_signal)
+
+
+def _note_signal(number: int, frame: FrameType | None) -> None:
+    """Let rclpy shut down; a second signal interrupts code that does not return."""
+    global _was_signalled
+    if _was_signalled:
+        raise KeyboardInterrupt
+    _was_signalled = True
+
+
+def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
+    """Initialise rclpy.
+
+    Raises:
+        ConfigurationError: If the command line or a parameter file cannot be read.
+    """
+    try:
+        rclpy.init(args=line)
+    except (_rclpy.RCLError, RuntimeError) as error:
+        reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
+        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
+    extra = remove_ros_args(args=line)[1:]
+    if extra and extra[0] in ("-h", "--help"):
+        print(_help(factories))
+        raise SystemExit(EXIT_OK)
+    if extra:
+        raise ConfigurationError(
+            f"unknown argument '{extra[0]}', expected ROS arguments such as"
+            " --ros-args -p name:=value or --params-file FILE."
+        )
+
+
+def _help(factories: Sequence[Callable[[], Any]]) -> str:
+    texts = [(factory.__doc__ or "").strip() for factory in factories]
+    usage = "Arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
+    return "\n\n".join([*texts, usage])
+
+
+def _check_ready(node: Node) -> None:
+    check = getattr(node, "check_ready", None)
+    if check is not None:
+        check()
+
+
+def _stop(nodes: Sequence[Node], code: int) -> int:
+    """Close and destroy the nodes and leave rclpy as before."""
+    for node in reversed(nodes):
+        try:
+            getattr(node, "close", lambda: None)()
+        except Exception as error:
+            code = max(code, _code_of_close(error))
+        node.destroy_node()
+    rclpy.try_shutdown()
+    return code
+
+
+def _code_of_close(error: Exception) -> int:
+    if isinstance(error, TactileHandError):
+        print(error, file=sys.stderr, flush=True)
+    else:
+        sys.excepthook(type(error), error, error.__traceback__)
+    return EXIT_FAILED

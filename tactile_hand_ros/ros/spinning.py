@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' own loop: one wait set, built once, and messages taken directly.
+
+The standard executors of rclpy build a new wait set and a coroutine per callback at every
+wake-up, which costs more than the message itself. `WaitSetExecutor` keeps one wait set and calls
+subscriptions, timers and guard conditions directly. Everything rare (services, clients, QoS
+events, actions, coroutines) is handed to the inherited, public `SingleThreadedExecutor`.
+
+Pieces of rclpy that are not public, all checked by `is_supported`:
+
+* ``rclpy.impl.implementation_singleton.rclpy_implementation.WaitSet``: the wait set itself.
+* ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
+  ``handle`` of subscriptions and timers.
+* ``Subscription._callback_type``: whether a callback wants the message's info too.
+* ``Executor._guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the base class.
+
+Where one is missing, `make_executor` falls back to the public `SingleThreadedExecutor`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
+
+_BURST = 100
+"""Messages taken from one subscription before the others get their turn."""
+
+_NEEDED = {
+    "WaitSet": (
+        "add_client add_event add_guard_condition add_service add_subscription add_timer"
+        " clear_entities get_ready_entities wait"
+    ),
+    "Subscription": "take_message pointer",
+    "Timer": "call_timer is_timer_ready pointer",
+    "GuardCondition": "pointer",
+}
+
+
+def is_supported() -> bool:
+    """Return whether this rclpy has every non-public piece that `WaitSetExecutor` uses."""
+    native = all(
+        hasattr(getattr(_rclpy, name, None), method)
+        for name, methods in _NEEDED.items()
+        for method in methods.split()
+    )
+    source = inspect.getsource(Executor.__init__)
+    fields = ("self._guard", "self._sigint_gc", "self._tasks", "self._is_shutdown")
+    return native and all(field in source for field in fields) and _knows_callback_type()
+
+
+def _knows_callback_type() -> bool:
+    return hasattr(Subscription, "CallbackType") and "_callback_type" in inspect.getsource(
+        Subscription
+    )
+
+
+def make_executor(context: Context | None = None) -> Executor:
+    """Return the fastest single-threaded executor that this rclpy allows."""
+    kind = WaitSetExecutor if is_supported() else SingleThreadedExecutor
+    return kind(context=context)
+
+
+def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
+    """Serve one or several nodes of one context until it is shut down.
+
+    Returns normally after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception of a callback ends
+    the loop and is passed on.
+
+    Args:
+        nodes: The nodes.
+        executor: Executor to use; None takes the one of `make_executor`.
+    """
+    listed = [nodes] if isinstance(nodes, Node) else list(nodes)
+    chosen = executor or make_executor(listed[0].context)
+    for node in listed:
+        chosen.add_node(node)
+    try:
+        chosen.spin()
+    except ExternalShutdownException:
+        pass
+    finally:
+        for node in listed:
+            chosen.remove_node(node)
+        chosen.shutdown()
+
+
+def take_latest(subscription: Subscription) -> Any:
+    """Take everything that has arrived and return the newest message, None if there is none.
+
+    For loops that poll instead of spinning. A raw subscription gives bytes.
+    """
+    take = subscription.handle.take_message
+    kind, raw = subscription.msg_type, subscription.raw
+    newest = None
+    with subscription.handle:
+        taken = take(kind, raw)
+        while taken is not None:
+            newest = taken[0]
+            taken = take(kind, raw)
+    return newest
+
+
+class WaitSetExecutor(SingleThreadedExecutor):
+    """A single-threaded executor that keeps its wait set.
+
+    Not for use from several threads, except `create_task`, `wake` and `shutdown`.
+    """
+
+    def __init__(self, *, context: Context | None = None) -> None:
+        """Create the executor for a context, by default the global one."""
+        self._stale = True
+        super().__init__(context=context)
+
+    def wake(self) -> None:
+        """Wait anew because an entity was created or destroyed; rclpy calls this."""
+        self._stale = True
+        super().wake()
+
+    def add_node(self, node: Node) -> bool:
+        """Serve a node."""
+        self._stale = True
+        return bool(super().add_node(node))
+
+    def remove_node(self, node: Node) -> None:
+        """Stop serving a node."""
+        self._stale = True
+        super().remove_node(node)
+
+    def spin(self) -> None:
+        """Execute callbacks until the context or the executor is shut down."""
+        while self._is_running():
+            self._stale = False
+            guards = (self._guard, self._sigint_gc)
+            with ExitStack() as stack:
+                entities = WaitedEntities(self.get_nodes(), guards, self._context, stack)
+                while not self._stale:
+                    self._step(entities)
+
+    def _is_running(self) -> bool:
+        return bool(self._context.ok()) and not self._is_shutdown
+
+    def _step(self, entities: WaitedEntities) -> None:
+        """Wait once and serve what is ready."""
+        if self._tasks and self._has_open_tasks():
+            # A suspended coroutine may block its callback group; the public executor knows how.
+            self.spin_once(timeout_sec=WAIT_LIMIT_NS * 1e-9)
+            self._stale = True
+            return
+        ready, has_left = entities.wait()
+        self._serve_guards(ready, entities)
+        self._serve_timers(ready, entities)
+        self._serve_subscriptions(ready, entities)
+        if has_left and not self._stale:
+            self.spin_once(timeout_sec=0)
+
+    def _has_open_tasks(self) -> bool:
+        return any(not task.done() for task, _, _ in self._tasks)
+
+    def _serve_guards(self, ready: Any, entities: WaitedEntities) -> None:
+        pointers = ready.get_ready_entities("guard_condition")
+        if not pointers:
+            return
+        if not self._is_running():
+            self._stale = True
+        for pointer in pointers:
+            guard = entities.guards.get(pointer)
+            if guard is None or guard.callback is None or self._stale:
+                continue
+            if inspect.iscoroutinefunction(guard.callback):
+                self.create_task(guard.callback)
+            else:
+                guard.callback()
+
+    def _serve_timers(self, ready: Any, entities: WaitedEntities) -> None:
+        for pointer in ready.get_ready_entities("timer"):
+            timer = entities.timers.get(pointer)
+            # A cancelled timer is reported as ready once more.
+            if timer is not None and not self._stale and timer.handle.is_timer_ready():
+                timer.handle.call_timer()
+                timer.callback()
+
+    def _serve_subscriptions(self, ready: Any, entities: WaitedEntities) -> None:
+        for pointer in ready.get_ready_entities("subscription"):
+            subscription = entities.subscriptions.get(pointer)
+            if subscription is not None:
+                self._drain(subscription)
+
+    def _drain(self, subscription: Subscription) -> None:
+        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        for _ in range(_BURST):
+            # A subscription that a callback destroyed must not see another message.
+            if self._stale:
+                return
+            taken = take(kind, raw)
+            if taken is None:
+                return
+            if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+                subscription.callback(taken[0])
+            else:
+                subscription.callback(*taken)
