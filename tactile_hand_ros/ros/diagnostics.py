@@ -134,7 +134,7 @@ class Diagnostics:
             return WARN, f"{entry.count} messages on {topic} rejected: {entry.reason}"
         if self._ticks and not ticks:
             return STALE, f"no new tick, {self._ticks} so far"
-        return OK, "running" if self._ticks else "waiting for the first tick"
+        return OK, "running"
 
     def _percentiles(self) -> dict[str, str]:
         count = min(self._latency_count, _WINDOW)

@@ -72,6 +72,9 @@ class TactileNode(Node, Generic[C]):
     def close(self) -> None:
         """Finish work before the node is destroyed, also after a signal; override at need."""
 
+    def on_report(self) -> None:
+        """Add what should be in the next diagnostics; override it to report once a second."""
+
     def check_ready(self) -> None:
         """Check what can only be known when all subscriptions exist.
 
@@ -137,6 +140,7 @@ class TactileNode(Node, Generic[C]):
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may at any time."""
+        self.on_report()
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

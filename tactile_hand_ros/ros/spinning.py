@@ -116,6 +116,9 @@ class WaitSetExecutor(SingleThreadedExecutor):
     Not for use from several threads, except `create_task`, `wake` and `shutdown`.
     """
 
+    # The base class looks for it at the end, also when a signal cut its construction short.
+    _sigint_gc = None
+
     def __init__(self, *, context: Context | None = None) -> None:
         """Create the executor for a context, by default the global one."""
         self._stale = True

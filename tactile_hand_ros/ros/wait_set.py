@@ -119,9 +119,11 @@ class WaitedEntities:
             ready = self._lean.wait(FULL_PERIOD_NS)
             if not self._is_empty(ready):
                 return ready, self._is_left(ready)
-        self._full_due = time.monotonic_ns() + FULL_PERIOD_NS
         ready = self._full.wait(WAIT_LIMIT_NS)
-        return ready, self._is_left(ready) or self._is_rare(ready)
+        is_rare = self._is_rare(ready)
+        # The public executor serves one thing at a time: look again at once until all is served.
+        self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
+        return ready, is_rare or self._is_left(ready)
 
     @staticmethod
     def _is_empty(ready: Any) -> bool:

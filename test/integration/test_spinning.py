@@ -1,0 +1,359 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' own loop serves everything that the public executor serves, and stops cleanly."""
+
+import signal
+import sys
+import textwrap
+import threading
+import time
+
+import psutil
+import pytest
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from tactile_hand_ros.ros import spinning as spinning_module
+from tactile_hand_ros.ros.spinning import (
+    WaitSetExecutor,
+    is_supported,
+    make_executor,
+    spin,
+    take_latest,
+)
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    private_context,
+    wait_until,
+)
+
+
+@pytest.fixture(scope="module")
+def domain():
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def context(domain):
+    with private_context(domain) as own:
+        yield own
+
+
+@pytest.fixture
+def make_node(context):
+    nodes = []
+
+    def make(name):
+        nodes.append(rclpy.create_node(name, context=context))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.fixture(params=[WaitSetExecutor, SingleThreadedExecutor], ids=["own", "public"])
+def spun(request, context):
+    """Spin nodes in a thread with the own executor, and with the one it falls back to."""
+    running = []
+
+    def start(*nodes):
+        executor = request.param(context=context)
+        thread = threading.Thread(target=spin, args=(nodes, executor))
+        thread.start()
+        running.append((executor, thread))
+        return executor
+
+    yield start
+    for executor, thread in running:
+        executor.shutdown()
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
+def matched(publisher):
+    wait_until(lambda: publisher.get_subscription_count() > 0, message="a subscription")
+    return publisher
+
+
+def test_this_rclpy_has_the_non_public_pieces(context):
+    assert is_supported()
+    executor = make_executor(context)
+    assert type(executor) is WaitSetExecutor
+    executor.shutdown()
+
+
+def test_falls_back_to_the_public_executor_when_a_piece_is_missing(context, monkeypatch):
+    missing = {**spinning_module._NEEDED, "WaitSet": "no_such_method"}
+    monkeypatch.setattr(spinning_module, "_NEEDED", missing)
+    executor = make_executor(context)
+    assert type(executor) is SingleThreadedExecutor
+    executor.shutdown()
+
+
+def test_all_messages_arrive_in_order(make_node, spun):
+    node, got = make_node("a"), []
+    node.create_subscription(Float64, "x", lambda m: got.append(m.data), 200)
+    spun(node)
+    publisher = matched(node.create_publisher(Float64, "x", 200))
+    for index in range(150):
+        publisher.publish(Float64(data=float(index)))
+    wait_until(lambda: len(got) == 150, message="150 messages")
+    assert got == [float(index) for index in range(150)]
+
+
+def test_message_info_and_raw_bytes(make_node, spun):
+    node, infos, raws = make_node("a"), [], []
+    node.create_subscription(Float64, "x", lambda m, info: infos.append((m.data, info)), 10)
+    node.create_subscription(Float64, "x", raws.append, 10, raw=True)
+    spun(node)
+    publisher = node.create_publisher(Float64, "x", 10)
+    wait_until(lambda: publisher.get_subscription_count() == 2)
+    publisher.publish(Float64(data=2.5))
+    wait_until(lambda: infos and raws)
+    assert infos[0][0] == 2.5
+    assert infos[0][1]["source_timestamp"] > 0
+    assert isinstance(raws[0], bytes)
+    assert deserialize_message(raws[0], Float64).data == 2.5
+
+
+def test_timers_fire_and_cancelled_ones_do_not(make_node, spun):
+    node, fired, cancelled = make_node("a"), [], []
+    node.create_timer(0.01, lambda: fired.append(time.monotonic()))
+    late = node.create_timer(0.05, lambda: cancelled.append(1))
+    late.cancel()
+    spun(node)
+    wait_until(lambda: len(fired) >= 20)
+    assert 0.15 < fired[19] - fired[0] < 1.0
+    assert not cancelled
+
+
+def test_services_and_clients_work_also_under_a_flood_of_messages(make_node, spun):
+    node, other = make_node("a"), make_node("b")
+    node.create_service(Trigger, "s", lambda _, answer: _succeed(answer))
+    count = []
+    echo = node.create_publisher(Float64, "x", 10)
+    node.create_subscription(Float64, "x", lambda m: (count.append(1), echo.publish(m)), 10)
+    client = other.create_client(Trigger, "s")
+    spun(node, other)
+    assert client.wait_for_service(10.0)
+    matched(echo).publish(Float64(data=1.0))
+    wait_until(lambda: len(count) > 100, message="the flood")
+    for _ in range(3):
+        future = client.call_async(Trigger.Request())
+        wait_until(future.done, message="the answer")
+        assert future.result().success
+
+
+def _succeed(answer):
+    answer.success = True
+    return answer
+
+
+def test_a_service_may_await_another_service(make_node, spun):
+    node, other = make_node("a"), make_node("b")
+    inner = node.create_client(Trigger, "inner")
+    other.create_service(Trigger, "inner", lambda _, answer: _succeed(answer))
+
+    async def outer(_, answer):
+        answer.success = (await inner.call_async(Trigger.Request())).success
+        return answer
+
+    node.create_service(Trigger, "outer", outer, callback_group=ReentrantCallbackGroup())
+    client = other.create_client(Trigger, "outer")
+    ticks = []
+    spun(node, other)
+    other.create_timer(0.01, lambda: ticks.append(1))
+    assert client.wait_for_service(10.0) and inner.wait_for_service(10.0)
+    future = client.call_async(Trigger.Request())
+    wait_until(future.done)
+    assert future.result().success
+    seen = len(ticks)
+    wait_until(lambda: len(ticks) > seen + 5, message="the loop to go on")
+
+
+def test_coroutine_callbacks_of_subscriptions_timers_and_tasks(make_node, spun):
+    node, got = make_node("a"), []
+
+    async def note(message):
+        got.append(message.data)
+
+    async def tick():
+        got.append("tick")
+
+    async def task():
+        got.append("task")
+
+    node.create_subscription(Float64, "x", note, 10)
+    node.create_timer(0.02, tick)
+    executor = spun(node)
+    matched(node.create_publisher(Float64, "x", 10)).publish(Float64(data=7.0))
+    executor.create_task(task)
+    wait_until(lambda: {7.0, "tick", "task"} <= set(got), message="all three")
+
+
+def test_guard_conditions_are_served(make_node, spun):
+    node, hits = make_node("a"), []
+    guard = node.create_guard_condition(lambda: hits.append(1))
+    spun(node)
+    guard.trigger()
+    wait_until(lambda: len(hits) == 1)
+    guard.trigger()
+    wait_until(lambda: len(hits) == 2)
+
+
+def test_entities_may_come_and_go_while_spinning(make_node, spun):
+    node, got = make_node("a"), []
+    spun(node)
+    publisher = node.create_publisher(Float64, "x", 10)
+    subscription = node.create_subscription(Float64, "x", lambda m: got.append(m.data), 10)
+    matched(publisher).publish(Float64(data=1.0))
+    wait_until(lambda: got == [1.0])
+    node.destroy_subscription(subscription)
+    wait_until(lambda: publisher.get_subscription_count() == 0, message="the end of it")
+    publisher.publish(Float64(data=2.0))
+    again = node.create_subscription(Float64, "y", lambda m: got.append(m.data), 10)
+    matched(node.create_publisher(Float64, "y", 10)).publish(Float64(data=3.0))
+    wait_until(lambda: got == [1.0, 3.0])
+    assert again in list(node.subscriptions)
+
+
+def test_a_subscription_that_its_callback_destroys_gets_no_second_message(make_node, spun):
+    node, got = make_node("a"), []
+
+    def once(message):
+        got.append(message.data)
+        node.destroy_subscription(subscription)
+
+    subscription = node.create_subscription(Float64, "x", once, 10)
+    publisher = matched(node.create_publisher(Float64, "x", 10))
+    ticks = []
+    node.create_timer(0.02, lambda: ticks.append(1))
+    for value in (1.0, 2.0, 3.0):
+        publisher.publish(Float64(data=value))
+    spun(node)
+    wait_until(lambda: len(ticks) > 3)
+    assert got == [1.0]
+
+
+def test_quality_of_service_events_are_served(make_node, spun):
+    node, events = make_node("a"), []
+    callbacks = SubscriptionEventCallbacks(incompatible_qos=events.append)
+    node.create_subscription(Float64, "x", print, QoSProfile(depth=1), event_callbacks=callbacks)
+    spun(node)
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_publisher(Float64, "x", best_effort)
+    wait_until(lambda: events, message="the event of incompatible quality of service")
+
+
+def test_parameters_of_a_spinning_node_can_be_set(make_node, spun):
+    node, other = make_node("a"), make_node("b")
+    node.declare_parameter("gain", 1.0)
+    client = AsyncParameterClient(other, "a")
+    spun(node, other)
+    assert client.wait_for_services(10.0)
+    future = client.set_parameters([rclpy.Parameter("gain", value=2.0)])
+    wait_until(future.done)
+    assert node.get_parameter("gain").value == 2.0
+
+
+def test_an_exception_of_a_callback_is_passed_on(make_node, context):
+    node = make_node("a")
+
+    def fail():
+        raise ZeroDivisionError("on purpose")
+
+    node.create_timer(0.01, fail)
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        spin(node)
+
+
+def test_spin_returns_when_the_context_is_shut_down(make_node, context):
+    node = make_node("a")
+    node.create_timer(0.05, context.try_shutdown)
+    start = time.monotonic()
+    spin(node)
+    assert time.monotonic() - start < 2.0
+
+
+def test_take_latest_drops_what_is_older(make_node):
+    node = make_node("a")
+    subscription = node.create_subscription(Float64, "x", print, 10)
+    publisher = matched(node.create_publisher(Float64, "x", 10))
+    assert take_latest(subscription) is None
+    for value in (1.0, 2.0, 3.0):
+        publisher.publish(Float64(data=value))
+    seen = []
+    wait_until(lambda: (seen.append(take_latest(subscription)), seen[-1])[1])
+    wait_until(lambda: seen[-1] == Float64(data=3.0) or seen.append(take_latest(subscription)))
+    assert take_latest(subscription) is None
+
+
+PROGRAM = """
+import sys, threading
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from tactile_hand_ros.ros.runner import run_node
+
+class Busy(Node):
+    def __init__(self):
+        super().__init__("busy")
+        self.echo = self.create_publisher(Float64, "x", 10)
+        if "busy" in sys.argv:
+            self.create_subscription(Float64, "x", self.again, 10)
+            self.create_timer(0.05, lambda: self.echo.publish(Float64()))
+        self.first = self.create_timer(0.01, self.started)
+        print("built", flush=True)
+
+    def started(self):
+        self.destroy_timer(self.first)
+        print("spinning", flush=True)
+
+    def again(self, message):
+        self.echo.publish(message)
+
+    def close(self):
+        print("closed", flush=True)
+
+arguments = [argument for argument in sys.argv if argument not in ("busy", "idle")]
+sys.exit(run_node(Busy, arguments))
+"""
+
+
+@pytest.fixture
+def program(tmp_path, domain):
+    path = tmp_path / "program.py"
+    path.write_text(textwrap.dedent(PROGRAM))
+    return [sys.executable, str(path)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("phase", ["built", "spinning"])
+@pytest.mark.parametrize("load", ["busy", "idle"])
+def test_a_signal_ends_a_node_at_once_and_quietly(program, number, load, phase):
+    with ProcessUnderTest([*program, load]) as process:
+        process.wait_for_output(phase)
+        start = time.monotonic()
+        process.send(number)
+        assert process.wait(5.0) == 0
+        assert time.monotonic() - start < 2.0
+        assert process.stderr == ""
+        assert "closed" in process.stdout
+
+
+def test_an_idle_node_uses_no_processor_time(program):
+    with ProcessUnderTest([*program, "idle"]) as process:
+        process.wait_for_output("spinning")
+        watched = psutil.Process(process.pid)
+        watched.cpu_percent(None)
+        settled = watched.cpu_percent(0.3)
+        used = watched.cpu_percent(1.5)
+        assert used < 3.0, (settled, used)
