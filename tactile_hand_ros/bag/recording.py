@@ -38,9 +38,11 @@ class RecordingStatus:
 class Recording:
     """Writes all messages of the chosen topics to a new bag.
 
-    Call `step` every few milliseconds, `close` at the end. Topics are subscribed as soon as the
-    graph knows them, with or without a publisher, so that a publisher that appears later finds the
-    subscription already there.
+    Call `step` every few milliseconds and `close` at the end, while the context is still valid: a
+    topic's first message needs the graph for what its publishers offer.
+
+    Topics are subscribed as soon as the graph knows them, with or without a publisher, so that a
+    publisher that appears later finds the subscription already there.
     """
 
     def __init__(self, node: Node, config: RecorderConfig) -> None:
@@ -145,9 +147,13 @@ class Recording:
             if topic is None:
                 self._consider(name, types[0])
             elif self._node.count_publishers(name) != topic.publishers:
-                topic.adapt(self._node.get_publishers_info_by_topic(name), self._write)
-                if topic.channel is None and topic.publishers:
-                    self._open_channel(topic)
+                self._adapt(topic)
+
+    def _adapt(self, topic: RawTopic) -> None:
+        """React to publishers that came or went."""
+        topic.adapt(self._node.get_publishers_info_by_topic(topic.name), self._write)
+        if topic.channel is None and topic.publishers:
+            self._open_channel(topic)
 
     def _consider(self, name: str, type_name: str) -> None:
         """Subscribe to a new topic if it is wanted and its type is known."""

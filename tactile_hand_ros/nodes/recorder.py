@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder: everything that is said in the graph, as raw bytes, in a rosbag2 folder."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.signals import uninstall_signal_handlers
+from rclpy.subscription import Subscription
+
+from tactile_hand_ros.bag.config import RecorderConfig
+from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
+from tactile_hand_ros.bag.recording import Recording
+from tactile_hand_ros.ros.diagnostics import WARN
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+
+
+class RecorderNode(TactileNode[RecorderConfig]):
+    """Records the chosen topics as a rosbag2 folder until it is stopped.
+
+    Subscriptions: every topic that `topics` includes and `exclude` does not, raw, with the
+    quality of service that its publishers offer. Hidden topics are left out.
+
+    Publications: `/diagnostics` (diagnostic_msgs/DiagnosticArray), 1 Hz: messages and bytes
+    recorded, number of topics, messages lost on the way, topics whose type is not installed.
+
+    Parameters: the fields of `RecorderConfig`; `output` is required.
+    """
+
+    def __init__(self, stop: threading.Event | None = None, **kwargs: Any) -> None:
+        """Create the bag and begin.
+
+        Args:
+            stop: When set, the node finishes the bag and ends its context.
+            **kwargs: For `rclpy.node.Node`.
+
+        Raises:
+            ConfigurationError: If a parameter is refused.
+            BagError: If the output exists or cannot be written.
+        """
+        super().__init__("recorder", RecorderConfig, **kwargs)
+        self._stop = stop or threading.Event()
+        self._recording = Recording(self, self.config)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        self.create_timer(self.config.drain_period, self._step, clock=steady)
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Subscriptions for an executor: without those whose messages are taken directly."""
+        for subscription in super().subscriptions:
+            if not isinstance(subscription.callback_group, DirectTakeGroup):
+                yield subscription
+
+    def close(self) -> None:
+        """Write what is still on its way, then index and metadata."""
+        self._recording.close()
+
+    def publish_diagnostics(self) -> None:
+        """Publish the counters of the recording."""
+        status = self._recording.status
+        self.diagnostics.value("output", self._recording.folder)
+        self.diagnostics.value("messages", status.messages)
+        self.diagnostics.value("bytes", status.size)
+        self.diagnostics.value("topics", status.topics)
+        self._warn("lost_messages", status.lost, "messages were lost before they were recorded")
+        self._warn("refused_topics", status.refused, "topics have a type that is not installed")
+        super().publish_diagnostics()
+
+    def _warn(self, key: str, count: int, text: str) -> None:
+        self.diagnostics.value(key, count)
+        if count:
+            self.diagnostics.fault(key, f"{count} {text}", WARN)
+
+    def _step(self) -> None:
+        if self._stop.is_set():
+            self.close()
+            self.context.try_shutdown()
+        elif self._recording.step():
+            self.diagnostics.tick()
+
+
+def _node_that_ends_with_a_signal() -> RecorderNode:
+    """Make a recorder that finishes its bag while the graph can still be asked.
+
+    rclpy's own handlers would end the context first, and with it the access to what the
+    publishers of the last messages offer.
+    """
+    stop = threading.Event()
+    uninstall_signal_handlers()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    return RecorderNode(stop)
+
+
+_node_that_ends_with_a_signal.__doc__ = RecorderNode.__doc__  # shown by --help
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the recorder until SIGINT or SIGTERM and return the exit code."""
+    return run_node(_node_that_ends_with_a_signal, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

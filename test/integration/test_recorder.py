@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder as a process of its own, over real DDS: nothing is missing from the bag."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+
+from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    private_context,
+    start_executable,
+    wait_until,
+)
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+DEEP = QoSProfile(depth=1000)
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """Reserve a ROS domain."""
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def node(domain: int) -> Iterator[Node]:
+    """Return a node in the reserved domain."""
+    with private_context(domain) as context:
+        node = Node("talker", context=context)
+        yield node
+        node.destroy_node()
+
+
+@pytest.fixture
+def start(domain: int) -> Iterator[Callable[..., ProcessUnderTest]]:
+    """Return a function that starts recorders, which do not outlive the test."""
+    with ExitStack() as stack:
+
+        def _start(output: Path, *parameters: str) -> ProcessUnderTest:
+            arguments = [f"output:={output}", *parameters]
+            flags = [word for argument in arguments for word in ("-p", argument)]
+            recorder = start_executable("recorder", "--ros-args", *flags)
+            return stack.enter_context(recorder)
+
+        yield _start
+
+
+def end_well(recorder: ProcessUnderTest, number: int = signal.SIGINT) -> None:
+    """Send a signal and insist on a clean end."""
+    recorder.send(number)
+    assert recorder.wait() == 0, recorder.stdout + recorder.stderr
+
+
+def refusal(recorder: ProcessUnderTest) -> str:
+    """Insist on a failing exit code without a traceback and return what was said."""
+    assert recorder.wait() != 0
+    assert "Traceback" not in recorder.stderr
+    return recorder.stderr
+
+
+def wait_for_recorder(*publishers: Publisher) -> None:
+    """Wait until all publishers have a subscriber."""
+    wait_until(lambda: all(p.get_subscription_count() for p in publishers))
+
+
+def at_1_khz(node: Node, publish: Callable[[int], None], count: int) -> None:
+    """Call `publish` with 0, 1, ... `count` - 1 at 1 kHz."""
+    sent = 0
+
+    def on_timer() -> None:
+        nonlocal sent
+        publish(sent)
+        sent += 1
+
+    timer = node.create_timer(0.001, on_timer)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    while sent < count:
+        executor.spin_once(timeout_sec=1.0)
+    node.destroy_timer(timer)
+
+
+def joint_state(i: int) -> JointState:
+    """Return a message that differs from all others, also in length."""
+    return JointState(name=["a"] * (i % 5), position=[float(i)] * (i % 7), effort=[0.5 * i])
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_everything_sent_before_the_end_is_in_the_bag(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path, how: signal.Signals
+) -> None:
+    """The signal follows the last message at once; count, order and bytes are complete."""
+    joints = node.create_publisher(JointState, "left/joint_states", DEEP)
+    wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
+    clock = node.create_publisher(Clock, "/clock", DEEP)
+    recorder = start(tmp_path / "bag")
+    wait_for_recorder(joints, wrench, clock)
+
+    def publish(i: int) -> None:
+        joints.publish(joint_state(i))
+        wrench.publish(WrenchStamped())
+        clock.publish(Clock())
+
+    at_1_khz(node, publish, 2000)
+    end_well(recorder, how)
+    summary = summarize(tmp_path / "bag")
+    for topic in ("/left/joint_states", "/left/tactile/index/wrench", "/clock"):
+        assert summary.counts[topic] == 2000
+    assert summary.custom_data["lost_messages"] == "0"
+    raw = [m.data for m in read_raw(tmp_path / "bag", ["/left/joint_states"])]
+    assert [deserialize_message(data, JointState) for data in raw] == [
+        joint_state(i) for i in range(2000)
+    ]
+    read = read_messages(tmp_path / "bag", ["/left/joint_states"])
+    assert [m.message.effort[0] for m in read] == [0.5 * i for i in range(2000)]
+
+
+def test_bytes_are_those_on_the_wire(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """A raw subscription beside the recorder gets the same bytes."""
+    heard: list[bytes] = []
+    publisher = node.create_publisher(JointState, "joint_states", DEEP)
+    subscription = node.create_subscription(
+        JointState, "joint_states", heard.append, DEEP, raw=True
+    )
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    recorder = start(tmp_path / "bag")
+    wait_until(lambda: publisher.get_subscription_count() == 2)
+    for i in range(100):
+        publisher.publish(joint_state(i))
+    wait_until(lambda: executor.spin_once(timeout_sec=0.1) or len(heard) == 100)
+    end_well(recorder)
+    assert [m.data for m in read_raw(tmp_path / "bag", ["/joint_states"])] == heard
+    node.destroy_subscription(subscription)
+
+
+def test_offers_hash_and_times_are_recorded(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Latched messages from before the recorder, best-effort topics, two publishers."""
+    latched = node.create_publisher(String, "robot_description", LATCHED)
+    latched.publish(String(data="<robot/>"))
+    sensor = node.create_publisher(Float64, "sensor", SENSOR)
+    mixed = (
+        node.create_publisher(Float64, "mixed", SENSOR),
+        node.create_publisher(Float64, "mixed", DEEP),
+    )
+    before = time.time_ns()
+    recorder = start(tmp_path / "bag")
+    wait_for_recorder(latched, sensor, *mixed)
+    for publisher in (sensor, *mixed):
+        publisher.publish(Float64(data=1.5))
+    end_well(recorder)
+    after = time.time_ns()
+    with Reader(tmp_path / "bag") as reader:
+        connections = {connection.topic: connection for connection in reader.connections}
+        times = [time for _, time, _ in reader.messages([connections["/sensor"]])]
+    expected = {
+        "/robot_description": [("RELIABLE", "TRANSIENT_LOCAL")],
+        "/sensor": [("BEST_EFFORT", "VOLATILE")],
+        "/mixed": [("BEST_EFFORT", "VOLATILE"), ("RELIABLE", "VOLATILE")],
+    }
+    for topic, offers in expected.items():
+        profiles = connections[topic].ext.offered_qos_profiles
+        assert sorted((p.reliability.name, p.durability.name) for p in profiles) == offers
+        assert connections[topic].msgcount == (2 if topic == "/mixed" else 1)
+        info = node.get_publishers_info_by_topic(topic)[0]
+        assert connections[topic].digest == str(info.topic_type_hash)
+    assert before <= times[0] <= after
+
+
+def test_publisher_that_appears_later_finds_the_subscription_waiting(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """A topic that somebody listens to is subscribed before anybody speaks on it."""
+    node.create_subscription(Float64, "user_grasp_force", print, 10)
+    marker = node.create_publisher(Float64, "marker", DEEP)
+    recorder = start(tmp_path / "bag")
+    wait_for_recorder(marker)
+    wait_until(lambda: node.count_subscribers("/user_grasp_force") == 2)
+    publisher = node.create_publisher(Float64, "user_grasp_force", 10)
+    wait_until(lambda: publisher.get_subscription_count() == 2)
+    publisher.publish(Float64(data=1.0))
+    end_well(recorder)
+    assert summarize(tmp_path / "bag").counts["/user_grasp_force"] == 1
+
+
+def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """The waiting subscription asked for more than is offered and gives way."""
+    node.create_subscription(Float64, "late", print, SENSOR)
+    recorder = start(tmp_path / "bag")
+    wait_until(lambda: node.count_subscribers("/late") == 2)
+    publisher = node.create_publisher(Float64, "late", SENSOR)
+    wait_until(lambda: publisher.get_subscription_count() == 2)
+    publisher.publish(Float64(data=1.0))
+    end_well(recorder, signal.SIGTERM)
+    assert summarize(tmp_path / "bag").counts["/late"] == 1
+
+
+def test_topics_are_chosen_by_patterns(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Only what is included and not excluded is in the bag."""
+    names = ("left/a", "left/b", "right/a")
+    publishers = [node.create_publisher(Float64, name, DEEP) for name in names]
+    chosen = ("topics:=['/left/.*']", "exclude:=['.*/b']", "compression:=lz4")
+    recorder = start(tmp_path / "bag", *chosen)
+    wait_for_recorder(publishers[0])
+    for publisher in publishers:
+        publisher.publish(Float64(data=1.0))
+    end_well(recorder)
+    assert summarize(tmp_path / "bag").counts == {"/left/a": 1}
+
+
+def test_diagnostics_tell_what_was_recorded(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Counters appear on /diagnostics, which is recorded, too."""
+    publisher = node.create_publisher(Float64, "value", DEEP)
+    reports: list[dict[str, str]] = []
+    node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: reports.extend(_recorder_values(m)), 10
+    )
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    recorder = start(tmp_path / "bag")
+    wait_for_recorder(publisher)
+    for _ in range(50):
+        publisher.publish(Float64(data=1.0))
+
+    def reported() -> bool:
+        executor.spin_once(timeout_sec=0.1)
+        return bool(reports) and int(reports[-1]["messages"]) >= 50
+
+    wait_until(reported)
+    assert int(reports[-1]["lost_messages"]) == 0
+    end_well(recorder)
+    assert summarize(tmp_path / "bag").counts["/diagnostics"] >= 1
+
+
+def _recorder_values(message: DiagnosticArray) -> list[dict[str, str]]:
+    return [
+        {pair.key: pair.value for pair in status.values}
+        for status in message.status
+        if "recorder" in status.name
+    ]
+
+
+def test_existing_folder_is_refused(start: Callable[..., ProcessUnderTest], tmp_path: Path) -> None:
+    """One sentence, no traceback, a failing exit code."""
+    assert f"{tmp_path} exists already" in refusal(start(tmp_path))
+
+
+def test_output_is_required(domain: int) -> None:
+    """Without a folder nothing is recorded anywhere."""
+    with start_executable("recorder") as recorder:
+        assert "output" in refusal(recorder)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "complaint"),
+    [
+        ("compression:=gzip", "none, lz4, zstd"),
+        ("topics:=['(']", "no regular expression"),
+        ("chunk_size:=1", "1024"),
+        ("chunksize:=65536", "chunk_size"),
+    ],
+)
+def test_bad_parameter_is_refused(
+    start: Callable[..., ProcessUnderTest], tmp_path: Path, parameter: str, complaint: str
+) -> None:
+    """The sentence says what is allowed, and nothing is created."""
+    assert complaint in refusal(start(tmp_path / "bag", parameter))
+    assert not (tmp_path / "bag").exists()
+
+
+def test_recorder_started_and_stopped_at_once_leaves_a_valid_bag(
+    start: Callable[..., ProcessUnderTest], tmp_path: Path
+) -> None:
+    """Without any message of others the bag still opens."""
+    recorder = start(tmp_path / "bag", "topics:=['/nothing']")
+    wait_until((tmp_path / "bag" / "bag_0.mcap").exists)
+    end_well(recorder, signal.SIGTERM)
+    assert summarize(tmp_path / "bag").message_count == 0
