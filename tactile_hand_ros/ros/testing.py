@@ -251,10 +251,10 @@ def find_executable(name: str) -> Path:
     """Return an executable as ``ros2 run`` finds it, or the source tree's when not installed."""
     try:
         return executable_path(name)
-    except ExecutableError:
+    except (ExecutableError, OSError) as error:  # OSError: there is no ament index at all
         if (_SCRIPTS / name).is_file():
             return _SCRIPTS / name
-        raise
+        raise ExecutableError(f"no executable '{name}' is installed or in {_SCRIPTS}.") from error
 
 
 def start_executable(

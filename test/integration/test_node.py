@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node survives bad messages, says so on /diagnostics, and its process ends as it should."""
+
+import signal
+import sys
+import textwrap
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+
+from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.errors import MessageError, TactileHandError
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.conversions import number_from_ros
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    private_context,
+    spinning,
+    wait_until,
+)
+
+
+class ExampleConfig(Config):
+    gain: float = param(1.0, "Gain", ge=0.0, live=True)
+
+
+class Example(TactileNode[ExampleConfig]):
+    def __init__(self, **kwargs):
+        super().__init__("example", ExampleConfig, **kwargs)
+        self.got = []
+        self.subscribe(Float64, "x", self._on_x, sensor=True)
+
+    def _on_x(self, message):
+        self.got.append(self.config.gain * number_from_ros(message))
+        self.diagnostics.tick()
+
+    def on_config(self, config):
+        if config.gain == 13.0:
+            raise TactileHandError("13 brings bad luck.")
+
+    def on_report(self):
+        self.diagnostics.value("messages", len(self.got))
+
+
+@pytest.fixture(scope="module")
+def domain():
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def context(domain):
+    with private_context(domain) as own:
+        yield own
+
+
+@pytest.fixture
+def node(context):
+    made = Example(context=context, namespace="left")
+    yield made
+    made.destroy_node()
+
+
+@pytest.fixture
+def user(context):
+    made = rclpy.create_node("user", context=context)
+    yield made
+    made.destroy_node()
+
+
+def test_a_bad_message_is_counted_reported_and_survived(node, user):
+    reports = []
+    user.create_subscription(
+        DiagnosticArray, interfaces.DIAGNOSTICS, lambda m: reports.append(m.status[0]), 10
+    )
+    publisher = user.create_publisher(Float64, "/left/x", 10)
+    with spinning(node, user):
+        wait_until(lambda: publisher.get_subscription_count() == 1)
+        wait_until(lambda: user.count_publishers(interfaces.DIAGNOSTICS) == 1)
+        publisher.publish(Float64(data=float("nan")))
+        publisher.publish(Float64(data=2.0))
+        wait_until(lambda: node.got == [2.0], message="the good message after the bad one")
+        report = wait_until(lambda: [r for r in reports if r.level == DiagnosticStatus.WARN])[-1]
+    assert report.name == "/left/example"
+    assert report.message == "1 messages on x rejected: data is nan, expected a finite number."
+    shown = {pair.key: pair.value for pair in report.values}
+    assert shown["rejected x"] == "1"
+    assert shown["messages"] == "1"
+
+
+def test_a_live_parameter_takes_effect(node):
+    node.set_parameters([Parameter("gain", value=3.0)])
+    node._on_x(Float64(data=2.0))
+    assert node.got == [6.0]
+
+
+def test_a_change_that_cannot_be_taken_over_is_a_fault_until_the_next_one(node):
+    node.set_parameters([Parameter("gain", value=13.0)])
+    assert node.diagnostics.status().message == "13 brings bad luck."
+    node.set_parameters([Parameter("gain", value=1.0)])
+    assert node.diagnostics.status().level == DiagnosticStatus.OK
+
+
+def test_other_exceptions_are_not_swallowed(node):
+    def fail(_):
+        raise ZeroDivisionError
+
+    subscription = node.subscribe(Float64, "y", fail)
+    with pytest.raises(ZeroDivisionError):
+        subscription.callback(Float64())
+
+
+def test_a_sensor_subscription_may_be_made_best_effort(domain):
+    arguments = "--ros-args -p qos_overrides./x.subscription.reliability:=best_effort".split()
+    with private_context(domain, arguments) as context:
+        node = Example(context=context)
+        node.check_ready()
+        best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+        publisher = node.create_publisher(Float64, "x", best_effort)
+        with spinning(node):
+            wait_until(lambda: publisher.get_subscription_count() == 1)
+            publisher.publish(Float64(data=1.0))
+            wait_until(lambda: node.got == [1.0])
+        assert interfaces.tick_qos().reliability == ReliabilityPolicy.RELIABLE
+        node.destroy_node()
+
+
+PROGRAM = '''
+import sys
+from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_nodes
+
+class ExampleConfig(Config):
+    gain: float = param(1.0, "Gain", ge=0.0, live=True)
+    end: str = param("", "How to end")
+
+class Example(TactileNode[ExampleConfig]):
+    """Does this and that."""
+
+    def __init__(self, name="example"):
+        super().__init__(name, ExampleConfig)
+        if self.config.end == "construction":
+            raise TactileHandError("no hand is attached, attach one.")
+        self.create_timer(0.01, self.step)
+
+    def step(self):
+        print("stepping", self.get_name(), flush=True)
+        if self.config.end == "refused":
+            raise TactileHandError("the hand fell off, put it back.")
+        if self.config.end == "bug":
+            raise ZeroDivisionError
+        if self.config.end == "shutdown":
+            self.context.shutdown()
+
+    def close(self):
+        print("closed", self.get_name(), flush=True)
+        if self.config.end == "close":
+            raise TactileHandError("the bag is not finished, recover it.")
+
+sys.exit(run_nodes([Example, lambda: Example("second")]))
+'''
+
+
+@pytest.fixture
+def run(tmp_path, domain):
+    path = tmp_path / "program.py"
+    path.write_text(textwrap.dedent(PROGRAM))
+    return lambda *arguments: ProcessUnderTest([sys.executable, str(path), *arguments])
+
+
+def end(how):
+    return ("--ros-args", "-p", f"end:={how}")
+
+
+def test_two_nodes_share_a_process_and_both_are_closed(run):
+    with run() as process:
+        process.wait_for_output("stepping example")
+        process.wait_for_output("stepping second")
+        process.send(signal.SIGTERM)
+        assert process.wait() == 0
+        assert process.stdout.splitlines()[-2:] == ["closed second", "closed example"]
+        assert process.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "stderr"),
+    [
+        ("construction", 2, "no hand is attached, attach one.\n"),
+        ("refused", 1, "the hand fell off, put it back.\n"),
+        ("shutdown", 0, ""),
+    ],
+)
+def test_the_exit_code_tells_how_it_ended(run, how, code, stderr):
+    with run(*end(how)) as process:
+        assert process.wait() == code
+        assert process.stderr == stderr
+
+
+def test_a_bug_shows_its_traceback_and_the_nodes_are_still_closed(run):
+    with run(*end("bug")) as process:
+        assert process.wait() == 1
+        assert "ZeroDivisionError" in process.stderr and "in step" in process.stderr
+        assert "closed example" in process.stdout
+
+
+def test_an_error_while_closing_is_shown_and_the_others_are_closed(run):
+    with run(*end("close")) as process:
+        process.wait_for_output("stepping")
+        process.interrupt()
+        assert process.wait() == 1
+        assert "the bag is not finished" in process.stderr
+        assert "closed second" in process.stdout and "closed example" in process.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--ros-args", "-p", "gain:=-1.0"), "gain is -1.0, expected a finite number >= 0.0"),
+        (("--ros-args", "-p", "gian:=1.0"), "unknown parameter 'gian', did you mean 'gain'"),
+        (("--ros-args", "--params-file", "/absent.yaml"), "Couldn't parse params file"),
+        (("--ros-args", "-p", "gain"), "the ROS arguments cannot be used"),
+        (("--fast",), "unknown argument '--fast'"),
+        (("--ros-args", "-p", "qos_overrides./q.subscription.depth:=3"), "unknown parameter 'qos"),
+    ],
+)
+def test_a_wrong_command_line_is_refused_in_a_sentence(run, arguments, words):
+    with run(*arguments) as process:
+        assert process.wait() == 2
+        assert words in process.stderr
+        assert "Traceback" not in process.stderr
+
+
+def test_help_tells_what_the_node_does(run):
+    with run("--help") as process:
+        assert process.wait() == 0
+        assert "Does this and that." in process.stdout
+        assert process.stderr == ""
+
+
+def test_message_error_is_an_error_of_this_package():
+    assert issubclass(MessageError, TactileHandError)

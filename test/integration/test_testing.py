@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The support for tests does what it says: isolation, waiting, and nothing left behind."""
+
+import os
+import signal
+import sys
+
+import psutil
+import pytest
+import rclpy
+from std_msgs.msg import Float64
+
+from tactile_hand_ros.ros.executables import ExecutableError
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    find_executable,
+    isolated_domain,
+    private_context,
+    spinning,
+    wait_until,
+)
+
+
+def test_domains_are_never_shared_and_the_environment_is_restored():
+    before = os.environ.get("ROS_DOMAIN_ID")
+    with isolated_domain() as first:
+        assert os.environ["ROS_DOMAIN_ID"] == str(first)
+        with isolated_domain() as second:
+            assert second != first
+        assert os.environ["ROS_DOMAIN_ID"] == str(first)
+    assert os.environ.get("ROS_DOMAIN_ID") == before
+
+
+def test_nodes_of_two_domains_do_not_meet():
+    with isolated_domain() as one, isolated_domain() as two:
+        with private_context(one) as here, private_context(two) as there:
+            node = rclpy.create_node("a", context=here)
+            friend = rclpy.create_node("b", context=here)
+            stranger = rclpy.create_node("c", context=there)
+            publisher = node.create_publisher(Float64, "x", 10)
+            friend.create_subscription(Float64, "x", print, 10)
+            stranger.create_subscription(Float64, "x", print, 10)
+            wait_until(lambda: publisher.get_subscription_count() > 0)
+            assert publisher.get_subscription_count() == 1
+            for each in (node, friend, stranger):
+                each.destroy_node()
+
+
+def test_waiting_in_vain_says_for_what():
+    with pytest.raises(TimeoutError, match="waited 0.05 s in vain for the moon"):
+        wait_until(lambda: False, 0.05, "the moon")
+    assert wait_until(lambda: 3) == 3
+
+
+def test_the_whole_process_group_ends_even_if_it_ignores_signals():
+    program = (
+        "import os, signal, time\n"
+        "child = os.fork()\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "if child: print(child, flush=True)\n"
+        "else: signal.pause()\n"
+    )
+    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+        assert process.wait() == 0
+        child = psutil.Process(int(process.stdout))
+        assert child.is_running()
+    wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+
+
+def test_output_and_exit_code_are_kept():
+    program = "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"
+    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+        assert process.wait() == 3
+        assert (process.stdout, process.stderr, process.returncode) == ("out\n", "err\n", 3)
+        with pytest.raises(TimeoutError, match="'never'(.|\n)*out"):
+            process.wait_for_output("never", 0.05)
+
+
+def test_a_process_that_does_not_end_is_reported():
+    with ProcessUnderTest([sys.executable, "-c", "import signal; signal.pause()"]) as process:
+        with pytest.raises(TimeoutError, match="still running after 0.05 s"):
+            process.wait(0.05)
+        assert process.returncode is None
+        process.send(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+
+
+def test_an_exception_in_the_spinning_thread_reaches_the_test():
+    with isolated_domain() as domain, private_context(domain) as context:
+        node = rclpy.create_node("a", context=context)
+        hits = []
+
+        def fail():
+            hits.append(1)
+            raise ZeroDivisionError("on purpose")
+
+        node.create_timer(0.01, fail)
+        with pytest.raises(ZeroDivisionError):
+            with spinning(node):
+                wait_until(lambda: hits)
+        node.destroy_node()
+
+
+def test_an_unknown_executable_is_an_error():
+    with pytest.raises(ExecutableError):
+        find_executable("no_such_node")
