@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class TactileHandError(Exception):
     """Base of every error that this package raises on purpose.
@@ -28,3 +30,32 @@ class ConfigurationError(TactileHandError):
 
 class MessageError(TactileHandError):
     """A message from outside that cannot be used: wrong names, lengths, frame or NaN."""
+
+
+class HandModelError(TactileHandError):
+    """A hand that cannot be built from its URDF and YAML."""
+
+
+class ObjectModelError(TactileHandError):
+    """An object that cannot be simulated."""
+
+
+class GraspError(TactileHandError):
+    """A grasp that the method cannot handle."""
+
+
+class CollinearContactsError(GraspError):
+    """Contacts on one line: the rotation about that line is lost (assumption A7)."""
+
+    @classmethod
+    def of(cls, points: Iterable[Iterable[float]]) -> CollinearContactsError:
+        """Build the error for these contact points."""
+        listed = ", ".join("(" + ", ".join(f"{x:.4f}" for x in p) + ")" for p in points)
+        return cls(
+            f"the contacts {listed} lie on one line (A7); a grasp needs three contacts that are "
+            "not collinear: move a finger off the line"
+        )
+
+
+class PoseError(TactileHandError):
+    """A desired pose that the hand cannot reach."""

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts: points, contact frames C_i and the hand Jacobian (2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.hand import Fingertips
+from tactile_hand_ros.core.rotations import rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+# Below this length the projection of palm z on the face is no direction any more (palm x is used).
+_MIN_PROJECTION = 1e-3
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Where the fingers touch, in the palm frame; a row of NaN means no contact.
+
+    Attributes:
+        positions: Contact points p_c, shape (k, 3), m.
+        rotations: Contact frames R_C = [t_x, n, t_z], shape (k, 3, 3); n points into the object.
+    """
+
+    positions: Array
+    rotations: Array
+
+    @classmethod
+    def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
+        """Build contacts from what travels on a topic: points and quaternions (x, y, z, w)."""
+        return cls(positions, rotation_from_quaternion(quaternions))
+
+    @cached_property
+    def touching(self) -> NDArray[np.bool_]:
+        """Which fingers touch, shape (k,)."""
+        return np.isfinite(self.positions[:, 0])
+
+    @property
+    def normals(self) -> Array:
+        """Contact normals n into the object, shape (k, 3)."""
+        return self.rotations[:, :, 1]
+
+    @cached_property
+    def centroid(self) -> Array:
+        """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
+        return np.asarray(self.positions.sum(axis=0) / len(self.positions))
+
+
+def contact_frame(normal: Array) -> Array:
+    """Return the contact frame of a normal.
+
+    t_z is palm z projected on the face (palm x where that projection is shorter than 1e-3) and
+    t_x = n x t_z.
+
+    Args:
+        normal: Unit normal into the object, palm frame, shape (3,).
+
+    Returns:
+        R_C = [t_x, n, t_z], shape (3, 3).
+    """
+    nx, ny, nz = (float(c) for c in normal)
+    # The projection of e on the face is e - n (n . e), written out: this runs at every step.
+    tx, ty, tz = -nz * nx, -nz * ny, 1.0 - nz * nz
+    length = (tx * tx + ty * ty + tz * tz) ** 0.5
+    if length < _MIN_PROJECTION:
+        tx, ty, tz = 1.0 - nx * nx, -nx * ny, -nx * nz
+        length = (tx * tx + ty * ty + tz * tz) ** 0.5
+    tx, ty, tz = tx / length, ty / length, tz / length
+    return np.array(
+        [
+            [ny * tz - nz * ty, nx, tx],
+            [nz * tx - nx * tz, ny, ty],
+            [nx * ty - ny * tx, nz, tz],
+        ]
+    )
+
+
+def skew(vectors: Array) -> Array:
+    """Return the matrices a^ with a^ b = a x b, shape (..., 3, 3)."""
+    out = np.zeros((*vectors.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
+    return out
+
+
+def hand_jacobian(tips: Fingertips, points: Array) -> Array:
+    """Return the hand Jacobian J_h = [I  -p_cf^] [J; J_Omega], equation (2).
+
+    Args:
+        tips: Fingertip centres and Jacobians.
+        points: Contact points p_c in the palm frame, shape (k, 3), m.
+
+    Returns:
+        Velocities of the contact points per joint rate in palm axes, shape (k, 3, m); stacked to
+        (3k, m) it is the paper's J_h.
+
+    Source: Shaw-Cortez et al., equation (2).
+    """
+    return tips.linear - skew(points - tips.positions) @ tips.angular

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grasp: grasp maps (4) and (11), their pseudoinverse, beta, and the checks of A5 and A7."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.contact import skew
+from tactile_hand_ros.core.errors import CollinearContactsError, GraspError
+
+Array = NDArray[np.float64]
+
+# A grasp this much thinner than long counts as a line: its rotation about the line is lost (A7).
+MIN_COLLINEARITY_MARGIN = 1e-3
+
+
+def grasp_map(points: Array, origin: Array) -> Array:
+    """Return the grasp map G with G_i^T = [I  -(p_c,i - origin)^].
+
+    Args:
+        points: Contact points p_c in the palm frame, shape (k, 3), m.
+        origin: Point about which torques are taken, shape (3,), m: the object's origin gives
+            equation (4), the contact centroid equation (11).
+
+    Returns:
+        G, shape (6, 3k): forces in palm axes to the wrench (force, torque) on the object.
+
+    Source: Shaw-Cortez et al., equations (4) and (11).
+    """
+    k = len(points)
+    out = np.empty((6, k, 3))
+    out[:3] = np.eye(3)[:, None, :]
+    out[3:] = skew(points - origin).transpose(1, 0, 2)
+    return out.reshape(6, 3 * k)
+
+
+def wrench_forces(points: Array, wrench: Array) -> Array:
+    """Return the contact forces G~^+ wrench, the smallest ones that give a wrench.
+
+    About the centroid the blocks of G~ G~^T decouple, so that with d_i = p_c,i - centroid and
+    S = sum(|d_i|^2 I - d_i d_i^T) the pseudoinverse is f_i = F / k + (S^-1 T) x d_i.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
+
+    Returns:
+        Forces in palm axes, shape (k, 3), N.
+
+    Raises:
+        CollinearContactsError: If the contacts lie on a line (A7).
+    """
+    arms = points - points.sum(axis=0) / len(points)
+    scatter = arms.T @ arms
+    spread = np.trace(scatter) * np.eye(3) - scatter
+    if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(points)
+    x, y, z = np.linalg.solve(spread, wrench[3:])
+    turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # arms @ turn = w x arms
+    return np.asarray(wrench[:3] / len(points) + arms @ turn)
+
+
+def collinearity_margin(points: Array) -> float:
+    """Return how far the contacts are from lying on one line: 0 on a line, 1 for an even spread.
+
+    It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
+    assumption A7.
+    """
+    arms = points - points.sum(axis=0) / len(points)
+    scatter = arms.T @ arms
+    values = np.linalg.eigvalsh(scatter)
+    return float(np.sqrt(max(values[1], 0.0) / values[2])) if values[2] > 0.0 else 0.0
+
+
+def joint_margin(hand_jacobian: Array) -> float:
+    """Return the smallest singular value of J_h, the margin of assumption A5, in m/rad.
+
+    Args:
+        hand_jacobian: Shape (3k, m) or (k, 3, m).
+    """
+    stacked = hand_jacobian.reshape(-1, hand_jacobian.shape[-1])
+    if stacked.shape[1] < stacked.shape[0]:
+        return 0.0
+    return float(np.linalg.svd(stacked, compute_uv=False)[-1])
+
+
+def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
+    """Check assumption A5: J_h has full row rank.
+
+    Raises:
+        GraspError: If the hand cannot move its contact points freely.
+    """
+    margin = joint_margin(hand_jacobian)
+    if margin < minimum:
+        rows = hand_jacobian.size // hand_jacobian.shape[-1]
+        raise GraspError(
+            f"the hand is singular (A5): the smallest singular value of J_h ({rows} x "
+            f"{hand_jacobian.shape[-1]}) is {margin:.2g} m/rad, at least {minimum:.2g} is needed; "
+            "bend the fingers or use more joints"
+        )
+
+
+def check_spread(points: Array) -> None:
+    """Check assumption A7: at least three contacts that are not on one line.
+
+    Raises:
+        CollinearContactsError: If they are.
+        GraspError: If there are fewer than three.
+    """
+    if len(points) < 3:
+        raise GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
+    if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(points)
+
+
+def required_friction(forces: Array) -> Array:
+    """Return beta_i = sqrt(f_x^2 + f_z^2) / f_n, the friction coefficient that each contact needs.
+
+    Args:
+        forces: Contact forces on the object in C_i (y is the normal), shape (k, 3), N.
+
+    Returns:
+        Shape (k,); infinite where a tangential force has no normal force, 0 where there is none.
+    """
+    tangential = np.hypot(forces[..., 0], forces[..., 2])
+    normal = forces[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beta = np.where(normal > 0.0, tangential / normal, np.inf)
+    return np.where((normal <= 0.0) & (tangential == 0.0), 0.0, beta)

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hand: kinematics and dynamics of any number of fingers, from a URDF by Pinocchio."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.errors import HandModelError
+from tactile_hand_ros.core.hand_config import HandConfig, MountConfig, load_hand_config
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fingertips:
+    """Fingertip centres and their Jacobians at one configuration, all in palm axes.
+
+    Attributes:
+        positions: Centres p_f, shape (k, 3), m.
+        linear: Jacobians J of the centres' velocities, shape (k, 3, m).
+        angular: Jacobians J_Omega of the tips' angular velocities, shape (k, 3, m).
+
+    Source: Shaw-Cortez et al., equation (1).
+    """
+
+    positions: Array
+    linear: Array
+    angular: Array
+
+
+class Hand:
+    """A hand with k fingers and m joints.
+
+    Attributes:
+        finger_names: Names of the k fingers.
+        joint_names: Names of the m joints, in the order of every joint array.
+        radii: Fingertip radii r, shape (k,), m.
+        description: URDF text of the hand in the chosen layout.
+        effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
+        position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
+    """
+
+    def __init__(self, config: HandConfig, layout: str = "", gravity: Array | None = None) -> None:
+        """Build the hand.
+
+        Args:
+            config: Names of the URDF, fingers and tips.
+            layout: Name of the layout; empty for the default one.
+            gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
+
+        Raises:
+            HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
+        """
+        self.description = _describe(config, config.layout(layout))
+        self._model = _model(self.description, config)
+        self._data = self._model.createData()
+        self._lower = np.tril_indices(self._model.nv, -1)
+        self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
+        self._model.gravity.linear = np.zeros(3) if gravity is None else np.asarray(gravity)
+        self.finger_names = config.finger_names
+        self.radii = np.array(config.radii)
+        self.joint_names = list(self._model.names[1:])
+        limits = self._model.effortLimit
+        self.effort_limits = np.where(limits > 0.0, limits, np.inf)
+        self.position_limits = (
+            self._model.lowerPositionLimit.copy(),
+            self._model.upperPositionLimit.copy(),
+        )
+
+    @classmethod
+    def load(cls, name: str, layout: str = "", gravity: Array | None = None) -> Hand:
+        """Load a hand by name (``paper``) or by the path of its YAML file."""
+        return cls(load_hand_config(name), layout, gravity)
+
+    @property
+    def fingers(self) -> int:
+        """Number of fingers k."""
+        return len(self._tips)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints m."""
+        return int(self._model.nv)
+
+    def fingertips(self, theta: Array) -> Fingertips:
+        """Return tip centres and Jacobians, equation (1).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
+        pin.computeJointJacobians(self._model, self._data, theta)
+        return self._read_fingertips()
+
+    def _read_fingertips(self) -> Fingertips:
+        k, m = self.fingers, self.joints
+        positions, jacobians = np.empty((k, 3)), np.empty((k, 6, m))
+        for i, frame in enumerate(self._tips):
+            placement = pin.updateFramePlacement(self._model, self._data, frame)
+            positions[i] = placement.translation
+            jacobians[i] = pin.getFrameJacobian(
+                self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED
+            )
+        return Fingertips(positions, jacobians[:, :3], jacobians[:, 3:])
+
+    def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
+        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+
+        Returns:
+            Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
+        """
+        pin.computeAllTerms(self._model, self._data, theta, rates)
+        inertia = self._data.M.copy()
+        inertia[self._lower] = inertia.T[self._lower]  # Pinocchio promises the upper triangle only
+        return self._read_fingertips(), inertia, self._data.nle.copy()
+
+    def gravity_torque(self, theta: Array) -> Array:
+        """Return the torques that hold the links against gravity, shape (m,), N m."""
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, theta))
+
+    def kinetic_energy(self, theta: Array, rates: Array) -> float:
+        """Return the kinetic energy of the links in J."""
+        return float(pin.computeKineticEnergy(self._model, self._data, theta, rates))
+
+    def potential_energy(self, theta: Array) -> float:
+        """Return the potential energy of the links in J."""
+        return float(pin.computePotentialEnergy(self._model, self._data, theta))
+
+    def joint_positions(self, theta: Array) -> list[list[Array]]:
+        """Return the chain of joint and tip positions of every finger, for drawings, m."""
+        pin.framesForwardKinematics(self._model, self._data, theta)
+        return [self._chain(frame) for frame in self._tips]
+
+    def _chain(self, frame: int) -> list[Array]:
+        points = [self._data.oMf[frame].translation.copy()]
+        joint = self._model.frames[frame].parentJoint
+        while joint > 0:
+            points.append(self._data.oMi[joint].translation.copy())
+            joint = self._model.parents[joint]
+        return points[::-1]
+
+
+def _describe(config: HandConfig, layout: Mapping[str, MountConfig]) -> str:
+    """Return the URDF text with the fixed joints of the layout moved."""
+    path = config.folder / config.urdf
+    try:
+        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise HandModelError(
+            f"cannot read the hand's URDF '{path}' ({error.strerror}); correct 'urdf' in its YAML"
+        ) from error
+    except ElementTree.ParseError as error:
+        raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
+    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
+    for name, mount in layout.items():
+        if name not in joints:
+            raise HandModelError(
+                f"the layout moves joint '{name}', which is not a fixed joint of '{path.name}'; "
+                f"fixed joints: {', '.join(str(j) for j in joints)}"
+            )
+        origin = joints[name].find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(joints[name], "origin")
+        origin.set("xyz", " ".join(map(repr, mount.xyz)))
+        origin.set("rpy", " ".join(map(repr, mount.rpy)))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _model(description: str, config: HandConfig) -> pin.Model:
+    try:
+        model = pin.buildModelFromXML(description)
+    except (ValueError, RuntimeError) as error:
+        raise HandModelError(f"'{config.urdf}' is not a usable URDF: {error}") from error
+    if model.nq != model.nv or model.nv != model.njoints - 1:
+        raise HandModelError(
+            f"'{config.urdf}' has joints with more than one degree of freedom or without limits "
+            "(continuous); use revolute or prismatic joints"
+        )
+    if not model.existFrame(config.palm) or not _is_root(model, config.palm):
+        raise HandModelError(
+            f"palm link '{config.palm}' is not the root link of '{config.urdf}'; "
+            "name the root link as 'palm' in the hand's YAML"
+        )
+    return model
+
+
+def _is_root(model: pin.Model, link: str) -> bool:
+    frame = model.frames[model.getFrameId(link)]
+    return bool(frame.parentJoint == 0 and frame.placement.isIdentity(1e-12))
+
+
+def _tip_frame(model: pin.Model, link: str, finger: str) -> int:
+    if not model.existFrame(link, pin.BODY):
+        links = [f.name for f in model.frames if f.type == pin.BODY]
+        raise HandModelError(
+            f"finger '{finger}' names tip link '{link}', which the URDF does not have; "
+            f"its links are: {', '.join(links)}"
+        )
+    frame = int(model.getFrameId(link, pin.BODY))
+    if model.frames[frame].parentJoint == 0:
+        raise HandModelError(f"tip link '{link}' of finger '{finger}' is not moved by any joint")
+    return frame

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual frame R_pov: the orientation of the grasp, seen from its contact points alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.grasp import check_spread
+from tactile_hand_ros.core.rotations import cross
+
+Array = NDArray[np.float64]
+
+
+class VirtualFrame:
+    """Follows the orientation of a grasp from its contact points.
+
+    For three contacts r_x points from contact 2 to contact 1, r_z is normal to their plane and
+    r_y = r_z x r_x. The side of r_z is chosen along palm +z at the start and then kept, so that a
+    grasp can turn upside down. For more than three contacts the frame of the first three at the
+    start is turned by the rotation that best fits all contacts to their first positions (Kabsch
+    1976).
+
+    Source: Shaw-Cortez et al., section III; our generalisation for k > 3.
+    """
+
+    def __init__(self) -> None:
+        """Start without a memory of a grasp."""
+        self._side = 0.0
+        self._start: tuple[Array, Array] | None = None
+
+    def reset(self) -> None:
+        """Forget the grasp: the next call starts a new one."""
+        self.__init__()  # type: ignore[misc]
+
+    def orientation(self, points: Array) -> Array:
+        """Return R_pov = [r_x r_y r_z] in the palm frame, shape (3, 3).
+
+        Args:
+            points: Contact points in the palm frame, shape (k, 3), m.
+
+        Raises:
+            CollinearContactsError: If the contacts lie on a line.
+            GraspError: If there are fewer than three.
+        """
+        if len(points) <= 3:
+            return self._plane_frame(points)
+        if self._start is None:
+            self._start = (points - points.mean(axis=0), self._plane_frame(points[:3]))
+            return self._start[1]
+        check_spread(points)
+        first, frame = self._start
+        return best_rotation(first, points - points.mean(axis=0)) @ frame
+
+    def _plane_frame(self, points: Array) -> Array:
+        check_spread(points)
+        a, b = points[0] - points[1], points[0] - points[2]
+        r_x = a / np.sqrt(a @ a)
+        r_z = cross(a, b)
+        if self._side == 0.0:
+            self._side = -1.0 if r_z[2] < 0.0 else 1.0
+        r_z *= self._side / np.sqrt(r_z @ r_z)
+        return np.array([r_x, cross(r_z, r_x), r_z]).T
+
+
+def orientation_error(actual: Array, desired: Array) -> Array:
+    """Return r_d = sum over the axes of r x r_desired, shape (3,).
+
+    It is 2 sin(angle) times the axis of the rotation from actual to desired, in palm axes.
+
+    Args:
+        actual: R_pov, shape (3, 3).
+        desired: R_pod, shape (3, 3).
+
+    Source: Shaw-Cortez et al., below equation (8).
+    """
+    # sum of column cross products = vee(D A^T - A D^T)
+    m = desired @ actual.T
+    return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+
+
+def best_rotation(before: Array, after: Array) -> Array:
+    """Return the rotation that best maps centred points to centred points (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(after.T @ before)
+    sign = np.sign(np.linalg.det(u @ vt))
+    return np.asarray(u @ np.diag([1.0, 1.0, sign]) @ vt)
