@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation controller: targets over time, one of the laws, and a safe hold around them."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.errors import GraspError, PoseError
+from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.core.manipulation import AuxiliaryPose, LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.core.reach import check_reach
+from tactile_hand_ros.core.safe_hold import HoldConfig, SafeHold
+
+Array = NDArray[np.float64]
+
+
+class ControllerConfig(Config):
+    """Parameters of the manipulation controller."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    law: LawConfig = LawConfig()
+    gravity_compensation: bool = param(False, "carry the links' weight by feed-forward", live=True)
+    gravity: tuple[float, float, float] = param(
+        (0.0, 0.0, -9.81), "acceleration of gravity in the palm frame", unit="m/s^2"
+    )
+    midpoint_hold: bool = param(
+        False,
+        "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
+        live=True,
+    )
+    hold: HoldConfig = HoldConfig()
+    input_timeout: float = param(
+        0.5, "silence of touch, f* or k_f after which the hand holds", unit="s", gt=0.0, le=60.0
+    )
+
+
+class Mode(enum.Enum):
+    """What the controller is doing."""
+
+    DRIVE = "drive"
+    HOLD = "hold"
+    DISABLED = "disabled"
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the controller answers to one tick.
+
+    Attributes:
+        torque: Joint torques, shape (m,), N m.
+        mode: Drive, hold or disabled.
+        pose: What the hand believes of the object; None when it cannot tell.
+        reason: Why it holds, or why a target was refused; empty otherwise.
+    """
+
+    torque: Array
+    mode: Mode
+    pose: AuxiliaryPose | None
+    reason: str = ""
+
+
+class Controller:
+    """Answers each tick with joint torques; sees joints and touch only.
+
+    Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
+    or the contacts lie on a line, the hand holds its posture and its last good squeeze.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        """Build the controller.
+
+        Raises:
+            HandModelError: If the hand cannot be built.
+        """
+        self.config = config
+        self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
+        self._law = ManipulationLaw(config.law, self.hand.radii)
+        self._hold = SafeHold(config.hold)
+        self.enabled = True
+        self.reset()
+
+    def configure(self, config: ControllerConfig) -> None:
+        """Take other gains while running."""
+        self.config = config
+        self._law.configure(config.law)
+
+    def reset(self) -> None:
+        """Forget grasp, targets and integral."""
+        self._law.reset()
+        self._hold.release()
+        self._squeeze = np.zeros(self.hand.joints)
+        self._last_torque: Array | None = None
+        self._last_stamp: int | None = None
+        self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
+        self.target: Target | None = None
+        self._queue: list[tuple[int, Target]] = []
+
+    def command(self, target: Target, stamp: int = 0) -> None:
+        """Take a desired pose.
+
+        Args:
+            target: Desired pose of the contact centroid's virtual frame, palm frame.
+            stamp: Tick in ns from which it holds; zero or a past one means now.
+
+        Raises:
+            PoseError: If the present grasp cannot be carried there.
+        """
+        if self._grasp is not None:
+            check_reach(self.hand, *self._grasp, target)
+        if stamp <= (self._last_stamp or 0):
+            stamp = 0
+        self._queue = sorted([*self._queue, (stamp, target)], key=lambda item: item[0])
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+    ) -> Command:
+        """Answer a tick for which everything has arrived.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            contacts: Contacts by touch; NaN where there is none.
+            optimal_forces: f* in contact frames, shape (k, 3); NaN when (13) has no answer.
+            grasp_force: k_f, N.
+        """
+        dt = 0.0 if self._last_stamp is None else 1e-9 * (stamp - self._last_stamp)
+        self._last_stamp = stamp
+        if not self.enabled:
+            return self._disabled(theta, rates)
+        problem = self._missing(contacts, optimal_forces, grasp_force)
+        if problem:
+            return self.hold(theta, rates, problem)
+        tips = self.hand.fingertips(theta)
+        try:
+            pose = self._law.auxiliary_pose(tips, contacts)
+            self._grasp = (theta, contacts, pose)
+            refused = self._take_due_target(stamp, pose)
+            assert self.target is not None
+            parts = self._law.step(
+                tips, rates, contacts, optimal_forces, grasp_force, self.target, pose, dt
+            )
+        except GraspError as error:
+            return self.hold(theta, rates, str(error))
+        self._hold.release()
+        self._squeeze = parts.squeeze
+        torque = self._for_middle_of_period(parts.total) + self._gravity(theta)
+        return Command(torque, Mode.DRIVE, pose, refused)
+
+    def hold(self, theta: Array, rates: Array, reason: str) -> Command:
+        """Answer a tick without what the law needs: keep posture and last good squeeze."""
+        self._last_torque = None
+        if not self.enabled:
+            return self._disabled(theta, rates)
+        self._hold.engage(theta, self._squeeze)
+        torque = self._hold.torque(theta, rates) + self._gravity(theta)
+        return Command(torque, Mode.HOLD, None, reason)
+
+    def _disabled(self, theta: Array, rates: Array) -> Command:
+        self._hold.release()
+        self._last_torque = None
+        self._squeeze = np.zeros(self.hand.joints)
+        torque = self._gravity(theta) - self.config.law.damping * rates
+        return Command(torque, Mode.DISABLED, None, "disabled by the user")
+
+    def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
+        if not contacts.touching.all():
+            names = [
+                name
+                for name, touching in zip(self.hand.finger_names, contacts.touching, strict=True)
+                if not touching
+            ]
+            return f"no contact at {', '.join(names)}; holding until all fingers touch again"
+        if self.config.law.name == "optimal" and not np.isfinite(forces).all():
+            return "no optimal force f*; holding until the optimizer has an answer"
+        if not np.isfinite(grasp_force) or grasp_force < 0.0:
+            return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
+        return ""
+
+    def _take_due_target(self, stamp: int, pose: AuxiliaryPose) -> str:
+        """Make the newest due target the present one; return why it was refused, if it was."""
+        if self.target is None:
+            self.target = Target(pose.position, pose.orientation)
+        refused = ""
+        while self._queue and self._queue[0][0] <= stamp:
+            _, due = self._queue.pop(0)
+            assert self._grasp is not None
+            try:
+                check_reach(self.hand, *self._grasp, due)
+                self.target = due
+            except PoseError as error:
+                refused = str(error)
+        return refused
+
+    def _for_middle_of_period(self, torque: Array) -> Array:
+        """Extrapolate by half a period: a torque that is held for T is T/2 old on average."""
+        last, self._last_torque = self._last_torque, torque
+        if not self.config.midpoint_hold or last is None:
+            return torque
+        return torque + 0.5 * (torque - last)
+
+    def _gravity(self, theta: Array) -> Array:
+        if not self.config.gravity_compensation:
+            return np.zeros(self.hand.joints)
+        return self.hand.gravity_torque(theta)

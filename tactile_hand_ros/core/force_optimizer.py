@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grasp-force optimization (13): how to share a squeeze of 1 N among the contacts."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, collinearity_margin, grasp_map
+
+Array = NDArray[np.float64]
+
+_MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
+
+
+class ForceOptimizerConfig(Config):
+    """Parameters of the grasp-force optimization (13)."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    weights: list[float] = param(
+        [10.0, 1.0, 10.0],
+        "diagonal of W for (f_x, f_n, f_z), three values for all contacts or three per contact",
+        live=True,
+        min_length=3,
+    )
+    minimum_normal: float = param(
+        0.0, "least share f_n of each contact in the unit squeeze", live=True, ge=0.0, lt=0.34
+    )
+
+    def weight_vector(self, fingers: int) -> Array:
+        """Return the diagonal of W, shape (3 k,).
+
+        Raises:
+            ConfigurationError: If the number of weights does not fit or one is not positive.
+        """
+        given = np.array(self.weights, dtype=float)
+        if len(given) not in (3, 3 * fingers) or (given <= 0.0).any():
+            raise ConfigurationError(
+                f"weights = {self.weights}: expected 3 or {3 * fingers} positive numbers, the "
+                f"diagonal of W for {fingers} contacts",
+                place="weights",
+            )
+        return np.tile(given, fingers) if len(given) == 3 else given
+
+
+class Status(enum.Enum):
+    """How an optimization ended."""
+
+    SOLVED = "solved"
+    CONTACT_MISSING = "contact missing"
+    COLLINEAR = "collinear contacts"
+    UNBALANCED = "normals cannot balance"
+    FAILED = "solver failed"
+
+
+@dataclass(frozen=True)
+class OptimalForces:
+    """The outcome of (13), with the means to judge it.
+
+    Attributes:
+        status: SOLVED, or why there is no answer.
+        reason: One sentence for people; empty when solved.
+        forces: f* on the object in the contact frames C_i, shape (k, 3); NaN unless solved.
+        balance_residual: Largest component of G~ f*, N and N m.
+        sum_residual: |sum f_n - 1|.
+        stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
+        solve_time: Time that OSQP reports, s.
+        iterations: Iterations that OSQP reports.
+    """
+
+    status: Status
+    reason: str
+    forces: Array
+    balance_residual: float = np.nan
+    sum_residual: float = np.nan
+    stationarity_residual: float = np.nan
+    solve_time: float = 0.0
+    iterations: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether f* exists."""
+        return self.status is Status.SOLVED
+
+    @property
+    def residual(self) -> float:
+        """The largest of the three residuals."""
+        return max(self.balance_residual, self.sum_residual, self.stationarity_residual)
+
+
+class ForceOptimizer:
+    """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
+
+    The problem is set up once; a step only replaces the numbers of G~ and starts from the last
+    answer. Torques in G~ are divided by the size of the grasp, which leaves the solution as it is
+    and makes all rows of one magnitude.
+
+    Source: Shaw-Cortez et al., equation (13); Stellato et al., OSQP, 2020.
+    """
+
+    def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
+        """Set up the problem for k = `fingers` contacts.
+
+        Raises:
+            ConfigurationError: If the weights do not fit.
+        """
+        self._k = fingers
+        self._columns = 3 * fingers
+        self.configure(config)
+
+    def configure(self, config: ForceOptimizerConfig) -> None:
+        """Take other weights or limits; the problem is set up anew."""
+        self.config = config
+        self._weights = config.weight_vector(self._k)
+        self._set_up()
+
+    def reset(self) -> None:
+        """Forget the last answer."""
+        self._set_up()
+
+    def solve(self, contacts: Contacts) -> OptimalForces:
+        """Share a unit squeeze among the contacts.
+
+        Args:
+            contacts: Contact points and frames in the palm frame.
+
+        Returns:
+            f* in contact frames, or a status that says why there is none.
+        """
+        if not contacts.touching.all():
+            missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
+            return self._without_answer(
+                Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
+            )
+        if collinearity_margin(contacts.positions) < MIN_COLLINEARITY_MARGIN:
+            return self._without_answer(
+                Status.COLLINEAR,
+                "the contacts lie on one line, no moment about it can balance (A7)",
+            )
+        balance = self._balance_matrix(contacts)
+        self._values[self._balance_slots] = balance.T.ravel()
+        self._solver.update(Ax=self._values)
+        return self._judge(self._solver.solve(raise_error=False), balance)
+
+    def _balance_matrix(self, contacts: Contacts) -> Array:
+        """Return G~ for forces in contact frames, with torques per size of the grasp, (6, 3k)."""
+        in_palm = grasp_map(contacts.positions, contacts.centroid).reshape(6, self._k, 3)
+        in_frames = (in_palm.transpose(1, 0, 2) @ contacts.rotations).transpose(1, 0, 2)
+        arms = contacts.positions - contacts.centroid
+        size = np.sqrt((arms * arms).sum() / self._k)
+        in_frames[3:] /= size
+        return in_frames.reshape(6, self._columns)
+
+    def _set_up(self) -> None:
+        k, n = self._k, self._columns
+        normals = np.arange(1, n, 3)
+        # Constraint rows: 6 of balance (dense, filled in by solve), the sum, the lower bounds.
+        rows = np.zeros((7 + k, n))
+        rows[:6] = 1.0
+        rows[6, normals] = 1.0
+        rows[7 + np.arange(k), normals] = 1.0
+        matrix = sparse.csc_matrix(rows)
+        self._values = matrix.data.copy()
+        self._balance_slots = np.flatnonzero(matrix.indices < 6)
+        lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
+        upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            sparse.diags(2.0 * self._weights, format="csc"),
+            np.zeros(n),
+            matrix,
+            lower,
+            upper,
+            verbose=False,
+            eps_abs=_MAX_RESIDUAL,
+            eps_rel=_MAX_RESIDUAL,
+            polishing=True,
+            warm_starting=True,
+            max_iter=4000,
+            adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
+        )
+
+    def _judge(self, result: object, balance: Array) -> OptimalForces:
+        info = result.info  # type: ignore[attr-defined]
+        if info.status_val == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE:
+            self._set_up()  # the certificate is a bad start for the next grasp
+            return self._without_answer(
+                Status.UNBALANCED,
+                "no pushing forces at these contacts balance; place a finger on an opposing face",
+            )
+        x, y = result.x, result.y  # type: ignore[attr-defined]
+        solved = OptimalForces(
+            Status.SOLVED,
+            "",
+            np.array(x).reshape(self._k, 3),
+            float(np.abs(balance @ x).max()),
+            float(abs(x[1::3].sum() - 1.0)),
+            self._stationarity(x, y, balance),
+            float(info.run_time),
+            int(info.iter),
+        )
+        if info.status_val != osqp.SolverStatus.OSQP_SOLVED or not solved.residual < _MAX_RESIDUAL:
+            self._set_up()
+            return self._without_answer(
+                Status.FAILED,
+                f"OSQP ended with '{info.status}' and residual {solved.residual:.1e} after "
+                f"{info.iter} iterations; the last answer is not used",
+            )
+        return solved
+
+    def _stationarity(self, x: Array, y: Array, balance: Array) -> float:
+        gradient = 2.0 * self._weights * x + balance.T @ y[:6]
+        gradient[1::3] += y[6] + y[7:]
+        return float(np.abs(gradient).max() / self._weights.max())
+
+    def _without_answer(self, status: Status, reason: str) -> OptimalForces:
+        return OptimalForces(status, reason, np.full((self._k, 3), np.nan))
