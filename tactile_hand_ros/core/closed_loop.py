@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The five blocks wired by function calls: the paper without ROS, and the oracle for the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tactile_hand_ros.core.controller import Command, Controller
+from tactile_hand_ros.core.force_optimizer import ForceOptimizer, OptimalForces
+from tactile_hand_ros.core.plant import Plant, PlantState
+from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.core.scenario import Scenario
+from tactile_hand_ros.core.slip import SlipRegulator
+from tactile_hand_ros.core.tactile import TactileReading, TactileSensor
+
+
+class ClosedLoop:
+    """Plant, sensor, regulator, optimizer and controller of one scenario.
+
+    A tick runs them in the order in which messages travel: touch is sampled, k_f and f* follow from
+    it, the controller answers, and the plant moves on with that torque. Contacts pass through the
+    quaternions of the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Build all blocks.
+
+        Raises:
+            TactileHandError: If hand, object or grasp cannot be built.
+        """
+        self.scenario = scenario
+        self.plant = Plant(scenario.plant)
+        hand = self.plant.hand
+        self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
+        self.regulator = SlipRegulator(scenario.slip_regulator)
+        self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
+        self.controller = Controller(scenario.manipulation_controller)
+        self._state = self.plant.state
+        self._stamp = 0
+        for wish in scenario.targets:
+            self.controller.command(wish.target(), wish.stamp)
+
+    def run(
+        self, ticks: int | None = None, progress: Callable[[int], None] | None = None
+    ) -> Record:
+        """Run to the end of the scenario, or for a number of ticks.
+
+        Args:
+            ticks: Number of ticks; that of the scenario by default.
+            progress: Called with the number of finished ticks, a hundred times in a run.
+        """
+        ticks = self.scenario.ticks if ticks is None else ticks
+        hand = self.plant.hand
+        record = Record.empty(ticks, hand.finger_names, hand.joint_names)
+        for row in range(ticks):
+            self.tick(record, row)
+            if progress is not None and (row + 1) % max(1, ticks // 100) == 0:
+                progress(row + 1)
+        return record
+
+    def tick(self, record: Record, row: int) -> None:
+        """Run one tick and write it into a row of the record."""
+        state, stamp = self._state, self._stamp
+        true = true_reading(state)
+        touch = self.sensor.step(stamp, true)
+        grasp_force = self.regulator.step(stamp)
+        contacts = touch.contacts
+        optimal = self.optimizer.solve(contacts)
+        command = self.controller.step(
+            stamp, state.theta, state.rates, contacts, optimal.forces, grasp_force
+        )
+        self._write(record, row, true, touch, grasp_force, optimal, command)
+        self._state = self.plant.advance(command.torque)
+        self._stamp += self.scenario.plant.tick
+
+    def _write(
+        self,
+        record: Record,
+        row: int,
+        true: TactileReading,
+        touch: TactileReading,
+        grasp_force: float,
+        optimal: OptimalForces,
+        command: Command,
+    ) -> None:
+        state = self._state
+        record.stamps[row] = self._stamp
+        record.theta[row], record.rates[row] = state.theta, state.rates
+        record.torque[row], record.command[row] = state.torque, command.torque
+        record.contact_positions[row] = touch.positions
+        record.contact_quaternions[row] = touch.quaternions
+        record.forces[row] = touch.forces
+        record.optimal_forces[row] = optimal.forces
+        record.grasp_force[row] = grasp_force
+        if command.pose is not None:
+            record.auxiliary_position[row] = command.pose.position
+            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        self._write_desired(record, row)
+        record.object_position[row] = state.position
+        record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
+        record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
+        record.true_forces[row] = true.forces
+
+    def _write_desired(self, record: Record, row: int) -> None:
+        due = [wish for wish in self.scenario.targets if wish.stamp <= self._stamp]
+        if due:
+            target = due[-1].target()
+            record.desired_position[row] = target.position
+            record.desired_quaternion[row] = quaternion_from_rotation(target.orientation)
+
+
+def true_reading(state: PlantState) -> TactileReading:
+    """Return the true contacts of a plant's state as they travel on topics."""
+    quaternions = quaternion_from_rotation(state.contacts.rotations)
+    forces = np.where(state.contacts.touching[:, None], state.forces, 0.0)
+    return TactileReading(state.contacts.positions, quaternions, forces)

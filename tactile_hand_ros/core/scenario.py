@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenarios: one typed YAML file that says everything about a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import model_validator
+
+from tactile_hand_ros.core.config import Config, did_you_mean, param, read_yaml, validate
+from tactile_hand_ros.core.controller import ControllerConfig
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros.core.manipulation import Target
+from tactile_hand_ros.core.paths import config_directory
+from tactile_hand_ros.core.plant_config import PlantConfig
+from tactile_hand_ros.core.rotations import rotation_from_vector
+from tactile_hand_ros.core.slip import SlipRegulatorConfig
+from tactile_hand_ros.core.tactile import TactileSensorConfig
+
+Vector = tuple[float, float, float]
+
+_MAX_DEPTH = 8  # of scenarios that extend each other
+# What is said once for the whole scenario and handed to every node that has such a parameter.
+_SHARED = ("hand", "layout", "seed", "duration")
+NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
+
+
+class TargetConfig(Config):
+    """A desired pose and when it is commanded."""
+
+    time: float = param(0.0, "simulated time of the command", unit="s", ge=0.0)
+    position: Vector = param(..., "p_d of the contact centroid, palm frame", unit="m")
+    rotation: Vector = param((0.0, 0.0, 0.0), "R_pod as a rotation vector, palm frame", unit="rad")
+
+    @property
+    def stamp(self) -> int:
+        """The tick of the command, ns."""
+        return round(self.time * 1e9)
+
+    def target(self) -> Target:
+        """Return position and orientation as arrays."""
+        return Target(np.array(self.position), rotation_from_vector(self.rotation))
+
+
+class GoalConfig(Config):
+    """What counts as having reached the last target."""
+
+    position_error: float = param(0.001, "largest final position error", unit="m", gt=0.0)
+    rotation_error: float = param(0.01, "largest final orientation error |r_d|", unit="rad", gt=0.0)
+
+
+class Scenario(Config):
+    """One experiment: hand, object, gains, sensors, targets over time."""
+
+    name: str = param("", "name, by default that of the file")
+    description: str = param("", "what happens and why, in a sentence")
+    hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
+    seed: int = param(1, "seed of everything random", ge=0)
+    targets: list[TargetConfig] = param([], "desired poses over time")
+    goal: GoalConfig = GoalConfig()
+    plant: PlantConfig = PlantConfig()
+    tactile_sensor: TactileSensorConfig = TactileSensorConfig()
+    slip_regulator: SlipRegulatorConfig = SlipRegulatorConfig()
+    force_optimizer: ForceOptimizerConfig = ForceOptimizerConfig()
+    manipulation_controller: ControllerConfig = ControllerConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _share(cls, data: Any) -> Any:
+        """Hand what is said once, at the top, to every node that needs it."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        for node in NODES:
+            section, model = data.get(node) or {}, cls.model_fields[node].annotation
+            if not isinstance(section, dict):
+                continue  # a finished model, or nonsense that validation will name
+            assert isinstance(model, type) and issubclass(model, Config)
+            shared = [name for name in _SHARED if name in model.model_fields]
+            if wrong := [name for name in shared if name in section]:
+                raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
+            given = {name: data[name] for name in shared if name in data}
+            data[node] = {**section, **given}
+        return data
+
+    @model_validator(mode="after")
+    def _targets_are_in_order(self) -> Scenario:
+        times = [t.time for t in self.targets]
+        if times != sorted(times):
+            raise ValueError(f"targets must be in order of time, got {times}")
+        if times and times[-1] >= self.duration:
+            raise ValueError(
+                f"the last target comes at {times[-1]} s, but the run ends at {self.duration} s"
+            )
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks in the run; the first is at 0 s and the last at the duration."""
+        return round(self.duration * self.plant.rate) + 1
+
+    def node_config(self, node: str) -> Config:
+        """Return the parameters of a node by its name."""
+        section: Config = getattr(self, node)
+        return section
+
+
+def scenario_names() -> list[str]:
+    """Return the names of the scenarios that come with the package, sorted."""
+    return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
+
+
+def find_scenario(name: str) -> Path:
+    """Return the file of a scenario given by name (``paper``) or by path (``my/run.yaml``).
+
+    Raises:
+        ConfigurationError: If neither a file nor a scenario of that name exists.
+    """
+    path = Path(name).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return path
+        raise ConfigurationError(
+            f"scenario file '{path}' does not exist; give a YAML file or one of: "
+            + ", ".join(scenario_names())
+        )
+    if name in scenario_names():
+        return config_directory() / "scenarios" / f"{name}.yaml"
+    raise ConfigurationError(
+        f"no scenario is called '{name}'{did_you_mean(name, scenario_names())} Give one of them or "
+        "the path of a YAML file"
+    )
+
+
+def load_scenario(name: str, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """Load a scenario by name or path.
+
+    Args:
+        name: Name of a scenario of the package, or path of a YAML file.
+        changes: Values to put over those of the file, by dotted key (``plant.rate``).
+
+    Raises:
+        ConfigurationError: If it does not exist, or a key or value is wrong; says which and where.
+    """
+    path = find_scenario(name)
+    data = _read(path, ())
+    for key, value in (changes or {}).items():
+        _put(data, key.split("."), value)
+    data.setdefault("name", path.stem)
+    return validate(Scenario, data, str(path))
+
+
+def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
+    """Read a scenario and lay it over the one that it extends."""
+    path = path.resolve()
+    if path in seen or len(seen) >= _MAX_DEPTH:
+        chain = " -> ".join(p.stem for p in (*seen, path))
+        raise ConfigurationError(f"scenarios extend each other in a circle: {chain}")
+    data = read_yaml(path)
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise ConfigurationError(
+            f"'{path}' holds {type(data).__name__}; expected a mapping of keys to values"
+        )
+    base = data.pop("extends", None)
+    if base is None:
+        return data
+    local = path.parent / f"{base}.yaml"
+    under = _read(local if local.is_file() else find_scenario(str(base)), (*seen, path))
+    under.pop("name", None)
+    return _merged(under, data)
+
+
+def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Lay mappings over each other key by key; lists and values are replaced whole."""
+    out = dict(under)
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(out.get(key), dict):
+            value = _merged(out[key], value)
+        out[key] = value
+    return out
+
+
+def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
+    for key in keys[:-1]:
+        data = data.setdefault(key, {})
+    data[keys[-1]] = value

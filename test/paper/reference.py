@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A second, independent way to compute the paper's motion: (2) to (6) as an ODE.
+
+Nothing of the plant is used. All contacts stick on faces of the object, so that (6) holds for all
+time; its derivative, with the contact point moving on both bodies, closes the system:
+
+    p_c = p_f - r n,  rho = p_c - p_f = -r n,  n fixed in the object:  rho' = w_o x rho
+    0 = d/dt [ v_f + w_f x rho - v_o - w_o x (p_c - p_o) ]
+      = a_f + al_f x rho + w_f x rho' - a_o - al_o x (p_c - p_o) - w_o x (v_f + rho' - v_o)
+
+The constraint is not stabilised: the tolerance of the Dormand-Prince 8(5,3) method keeps its drift
+at the level of rounding, and the tests check that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class World:
+    """What the reference needs to know of hand and object."""
+
+    urdf: str
+    tips: list[str]
+    radii: Array
+    mass: float
+    inertia: Array  # (3, 3) in the object frame
+    gravity: Array
+    faces: Array  # (k, 3) outward normals in the object frame, one per finger
+
+    @property
+    def k(self) -> int:
+        return len(self.tips)
+
+
+@dataclass(frozen=True)
+class State:
+    """Joints, object position, quaternion (x, y, z, w) and their rates."""
+
+    theta: Array
+    rates: Array
+    position: Array
+    quaternion: Array
+    velocity: Array
+    spin: Array
+
+    def pack(self) -> Array:
+        return np.concatenate(
+            [self.theta, self.rates, self.position, self.quaternion, self.velocity, self.spin]
+        )
+
+
+class Reference:
+    """Integrates the sticking grasp with an adaptive method of order eight."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.model = pin.buildModelFromXML(world.urdf)
+        self.model.gravity.linear = world.gravity
+        self.data = self.model.createData()
+        self.frames = [self.model.getFrameId(t) for t in world.tips]
+        self.m = self.model.nv
+
+    def unpack(self, y: Array) -> State:
+        m = self.m
+        parts = np.split(y, np.cumsum([m, m, 3, 4, 3]))
+        return State(*parts)
+
+    def solve_rates(self, y: Array, torque: Array, wrench: Array) -> tuple[Array, Array]:
+        """Return y' and the contact forces on the object, shape (k, 3), palm axes."""
+        s, w, m, k = self.unpack(y), self.world, self.m, self.world.k
+        pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
+        pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
+        pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
+        pin.computeJointJacobians(self.model, self.data, s.theta)
+        pin.updateFramePlacements(self.model, self.data)
+        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+        hand, solid, bias = np.zeros((3 * k, m)), np.zeros((3 * k, 6)), np.zeros(3 * k)
+        for i, frame in enumerate(self.frames):
+            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            acc = pin.getFrameClassicalAcceleration(
+                self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED
+            )
+            vel = pin.getFrameVelocity(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            p_f = self.data.oMf[frame].translation
+            rho = -w.radii[i] * (rotation @ w.faces[i])
+            d = p_f + rho - s.position
+            rows = slice(3 * i, 3 * i + 3)
+            hand[rows] = jac[:3] - pin.skew(rho) @ jac[3:]
+            solid[rows] = np.hstack([np.eye(3), -pin.skew(d)])
+            rho_dot = np.cross(s.spin, rho)
+            bias[rows] = (
+                acc.linear
+                + np.cross(acc.angular, rho)
+                + np.cross(vel.angular, rho_dot)
+                - np.cross(s.spin, vel.linear + rho_dot - s.velocity)
+            )
+        inertia = rotation @ w.inertia @ rotation.T
+        mass = np.triu(self.data.M) + np.triu(self.data.M, 1).T
+        force_o = np.concatenate([w.mass * w.gravity, -np.cross(s.spin, inertia @ s.spin)]) + wrench
+        n = m + 6
+        lhs = np.zeros((n + 3 * k, n + 3 * k))
+        lhs[:m, :m], lhs[m : m + 3, m : m + 3], lhs[m + 3 : n, m + 3 : n] = (
+            mass,
+            w.mass * np.eye(3),
+            inertia,
+        )
+        constraint = np.hstack([hand, -solid])
+        lhs[n:, :n], lhs[:n, n:] = (
+            constraint,
+            constraint.T,
+        )  # M_h th'' + J_h^T f = tau - ..., M_o x'' - G f = w_e
+        rhs = np.concatenate([torque - self.data.nle, force_o, -bias])
+        solution = np.linalg.solve(lhs, rhs)
+        ax, ay, az = s.spin
+        qx, qy, qz, qw = s.quaternion
+        q_dot = 0.5 * np.array(
+            [
+                ax * qw + ay * qz - az * qy,
+                ay * qw + az * qx - ax * qz,
+                az * qw + ax * qy - ay * qx,
+                -ax * qx - ay * qy - az * qz,
+            ]
+        )
+        y_dot = np.concatenate(
+            [s.rates, solution[:m], s.velocity, q_dot, solution[m : m + 3], solution[m + 3 : n]]
+        )
+        return y_dot, solution[n:].reshape(k, 3)
+
+    def contacts(self, y: Array) -> Array:
+        """Return the contact points, shape (k, 3), palm frame."""
+        s = self.unpack(y)
+        pin.framesForwardKinematics(self.model, self.data, s.theta)
+        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+        tips = np.array([self.data.oMf[f].translation for f in self.frames])
+        return tips - self.world.radii[:, None] * (self.world.faces @ rotation.T)
+
+    def drift(self, y: Array) -> float:
+        """Return the largest violation of (6), m/s."""
+        s = self.unpack(y)
+        pin.computeJointJacobians(self.model, self.data, s.theta)
+        pin.updateFramePlacements(self.model, self.data)
+        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+        worst = 0.0
+        for i, frame in enumerate(self.frames):
+            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            rho = -self.world.radii[i] * (rotation @ self.world.faces[i])
+            d = self.data.oMf[frame].translation + rho - s.position
+            tip = jac[:3] @ s.rates + np.cross(jac[3:] @ s.rates, rho)
+            worst = max(worst, float(np.abs(tip - s.velocity - np.cross(s.spin, d)).max()))
+        return worst
+
+    def run(
+        self,
+        start: State,
+        control: Callable[[float, State, Array], Array],
+        times: Array,
+        wrench: Array | None = None,
+        hold: bool = True,
+        rtol: float = 1e-9,
+    ) -> tuple[Array, Array]:
+        """Integrate over `times` and return states (len(times), n) and forces at them.
+
+        With `hold`, the torque is computed at each of `times` and kept until the next one, as a
+        sampled controller does; without, it is part of the differential equation, as in the paper.
+        """
+        external = np.zeros(6) if wrench is None else wrench
+        y, states, forces = start.pack(), [], []
+
+        def torque_at(t: float, y: Array) -> Array:
+            return control(t, self.unpack(y), self.contacts(y))
+
+        for t, t_next in zip(times, [*times[1:], None], strict=True):
+            torque = torque_at(t, y)
+            states.append(y)
+            forces.append(self.solve_rates(y, torque, external)[1])
+            if t_next is None:
+                break
+            if hold:
+                rate = lambda _, y, u=torque: self.solve_rates(y, u, external)[0]  # noqa: E731
+            else:
+                rate = lambda t, y: self.solve_rates(y, torque_at(t, y), external)[0]  # noqa: E731
+            y = solve_ivp(rate, (t, t_next), y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
+        return np.array(states), np.array(forces)
