@@ -39,6 +39,9 @@ class RecorderConfig(Config):
     discovery_period: float = param(
         0.02, "time between two looks at the graph for new topics", unit="s", ge=0.001, le=1
     )
+    scenario: str = param(
+        "", "scenario of the run as YAML text, stored in the bag with the versions in use"
+    )
     queue_depth: int = param(
         5000, "messages a topic's queue holds between two visits", ge=1, le=1_000_000
     )

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.metadata import BagMetadata
+from tactile_hand_ros.bag.provenance import RECORD_NAME, provenance
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.raw_topic import DirectTakeGroup, RawTopic
 from tactile_hand_ros.bag.schema import message_definition
@@ -63,9 +64,15 @@ class Recording:
         self._refused: set[str] = set()
         self._next_discovery = 0.0
         self._next_flush = 0.0
+        origin = provenance(config.scenario)
+        # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
         self._writer = BagWriter(
-            Path(config.output), compression=config.compression, chunk_size=config.chunk_size
+            Path(config.output),
+            compression=config.compression,
+            chunk_size=config.chunk_size,
+            custom_data=dict(origin),
         )
+        self._writer.add_metadata(RECORD_NAME, origin)
 
     @property
     def folder(self) -> Path:

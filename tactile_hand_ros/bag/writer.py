@@ -170,6 +170,19 @@ class BagWriter:
             )
         return self._schemas[type_name]
 
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record to the MCAP file, which any MCAP reader shows.
+
+        Args:
+            name: Name of the record.
+            values: Its texts by key.
+
+        Raises:
+            BagError: If the bag is closed or the disk refuses the data.
+        """
+        self._check_open()
+        self._guard(self._writer.add_metadata, name, dict(values))
+
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Append one serialized message.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from mcap.reader import make_reader
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -22,7 +23,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
+import tactile_hand_ros
+from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -307,3 +311,21 @@ def test_recorder_started_and_stopped_at_once_leaves_a_valid_bag(
     wait_until((tmp_path / "bag" / "bag_0.mcap").exists)
     end_well(recorder, signal.SIGTERM)
     assert summarize(tmp_path / "bag").message_count == 0
+
+
+def test_bag_tells_its_scenario_and_versions(domain: int, tmp_path: Path) -> None:
+    """A text of several lines comes back to the letter, from both places."""
+    scenario = "name: 'odd: \"1\"'\nseed: 7\ntargets:\n- {time: 0.0}\n"
+    values = RecorderConfig(output=str(tmp_path / "bag"), scenario=scenario)
+    parameters = tmp_path / "recorder.yaml"
+    parameters.write_text(to_params_yaml(values, "recorder"))
+    with start_executable("recorder", "--ros-args", "--params-file", str(parameters)) as recorder:
+        wait_until((tmp_path / "bag" / "bag_0.mcap").exists)
+        end_well(recorder)
+    told = summarize(tmp_path / "bag").custom_data
+    assert told["scenario"] == scenario
+    assert told["version_tactile_hand_ros"] == tactile_hand_ros.__version__
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert records["tactile_hand_ros"].items() <= told.items()
+    assert records["tactile_hand_ros"]["scenario"] == scenario

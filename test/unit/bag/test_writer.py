@@ -254,3 +254,20 @@ def test_messages_of_ros_decode_to_the_same_content(
     [raw] = read_raw(folder)
     assert decoded.message.data == text
     assert deserialize_message(raw.data, String).data == text
+
+
+def test_metadata_record_is_read_by_name_beside_those_of_rosbag2(tmp_path: Path) -> None:
+    """Also in a bag that was cut off: it stands at the front."""
+    said = {"scenario": "name: paper\nseed: 1\n", "version": "1"}
+    writer = BagWriter(tmp_path / "run", custom_data=dict(said))
+    writer.add_metadata("origin", said)
+    writer.flush()
+    with writer.path.open("rb") as stream:
+        records = _until_the_end(StreamReader(stream).records)
+        cut_off = [record for record in records if isinstance(record, Metadata)]
+    assert [record.name for record in cut_off] == ["rosbag2", "origin"]
+    assert cut_off[1].metadata == said
+    first = yaml.safe_load(cut_off[0].metadata["serialized_metadata"])
+    assert first["custom_data"] == said
+    writer.close()
+    assert summarize(tmp_path / "run").custom_data == said

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a bag comes from: the scenario and the versions of what computed it."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+import tactile_hand_ros
+
+RECORD_NAME = "tactile_hand_ros"
+"""Name of the MCAP metadata record that holds the provenance."""
+
+SCENARIO_KEY = "scenario"
+"""Key of the scenario's YAML text, in that record and in the bag's custom data."""
+
+# What can change a number; `pin` is the name of Pinocchio on the Python index only.
+_LIBRARIES = ("rclpy", "numpy", "osqp", "pin")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of package, Python, ROS distribution and numerical libraries by name."""
+    found = {
+        "tactile_hand_ros": tactile_hand_ros.__version__,
+        "python": platform.python_version(),
+        "ros_distro": os.environ.get("ROS_DISTRO") or "jazzy",
+    }
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # installed by something that leaves no Python metadata
+            continue
+    return found
+
+
+def provenance(scenario: str) -> dict[str, str]:
+    """Return what a bag says about its origin.
+
+    Args:
+        scenario: The scenario as YAML text with every value resolved; empty if there was none.
+    """
+    told = {SCENARIO_KEY: scenario} if scenario else {}
+    return told | {f"version_{name}": text for name, text in versions().items()}
