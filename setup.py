@@ -64,6 +64,7 @@ setup(
     extras_require={
         "cli": ["typer>=0.12,<1", "rich>=13,<15", "psutil>=5.9,<8"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
+        "fast": ["numba>=0.60"],
         "study": ["joblib>=1.3,<2"],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
     },

@@ -63,7 +63,7 @@ def contact_frame(normal: Array) -> Array:
     Returns:
         R_C = [t_x, n, t_z], shape (3, 3).
     """
-    nx, ny, nz = (float(c) for c in normal)
+    nx, ny, nz = float(normal[0]), float(normal[1]), float(normal[2])
     # The projection of e on the face is e - n (n . e), written out: this runs at every step.
     tx, ty, tz = -nz * nx, -nz * ny, 1.0 - nz * nz
     length = (tx * tx + ty * ty + tz * tz) ** 0.5

@@ -12,21 +12,23 @@ The cone is the exact circular one and sticking means w_t = 0 to rounding: nothi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+
+from tactile_hand_ros.core.compiled import compiled
 
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-10  # of the residual, relative to the largest impulse
 _MAX_NEWTON = 60
 _MAX_SWEEPS = 20_000
+# Where more contacts share a load than joints can tell apart, W is singular: any split is right.
+_REGULARISATION = 1e-13
 
 
-@dataclass(frozen=True)
-class ContactImpulses:
+class ContactImpulses(NamedTuple):
     """Solution of a contact problem.
 
     Attributes:
@@ -40,6 +42,7 @@ class ContactImpulses:
     residual: float
 
 
+@compiled
 def solve_contacts(
     delassus: Array, free: Array, closing: Array, friction: Array, guess: Array
 ) -> ContactImpulses:
@@ -57,127 +60,145 @@ def solve_contacts(
         friction: mu, shape (c,).
         guess: Impulses of the last step, shape (c, 3), N s.
     """
+    w = delassus.copy()
     offset = free.copy()
-    offset[1::3] += closing
-    sticking = _all_stick(delassus, offset)
-    if sticking is not None and _inside(sticking, friction):
-        return _result(delassus, free, sticking, 0.0)
-    problem = _Problem(delassus, offset, friction)
-    best, residual = problem.newton(guess.ravel())
-    if residual > _TOLERANCE:
-        best, residual = min(
-            (best, residual), problem.newton(problem.sweep(best)), key=lambda r: r[1]
-        )
-    return _result(delassus, free, best, residual)
+    for i in range(len(offset)):
+        w[i, i] *= 1.0 + _REGULARISATION
+    for i in range(len(friction)):
+        offset[3 * i + 1] += closing[i]
+    best: Array = np.linalg.solve(w, -offset).astype(np.float64)
+    residual = 0.0
+    if not _inside(best, friction):
+        scale = _scaling(w)
+        best, residual = _newton(w, offset, friction, scale, guess.copy().reshape(-1))
+        if residual > _TOLERANCE:
+            swept = _sweep(w, offset, friction, scale, best)
+            again, better = _newton(w, offset, friction, scale, swept)
+            if better < residual:
+                best, residual = again, better
+    velocities: Array = delassus @ best + free
+    return ContactImpulses(best.reshape(-1, 3), velocities.reshape(-1, 3), residual)
 
 
-def _result(delassus: Array, free: Array, p: Array, residual: float) -> ContactImpulses:
-    return ContactImpulses(p.reshape(-1, 3), (delassus @ p + free).reshape(-1, 3), residual)
-
-
-def _all_stick(delassus: Array, offset: Array) -> Array | None:
-    _, solution, info = lapack.dposv(delassus, -offset)
-    return solution if info == 0 else None
-
-
+@compiled
 def _inside(p: Array, friction: Array) -> bool:
-    normal = p[1::3]
-    return bool((normal >= 0.0).all() and (np.hypot(p[0::3], p[2::3]) <= friction * normal).all())
+    for i in range(len(friction)):
+        x, n, z = p[3 * i], p[3 * i + 1], p[3 * i + 2]
+        if n < 0.0 or x * x + z * z > (friction[i] * n) ** 2:
+            return False
+    return True
 
 
-class _Problem:
-    """One contact problem, as the root of a piecewise smooth function.
+@compiled
+def _scaling(w: Array) -> Array:
+    """Return r, the inverse diagonal; any r > 0 leaves the roots of F where they are."""
+    r = np.empty(len(w))
+    for i in range(0, len(w), 3):
+        r[i] = r[i + 2] = 2.0 / (w[i, i] + w[i + 2, i + 2])
+        r[i + 1] = 1.0 / w[i + 1, i + 1]
+    return r
 
-    F_n = p_n - max(0, p_n - r_n w_n),  F_t = p_t - proj(p_t - r_t w_t) onto the disc of radius
-    mu max(0, p_n - r_n w_n). Any r > 0 has the same roots; the inverse diagonal of W scales them.
-    """
 
-    def __init__(self, delassus: Array, offset: Array, friction: Array) -> None:
-        self.W, self.b, self.mu = delassus, offset, friction
-        self.n = len(offset)
-        diagonal = delassus.diagonal()
-        tangential = 0.5 * (diagonal[0::3] + diagonal[2::3])
-        self.r = np.empty(self.n)
-        self.r[1::3] = 1.0 / diagonal[1::3]
-        self.r[0::3] = self.r[2::3] = 1.0 / tangential
-        self.scale = max(float(np.abs(offset * self.r).max()), 1e-300)
-
-    def newton(self, p: Array) -> tuple[Array, float]:
-        """Return the best iterate and its residual."""
-        best, best_residual = p, np.inf
-        for _ in range(_MAX_NEWTON):
-            value, slope = self._function(p)
-            residual = float(np.abs(value).max()) / max(float(np.abs(p).max()), self.scale)
-            if residual < best_residual:
-                best, best_residual = p, residual
-            if residual < _TOLERANCE:
-                break
-            try:
-                step = np.asarray(np.linalg.solve(slope, -value), dtype=np.float64)
-            except np.linalg.LinAlgError:
-                step = np.asarray(np.linalg.lstsq(slope, -value)[0], dtype=np.float64)
-            p = self._line_search(p, step, float(value @ value))
-        return best, best_residual
-
-    def _line_search(self, p: Array, step: Array, now: float) -> Array:
-        """Halve the step until the merit falls; take the full step when it never does."""
-        length = 1.0
+@compiled
+def _newton(w: Array, b: Array, mu: Array, r: Array, p: Array) -> tuple[Array, float]:
+    """Return the best iterate of Newton's method and its residual."""
+    n = len(b)
+    value, trial_value, slope = np.empty(n), np.empty(n), np.empty((n, n))
+    scale = max(np.abs(b * r).max(), 1e-300)
+    best, best_residual = p, np.inf
+    for _ in range(_MAX_NEWTON):
+        _violation(w, b, mu, r, p, value)
+        residual = np.abs(value).max() / max(np.abs(p).max(), scale)
+        if residual < best_residual:
+            best, best_residual = p, residual
+        if residual < _TOLERANCE:
+            break
+        _slope(w, b, mu, r, p, slope)
+        step = np.linalg.solve(slope, -value)
+        # Halve the step until the merit falls; take the full step when it never does.
+        length, merit = 1.0, value @ value
+        following = p + step
         for _ in range(6):
             trial = p + length * step
-            value = self._value(trial)
-            if value @ value < (1.0 - 1e-4 * length) * now:
-                return trial
-            length *= 0.5
-        return p + step
-
-    def _value(self, p: Array) -> Array:
-        aim = p - self.r * (self.W @ p + self.b)
-        radius = self.mu * np.maximum(aim[1::3], 0.0)
-        length = np.hypot(aim[0::3], aim[2::3])
-        shrink = np.where(length > radius, radius / np.maximum(length, 1e-300), 1.0)
-        out = p - aim
-        out[0::3] = p[0::3] - shrink * aim[0::3]
-        out[1::3] = p[1::3] - np.maximum(aim[1::3], 0.0)
-        out[2::3] = p[2::3] - shrink * aim[2::3]
-        return out
-
-    def _function(self, p: Array) -> tuple[Array, Array]:
-        """Return F and an element of its generalised Jacobian."""
-        rw = self.r[:, None] * self.W
-        aim = p - self.r * (self.W @ p + self.b)
-        d_aim = np.eye(self.n) - rw  # derivative of aim
-        value, slope = p.copy(), np.eye(self.n)
-        for i, mu in enumerate(self.mu):
-            x, y, z = 3 * i, 3 * i + 1, 3 * i + 2
-            if aim[y] <= 0.0:  # open: all impulses vanish
-                continue
-            value[y] -= aim[y]
-            slope[y] -= d_aim[y]
-            t = aim[[x, z]]
-            length = float(np.hypot(t[0], t[1]))
-            radius = float(mu * aim[y])
-            if length <= radius:  # stick
-                value[[x, z]] -= t
-                slope[[x, z]] -= d_aim[[x, z]]
-            else:  # slip along u
-                u = t / length
-                value[[x, z]] -= radius * u
-                spread = radius / length * (np.eye(2) - np.outer(u, u))
-                slope[[x, z]] -= spread @ d_aim[[x, z]] + mu * np.outer(u, d_aim[y])
-        return value, slope
-
-    def sweep(self, p: Array) -> Array:
-        """Improve p by projected Gauss-Seidel, contact by contact, with shrinking steps."""
-        p = p.copy()
-        for _ in range(_MAX_SWEEPS):
-            before = p.copy()
-            for i, mu in enumerate(self.mu):
-                rows = slice(3 * i, 3 * i + 3)
-                aim = p[rows] - 0.7 * self.r[rows] * (self.W[rows] @ p + self.b[rows])
-                normal = max(aim[1], 0.0)
-                length = float(np.hypot(aim[0], aim[2]))
-                shrink = min(1.0, mu * normal / length) if length > 0.0 else 1.0
-                p[rows] = aim[0] * shrink, normal, aim[2] * shrink
-            if np.abs(p - before).max() < 1e-9 * max(np.abs(p).max(), self.scale):
+            _violation(w, b, mu, r, trial, trial_value)
+            if trial_value @ trial_value < (1.0 - 1e-4 * length) * merit:
+                following = trial
                 break
-        return p
+            length *= 0.5
+        p = following
+    return best, best_residual
+
+
+@compiled
+def _violation(w: Array, b: Array, mu: Array, r: Array, p: Array, out: Array) -> None:
+    """Write F(p), which vanishes where both laws hold.
+
+    F_n = p_n - max(0, a_n) and F_t = p_t - proj(a_t) onto the disc of radius mu max(0, a_n), with
+    a = p - r w.
+    """
+    aim = p - r * (w @ p + b)
+    for i in range(len(mu)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        normal = max(aim[n], 0.0)
+        radius, length = mu[i] * normal, np.hypot(aim[x], aim[z])
+        shrink = radius / length if length > radius else 1.0
+        out[x] = p[x] - shrink * aim[x]
+        out[n] = p[n] - normal
+        out[z] = p[z] - shrink * aim[z]
+
+
+@compiled
+def _slope(w: Array, b: Array, mu: Array, r: Array, p: Array, out: Array) -> None:
+    """Write an element of the generalised Jacobian of F at p."""
+    size = len(b)
+    aim = p - r * (w @ p + b)
+    for i in range(size):
+        for j in range(size):
+            out[i, j] = 1.0 if i == j else 0.0
+    for i in range(len(mu)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        if aim[n] <= 0.0:  # open: all impulses vanish
+            continue
+        length, radius = np.hypot(aim[x], aim[z]), mu[i] * aim[n]
+        for j in range(size):
+            dx, dn, dz = -r[x] * w[x, j], -r[n] * w[n, j], -r[z] * w[z, j]
+            if j == x:
+                dx += 1.0
+            elif j == n:
+                dn += 1.0
+            elif j == z:
+                dz += 1.0
+            out[n, j] -= dn
+            if length <= radius:  # stick
+                out[x, j] -= dx
+                out[z, j] -= dz
+            else:  # slip along u
+                ux, uz = aim[x] / length, aim[z] / length
+                along = ux * dx + uz * dz
+                spread = radius / length
+                out[x, j] -= spread * (dx - ux * along) + mu[i] * ux * dn
+                out[z, j] -= spread * (dz - uz * along) + mu[i] * uz * dn
+
+
+@compiled
+def _sweep(w: Array, b: Array, mu: Array, r: Array, p: Array) -> Array:
+    """Improve p by projected Gauss-Seidel, contact by contact, with shortened steps."""
+    p = p.copy()
+    scale = max(np.abs(b * r).max(), 1e-300)
+    aim = np.empty(3)
+    for _ in range(_MAX_SWEEPS):
+        moved = 0.0
+        for i in range(len(mu)):
+            first = 3 * i
+            for j in range(3):
+                row = first + j
+                aim[j] = p[row] - 0.7 * r[row] * (w[row] @ p + b[row])
+            normal, length = max(aim[1], 0.0), np.hypot(aim[0], aim[2])
+            shrink = min(1.0, mu[i] * normal / length) if length > 0.0 else 1.0
+            aim[0], aim[1], aim[2] = aim[0] * shrink, normal, aim[2] * shrink
+            for j in range(3):
+                moved = max(moved, abs(aim[j] - p[first + j]))
+                p[first + j] = aim[j]
+        if moved < 1e-9 * max(np.abs(p).max(), scale):
+            break
+    return p

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.contact import Contacts, skew
 from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, collinearity_margin, grasp_map
+from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, collinearity_margin
 
 Array = NDArray[np.float64]
 
@@ -145,19 +146,21 @@ class ForceOptimizer:
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        balance = self._balance_matrix(contacts)
-        self._values[self._balance_slots] = balance.T.ravel()
+        balance = self._balance(contacts)
+        self._values[self._balance_slots] = balance.ravel()
         self._solver.update(Ax=self._values)
         return self._judge(self._solver.solve(raise_error=False), balance)
 
-    def _balance_matrix(self, contacts: Contacts) -> Array:
-        """Return G~ for forces in contact frames, with torques per size of the grasp, (6, 3k)."""
-        in_palm = grasp_map(contacts.positions, contacts.centroid).reshape(6, self._k, 3)
-        in_frames = (in_palm.transpose(1, 0, 2) @ contacts.rotations).transpose(1, 0, 2)
+    def _balance(self, contacts: Contacts) -> Array:
+        """Return G~^T for forces in contact frames, torques per size of the grasp, (3k, 6).
+
+        A unit force along an axis t of a contact frame is a wrench (t, d x t) about the centroid.
+        """
         arms = contacts.positions - contacts.centroid
-        size = np.sqrt((arms * arms).sum() / self._k)
-        in_frames[3:] /= size
-        return in_frames.reshape(6, self._columns)
+        size = math.sqrt(np.vdot(arms, arms) / self._k)
+        axes = contacts.rotations.transpose(0, 2, 1)
+        torques = axes @ skew(arms / -size)  # t skew(-d) = d x t
+        return np.concatenate([axes, torques], axis=2).reshape(self._columns, 6)
 
     def _set_up(self) -> None:
         k, n = self._k, self._columns
@@ -185,6 +188,7 @@ class ForceOptimizer:
             polishing=True,
             warm_starting=True,
             max_iter=4000,
+            check_termination=5,
             adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
         )
 
@@ -201,8 +205,8 @@ class ForceOptimizer:
             Status.SOLVED,
             "",
             np.array(x).reshape(self._k, 3),
-            float(np.abs(balance @ x).max()),
-            float(abs(x[1::3].sum() - 1.0)),
+            float(np.abs(x @ balance).max()),
+            abs(float(x[1::3].sum()) - 1.0),
             self._stationarity(x, y, balance),
             float(info.run_time),
             int(info.iter),
@@ -217,7 +221,7 @@ class ForceOptimizer:
         return solved
 
     def _stationarity(self, x: Array, y: Array, balance: Array) -> float:
-        gradient = 2.0 * self._weights * x + balance.T @ y[:6]
+        gradient = 2.0 * self._weights * x + balance @ y[:6]
         gradient[1::3] += y[6] + y[7:]
         return float(np.abs(gradient).max() / self._weights.max())
 

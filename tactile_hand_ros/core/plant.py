@@ -13,16 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
-from tactile_hand_ros.core.contact import Contacts, contact_frame
-from tactile_hand_ros.core.coulomb import solve_contacts
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.contact_step import Body, HandTerms, contact_geometry, step
 from tactile_hand_ros.core.disturbance import external_wrench
 from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
-from tactile_hand_ros.core.hand import Fingertips, Hand
+from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant_config import PlantConfig
 from tactile_hand_ros.core.rotations import (
-    cross,
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,
@@ -31,9 +29,7 @@ from tactile_hand_ros.core.rotations import (
 Array = NDArray[np.float64]
 
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
-_NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
-_RECOVERY = 0.2  # share of a penetration that is removed in a step
 
 
 @dataclass(frozen=True)
@@ -67,15 +63,6 @@ class PlantState:
     gaps: Array
 
 
-@dataclass(frozen=True)
-class _Geometry:
-    """Contact geometry of all fingers at one configuration."""
-
-    points: Array
-    frames: Array
-    gaps: Array
-
-
 class Plant:
     """A hand that holds an object; `advance` moves both in time."""
 
@@ -93,6 +80,7 @@ class Plant:
         self._mass = config.object.mass
         self._inertia = np.diag(config.object.inertia)
         self._gravity = np.array(config.gravity)
+        self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self.friction = np.full(self.hand.fingers, config.object.friction)
         self.reset()
@@ -122,7 +110,6 @@ class Plant:
         k = self.hand.fingers
         self._torque = np.zeros(self.hand.joints)
         self._impulses = np.zeros((k, 3))
-        self._guess = np.zeros((k, 3))
         self.contact_residual = 0.0
         self._sliding = np.zeros((k, 2))
         return self.state
@@ -130,27 +117,26 @@ class Plant:
     def _close_gaps(self) -> None:
         """Move the fingers so that tips within 5 mm of the object touch it exactly."""
         for _ in range(20):
-            tips = self.hand.fingertips(self._theta)
-            g = self._geometry(tips, self._position, self._rotation)
-            if g.gaps.min() < -_REACH:
-                finger = self.hand.finger_names[int(g.gaps.argmin())]
+            _, frames, gaps = self._geometry()
+            if gaps.min() < -_REACH:
+                finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
-                    f"{finger} starts {-1e3 * g.gaps.min():.1f} mm inside the object; open the "
+                    f"{finger} starts {-1e3 * gaps.min():.1f} mm inside the object; open the "
                     "hand (initial_joints), move the object or make it smaller"
                 )
-            missing = np.where(np.abs(g.gaps) <= _REACH, g.gaps, 0.0)
+            missing = np.where(np.abs(gaps) <= _REACH, gaps, 0.0)
             if np.abs(missing).max() < 1e-15:
                 return
-            moves = g.frames[:, :, 1] * missing[:, None]
-            jacobian = tips.linear.reshape(-1, self.hand.joints)
-            self._theta += np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
+            moves = frames[:, :, 1] * missing[:, None]
+            jacobian = self.hand.fingertips(self._theta).linear.reshape(-1, self.hand.joints)
+            self._theta = self._theta + np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
 
-    def _geometry(self, tips: Fingertips, position: Array, rotation: Array) -> _Geometry:
-        closest = self.solid.closest((tips.positions - position) @ rotation)
-        normals = np.array([c.normal for c in closest]) @ -rotation.T  # into the object
-        points = tips.positions + self.hand.radii[:, None] * normals
-        frames = np.array([contact_frame(n) for n in normals])
-        return _Geometry(points, frames, np.array([c.distance for c in closest]) - self.hand.radii)
+    def _geometry(self) -> tuple[Array, Array, Array]:
+        """Return contact points, frames and gaps now."""
+        tips = self.hand.fingertips(self._theta)
+        return contact_geometry(
+            self.solid.shape, self._position, self._rotation, tips.positions, self.hand.radii
+        )
 
     def advance(self, torque: Array) -> PlantState:
         """Move one tick ahead while the joints keep a torque, shape (m,), N m.
@@ -158,7 +144,7 @@ class Plant:
         The torque is limited to the joints' effort limits, as a motor would.
         """
         limit = self.hand.effort_limits
-        self._torque = np.clip(torque, -limit, limit)
+        self._torque = np.minimum(np.maximum(torque, -limit), limit)
         for _ in range(self.config.steps_per_tick):
             self._step(self.config.time_step)
         # Back onto the rotations, before rounding errors of many products add up.
@@ -167,101 +153,46 @@ class Plant:
 
     def _step(self, h: float) -> None:
         m, v = self.hand.joints, self._v
-        theta, position, rotation = self._moved(0.5 * h, v)
-        tips, inertia, bias = self.hand.dynamics(theta, v[:m])
-        g = self._geometry(tips, position, rotation)
-        near = np.flatnonzero(g.gaps < _NEAR)
-        rows = self._velocity_map(tips, g, position)[near].reshape(-1, m + 6)
-        inverse_times, free = self._response(h, inertia, bias, rotation, rows)
-        self._impulses[:] = 0.0
-        self._sliding[:] = 0.0
-        if len(near):
-            # The gap at the start of the step, from the one half a step ahead.
-            gaps = g.gaps[near] - 0.5 * h * (rows[1::3] @ v)
-            closing = np.where(gaps > 0.0, gaps, _RECOVERY * gaps) / h
-            solved = solve_contacts(
-                rows @ inverse_times, rows @ free, closing, self.friction[near], self._guess[near]
-            )
-            free = free + inverse_times @ solved.impulses.ravel()
-            self._impulses[near] = solved.impulses
-            self._sliding[near] = solved.velocities[:, [0, 2]]
-            self.contact_residual = solved.residual
-        self._guess = self._impulses.copy()
-        self._theta, self._position, self._rotation = self._moved(h, 0.5 * (v + free))
-        self._v = free
+        tips, inertia, bias = self.hand.dynamics(self._theta + 0.5 * h * v[:m], v[:m])
+        hand = HandTerms(
+            tips.positions,
+            tips.linear,
+            tips.angular,
+            inertia,
+            self._torque - bias,
+            self.hand.radii,
+        )
+        wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + self._weight
+        body = Body(self._position, self._rotation, self._mass, self._inertia, wrench)
+        after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses)
+        self._theta = self._theta + 0.5 * h * (v[:m] + after.velocities[:m])
+        self._position, self._rotation, self._v = after.position, after.rotation, after.velocities
+        self._impulses, self._sliding = after.impulses, after.sliding
+        self.contact_residual = after.residual
         self._steps += 1
         self.time = self._steps * h
 
-    def _moved(self, h: float, v: Array) -> tuple[Array, Array, Array]:
-        """Return joints, object position and rotation after a time h at velocity v."""
-        m = self.hand.joints
-        return (
-            self._theta + h * v[:m],
-            self._position + h * v[m : m + 3],
-            rotation_from_vector(h * v[m + 3 :]) @ self._rotation,
-        )
-
-    def _velocity_map(self, tips: Fingertips, g: _Geometry, position: Array) -> Array:
-        """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames.
-
-        Its hand part is -R_C^T J_h and its object part R_C^T G^T, equation (6). In a contact frame
-        p_cf = r e_y, and w x e_y = (-w_z, 0, w_x).
-        """
-        m = self.hand.joints
-        to_frame = g.frames.transpose(0, 2, 1)
-        out = np.empty((len(g.points), 3, m + 6))
-        linear, angular = to_frame @ tips.linear, to_frame @ tips.angular
-        angular *= self.hand.radii[:, None, None]
-        out[:, :, :m] = -linear
-        out[:, 0, :m] += angular[:, 2]
-        out[:, 2, :m] -= angular[:, 0]
-        out[:, :, m : m + 3] = to_frame
-        # R_C^T (w x d) = (d x t) . w for each axis t of the frame
-        dx, dy, dz = (g.points - position).T[:, :, None]
-        tx, ty, tz = to_frame.transpose(2, 0, 1)
-        out[:, :, m + 3] = dy * tz - dz * ty
-        out[:, :, m + 4] = dz * tx - dx * tz
-        out[:, :, m + 5] = dx * ty - dy * tx
-        return out
-
-    def _response(
-        self, h: float, inertia: Array, bias: Array, rotation: Array, rows: Array
-    ) -> tuple[Array, Array]:
-        """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
-        m, v = self.hand.joints, self._v
-        wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h)
-        spin = v[m + 3 :]
-        turning = rotation @ self._inertia @ rotation.T
-        right = np.empty((m + 6, rows.shape[0] + 1))
-        right[:, :-1] = rows.T
-        right[:m, -1] = h * (self._torque - bias)
-        right[m : m + 3, -1] = h * (wrench[:3] + self._mass * self._gravity)
-        right[m + 3 :, -1] = h * (wrench[3:] - cross(spin, turning @ spin))
-        right[:m] = lapack.dposv(inertia, right[:m])[1]
-        right[m : m + 3] /= self._mass
-        right[m + 3 :] = lapack.dposv(turning, right[m + 3 :])[1]
-        return right[:, :-1], v + right[:, -1]
-
     @property
     def state(self) -> PlantState:
-        """Hand and object now."""
+        """Hand and object now; a step replaces its arrays and never writes into them."""
         m, h = self.hand.joints, self.config.time_step
-        g = self._geometry(self.hand.fingertips(self._theta), self._position, self._rotation)
-        open_ = (g.gaps > TOUCH) & (self._impulses[:, 1] <= 0.0)
-        g.points[open_] = np.nan
-        g.frames[open_] = np.nan
+        points, frames, gaps = self._geometry()
+        apart = (gaps > TOUCH) & (self._impulses[:, 1] <= 0.0)
+        if apart.any():
+            points[apart] = np.nan
+            frames[apart] = np.nan
         return PlantState(
-            self._theta.copy(),
-            self._v[:m].copy(),
-            self._torque.copy(),
-            self._position.copy(),
-            self._rotation.copy(),
-            self._v[m : m + 3].copy(),
-            self._v[m + 3 :].copy(),
-            Contacts(g.points, g.frames),
+            self._theta,
+            self._v[:m],
+            self._torque,
+            self._position,
+            self._rotation,
+            self._v[m : m + 3],
+            self._v[m + 3 :],
+            Contacts(points, frames),
             self._impulses / h,
-            self._sliding.copy(),
-            g.gaps,
+            self._sliding,
+            gaps,
         )
 
     def energy(self) -> float:

@@ -3,30 +3,86 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.errors import ObjectModelError
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ClosestPoint:
-    """Where a point outside a solid is closest to it.
+class Shape(NamedTuple):
+    """A convex polyhedron as arrays, in its own frame.
 
     Attributes:
-        normal: Outward unit vector from the solid to the point, shape (3,).
-        distance: Signed distance in m, negative inside.
-        on_face: Whether the closest feature is a face rather than an edge or a corner.
+        normals: Outward unit normals of the faces, shape (f, 3).
+        offsets: Distances of the face planes from the origin, shape (f,), m.
+        edge_normals: Outward normals, in its plane, of the edges of each face, shape (f, e, 3).
+        edge_offsets: Their distances from the origin, shape (f, e), m; infinite where padded.
+        edge_starts: One end of every edge, shape (g, 3), m.
+        edge_vectors: From there to the other end, shape (g, 3), m.
     """
 
-    normal: Array
-    distance: float
-    on_face: bool
+    normals: Array
+    offsets: Array
+    edge_normals: Array
+    edge_offsets: Array
+    edge_starts: Array
+    edge_vectors: Array
+
+
+@compiled
+def closest_point(shape: Shape, point: Array, normal: Array) -> tuple[float, bool]:
+    """Find where a solid is closest to a point.
+
+    Args:
+        shape: The solid.
+        point: In the frame of the solid, shape (3,), m.
+        normal: Written: outward unit vector from the solid to the point, shape (3,).
+
+    Returns:
+        Signed distance in m, negative inside, and whether a face is closest rather than an edge or
+        a corner.
+    """
+    heights = shape.normals @ point - shape.offsets
+    face = int(np.argmax(heights))
+    # The nearest plane is the nearest face only if the foot of the perpendicular lies in it.
+    if heights[face] <= 0.0 or _above(shape, face, point):
+        normal[:] = shape.normals[face]
+        return heights[face], True
+    for other in range(len(heights)):
+        if heights[other] > 0.0 and _above(shape, other, point):
+            normal[:] = shape.normals[other]
+            return heights[other], True
+    return _closest_on_edges(shape, point, normal), False
+
+
+@compiled
+def _above(shape: Shape, face: int, point: Array) -> bool:
+    for i in range(shape.edge_offsets.shape[1]):
+        n = shape.edge_normals[face, i]
+        if n[0] * point[0] + n[1] * point[1] + n[2] * point[2] > shape.edge_offsets[face, i]:
+            return False
+    return True
+
+
+@compiled
+def _closest_on_edges(shape: Shape, point: Array, normal: Array) -> float:
+    best = np.inf
+    for i in range(len(shape.edge_starts)):
+        along = shape.edge_vectors[i]
+        apart = point - shape.edge_starts[i]
+        s = (apart @ along) / (along @ along)
+        apart = apart - min(max(s, 0.0), 1.0) * along
+        distance = np.sqrt(apart @ apart)
+        if distance < best:
+            best = distance
+            normal[:] = apart / distance
+    return best
 
 
 class ConvexPolyhedron:
@@ -38,6 +94,7 @@ class ConvexPolyhedron:
         offsets: Distances of the face planes from the origin, shape (f,), m.
         edges: Pairs of corner indices, shape (e, 2).
         face_corners: Corner indices of each face in order around its normal.
+        shape: The same as arrays for `closest_point`.
     """
 
     def __init__(self, vertices: Array) -> None:
@@ -63,8 +120,7 @@ class ConvexPolyhedron:
         self.normals, self.offsets = planes[:, :3].copy(), -planes[:, 3]
         self.face_corners = [self._corners_of(f) for f in range(len(planes))]
         self.edges = self._edges()
-        # Planes through the edges that bound each face, padded to equal number.
-        self._edge_normals, self._edge_offsets = self._edge_planes()
+        self.shape = self._shape()
 
     @classmethod
     def box(cls, size: Array) -> ConvexPolyhedron:
@@ -72,34 +128,6 @@ class ConvexPolyhedron:
         half = np.asarray(size, dtype=float) / 2.0
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return cls(signs * half)
-
-    def closest(self, points: Array) -> list[ClosestPoint]:
-        """Return where each point, given in the solid's frame, shape (k, 3), is closest to it."""
-        heights = points @ self.normals.T - self.offsets
-        return [self._closest(p, h) for p, h in zip(points, heights, strict=True)]
-
-    def _closest(self, point: Array, heights: Array) -> ClosestPoint:
-        face = int(heights.argmax())
-        height = float(heights[face])
-        # The nearest plane is the nearest face only if the foot of the perpendicular lies in it.
-        if height <= 0.0 or self._inside(face, point):
-            return ClosestPoint(self.normals[face], height, True)
-        for other in np.flatnonzero(heights > 0.0):
-            if other != face and self._inside(int(other), point):
-                return ClosestPoint(self.normals[other], float(heights[other]), True)
-        return self._closest_edge(point)
-
-    def _inside(self, face: int, point: Array) -> bool:
-        return bool((self._edge_normals[face] @ point <= self._edge_offsets[face]).all())
-
-    def _closest_edge(self, point: Array) -> ClosestPoint:
-        start, end = self.vertices[self.edges[:, 0]], self.vertices[self.edges[:, 1]]
-        along = end - start
-        s = np.einsum("ij,ij->i", point - start, along) / np.einsum("ij,ij->i", along, along)
-        apart = point - (start + np.clip(s, 0.0, 1.0)[:, None] * along)
-        distances = np.linalg.norm(apart, axis=1)
-        i = int(distances.argmin())
-        return ClosestPoint(apart[i] / distances[i], float(distances[i]), False)
 
     def _corners_of(self, face: int) -> NDArray[np.intp]:
         """Return the corners on a face, counter-clockwise about its outward normal."""
@@ -121,7 +149,7 @@ class ConvexPolyhedron:
         }
         return np.array(sorted(pairs))
 
-    def _edge_planes(self) -> tuple[Array, Array]:
+    def _shape(self) -> Shape:
         longest = max(len(c) for c in self.face_corners)
         normals = np.zeros((len(self.face_corners), longest, 3))
         offsets = np.full((len(self.face_corners), longest), np.inf)
@@ -131,7 +159,8 @@ class ConvexPolyhedron:
             outward /= np.linalg.norm(outward, axis=1)[:, None]
             normals[f, : len(corners)] = outward
             offsets[f, : len(corners)] = np.einsum("ij,ij->i", outward, start)
-        return normals, offsets
+        starts, ends = self.vertices[self.edges[:, 0]], self.vertices[self.edges[:, 1]]
+        return Shape(self.normals, self.offsets, normals, offsets, starts, ends - starts)
 
 
 def _merge_coplanar(equations: Array) -> Array:

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.grasp import check_spread
-from tactile_hand_ros.core.rotations import cross
+from tactile_hand_ros.core.grasp import check_spread, collinearity_margin
+from tactile_hand_ros.core.rotations import Vector, cross
 
 Array = NDArray[np.float64]
+
+_CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
 
 
 class VirtualFrame:
@@ -18,8 +23,8 @@ class VirtualFrame:
     For three contacts r_x points from contact 2 to contact 1, r_z is normal to their plane and
     r_y = r_z x r_x. The side of r_z is chosen along palm +z at the start and then kept, so that a
     grasp can turn upside down. For more than three contacts the frame of the first three at the
-    start is turned by the rotation that best fits all contacts to their first positions (Kabsch
-    1976).
+    start (of the three that are farthest from a line, where fingers stand in a row) is turned by
+    the rotation that best fits all contacts to their first positions (Kabsch 1976).
 
     Source: Shaw-Cortez et al., section III; our generalisation for k > 3.
     """
@@ -45,22 +50,31 @@ class VirtualFrame:
         """
         if len(points) <= 3:
             return self._plane_frame(points)
-        if self._start is None:
-            self._start = (points - points.mean(axis=0), self._plane_frame(points[:3]))
-            return self._start[1]
         check_spread(points)
+        if self._start is None:
+            self._start = (points - points.mean(axis=0), self._plane_frame(_leading(points)))
+            return self._start[1]
         first, frame = self._start
         return best_rotation(first, points - points.mean(axis=0)) @ frame
 
     def _plane_frame(self, points: Array) -> Array:
         check_spread(points)
-        a, b = points[0] - points[1], points[0] - points[2]
-        r_x = a / np.sqrt(a @ a)
-        r_z = cross(a, b)
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = points.tolist()
+        x = _unit(ax - bx, ay - by, az - bz)
+        # cross(p_1 - p_2, p_1 - p_3) is normal to the plane of the contacts
+        z = _unit(*cross((ax - bx, ay - by, az - bz), (ax - cx, ay - cy, az - cz)))
         if self._side == 0.0:
-            self._side = -1.0 if r_z[2] < 0.0 else 1.0
-        r_z *= self._side / np.sqrt(r_z @ r_z)
-        return np.array([r_x, cross(r_z, r_x), r_z]).T
+            self._side = -1.0 if z[2] < 0.0 else 1.0
+        z = (self._side * z[0], self._side * z[1], self._side * z[2])
+        return np.array([x, cross(z, x), z]).T
+
+
+def _leading(points: Array) -> Array:
+    """Return the first three points, or the three farthest from a line where those are near one."""
+    if collinearity_margin(points[:3]) >= _CLEAR_MARGIN:
+        return points[:3]
+    triples = (points[list(three)] for three in combinations(range(len(points)), 3))
+    return max(triples, key=collinearity_margin)
 
 
 def orientation_error(actual: Array, desired: Array) -> Array:
@@ -77,6 +91,11 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     # sum of column cross products = vee(D A^T - A D^T)
     m = desired @ actual.T
     return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+
+
+def _unit(x: float, y: float, z: float) -> Vector:
+    length = math.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
 
 
 def best_rotation(before: Array, after: Array) -> Array:
