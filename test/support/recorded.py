@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as a recorder would write them, from the arrays of a record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.core.record import Record
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+START = 1_700_000_000_000_000_000  # log time of the first tick, ns
+PERIOD = 3_000_000  # wall time of a tick, ns
+LATENCY = 1_000_000  # from a tick to its command, ns
+
+
+def message(type_name: str, **values: Any) -> Any:
+    return STORE.types[type_name](**values)
+
+
+def header(stamp: int, frame: str = "palm") -> Any:
+    time = message("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return message("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+def vector(values: Any) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def pose(position: Any, quaternion: Any) -> Any:
+    x, y, z, w = map(float, quaternion)
+    return message(
+        "geometry_msgs/msg/Pose",
+        position=message("geometry_msgs/msg/Point", **vector(position)),
+        orientation=message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+    )
+
+
+def pose_stamped(stamp: int, position: Any, quaternion: Any, frame: str = "palm") -> Any:
+    return message(
+        "geometry_msgs/msg/PoseStamped",
+        header=header(stamp, frame),
+        pose=pose(position, quaternion),
+    )
+
+
+def pose_array(stamp: int, positions: Any, quaternions: Any) -> Any:
+    poses = [pose(*pair) for pair in zip(positions, quaternions, strict=True)]
+    return message("geometry_msgs/msg/PoseArray", header=header(stamp), poses=poses)
+
+
+def wrench(stamp: int, force: Any, frame: str = "palm") -> Any:
+    zero = message("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    force = message("geometry_msgs/msg/Vector3", **vector(force))
+    body = message("geometry_msgs/msg/Wrench", force=force, torque=zero)
+    return message("geometry_msgs/msg/WrenchStamped", header=header(stamp, frame), wrench=body)
+
+
+def joints(stamp: int, names: list[str], **values: Any) -> Any:
+    fields = {"position": [], "velocity": [], "effort": []} | values
+    arrays = {name: np.asarray(field, dtype=np.float64) for name, field in fields.items()}
+    return message("sensor_msgs/msg/JointState", header=header(stamp, ""), name=names, **arrays)
+
+
+class RunWriter:
+    """Writes messages by topic, whatever their order; the topic's first message gives its type."""
+
+    def __init__(self, folder: Path, custom_data: dict[str, str] | None = None) -> None:
+        self.bag = BagWriter(folder, custom_data=custom_data or {})
+        self.channels: dict[str, int] = {}
+
+    def write(self, topic: str, content: Any, log_time: int) -> None:
+        type_name = content.__msgtype__
+        if topic not in self.channels:
+            self.channels[topic] = self.bag.add_channel(topic, type_name)
+        data = bytes(STORE.serialize_cdr(content, type_name))
+        self.bag.write(self.channels[topic], data, log_time, log_time)
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bag.close()
+
+
+def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = "/") -> None:
+    """Write everything of one tick, the command later than the rest."""
+    stamp, names = int(record.stamps[row]), record.joint_names
+    state = {"position": record.theta, "velocity": record.rates, "effort": record.torque}
+    values = {name: array[row] for name, array in state.items()}
+    bag.write(f"{prefix}joint_states", joints(stamp, names, **values), at)
+    for name, positions, quaternions in (
+        ("tactile/contacts", record.contact_positions, record.contact_quaternions),
+        ("ground_truth/contacts", record.true_positions, record.true_quaternions),
+    ):
+        bag.write(prefix + name, pose_array(stamp, positions[row], quaternions[row]), at)
+    for i, finger in enumerate(record.finger_names):
+        for name, forces in (
+            (f"tactile/{finger}/wrench", record.forces),
+            (f"ground_truth/{finger}/wrench", record.true_forces),
+            (f"optimal_force/{finger}", record.optimal_forces),
+        ):
+            bag.write(prefix + name, wrench(stamp, forces[row, i], f"{finger}_contact"), at)
+    squeeze = (0.0, record.grasp_force[row], 0.0)
+    bag.write(f"{prefix}grasp_force", wrench(stamp, squeeze), at)
+    for name, position, quaternion in (
+        ("auxiliary_pose", record.auxiliary_position, record.auxiliary_quaternion),
+        ("ground_truth/object_pose", record.object_position, record.object_quaternion),
+    ):
+        bag.write(prefix + name, pose_stamped(stamp, position[row], quaternion[row]), at)
+    command = joints(stamp, names, effort=record.command[row])
+    bag.write(f"{prefix}joint_command", command, at + LATENCY)
+
+
+def write_record(folder: Path, record: Record, prefix: str = "/") -> Path:
+    """Write a whole record with its first desired pose, sent before the first tick."""
+    with RunWriter(folder) as bag:
+        known = np.flatnonzero(np.isfinite(record.desired_position[:, 0]))
+        if len(known):
+            row = known[0]
+            wish = record.desired_position[row], record.desired_quaternion[row]
+            bag.write(f"{prefix}desired_pose", pose_stamped(0, *wish), START - 10**9)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD, prefix)
+    return folder
