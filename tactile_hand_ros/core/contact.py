@@ -38,7 +38,8 @@ class Contacts:
     @cached_property
     def touching(self) -> NDArray[np.bool_]:
         """Which fingers touch, shape (k,)."""
-        return np.isfinite(self.positions[:, 0])
+        # A sum is finite only if all its terms are; a point without a frame is of no use either.
+        return np.isfinite(self.positions.sum(axis=1) + self.rotations.sum(axis=(1, 2)))
 
     @property
     def normals(self) -> Array:

@@ -167,6 +167,7 @@ def _merge_coplanar(equations: Array) -> Array:
     """Return each plane once; Qhull lists it for every triangle of a face."""
     kept: list[Array] = []
     for plane in equations:
-        if not any(np.allclose(plane, other, atol=1e-9) for other in kept):
+        # Tighter than the tolerance that finds a face's corners, or faces would lose some.
+        if not any(np.abs(plane - other).max() < 1e-9 for other in kept):
             kept.append(plane)
     return np.array(kept)
