@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tactile_hand_ros.core.rotations import quaternion_from_rotation, rotation_from_quaternion
+from tactile_hand_ros.core.rotations import (
+    cross,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 
 components = st.floats(-1.0, 1.0)
 quaternions = (
@@ -68,3 +73,27 @@ def test_shapes_are_kept(shape):
     rotation = rotation_from_quaternion(q)
     assert rotation.shape == (*shape, 3, 3)
     assert quaternion_from_rotation(rotation).shape == (*shape, 4)
+
+
+angles = st.tuples(*[st.floats(-6.0, 6.0)] * 3).map(np.array)
+
+
+@given(angles)
+def test_a_rotation_vector_gives_the_rotation_about_it(vector):
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(rotation_from_vector(vector), expected, atol=1e-14)
+    np.testing.assert_allclose(rotation_from_vector(-vector), expected.T, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-8, 2e-8, 3e-8, 1e-6])
+def test_a_small_rotation_keeps_its_full_precision(size):
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    rotation = rotation_from_vector(size * axis)
+    found = [rotation[2, 1], rotation[0, 2], rotation[1, 0]]
+    np.testing.assert_allclose(found, size * axis, rtol=1e-6, atol=0.5 * size**2 + 1e-300)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+
+
+@given(angles, angles)
+def test_cross_is_the_cross_product(a, b):
+    np.testing.assert_allclose(cross(a, b), np.cross(a, b), atol=1e-13)

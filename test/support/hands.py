@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hands to test with, written as URDF and YAML: any number of fingers and of joints a finger."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+LINK = 0.3  # length of all links of a finger together and of the base's distance, m
+
+
+def _link(name: str, length: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="0.2"/>'
+        '<inertia ixx="0.001" iyy="0.002" izz="0.0025" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    )
+
+
+def _joint(name: str, kind: str, parent: str, child: str, xyz: str, rest: str = "") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f"<origin {xyz}/>{rest}</joint>"
+    )
+
+
+def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
+    """Write a finger that stands at `bearing` on a circle and bends about changing axes."""
+    place = f'xyz="{radius * math.cos(bearing)} {radius * math.sin(bearing)} 0" rpy="0 0 {bearing}"'
+    parts = [
+        f'<link name="{name}_base"/>',
+        _joint(f"{name}_mount", "fixed", "palm", f"{name}_base", place),
+    ]
+    parent, origin = f"{name}_base", 'xyz="0 0 0"'
+    axes = ("0 -1 0", "0 0 1", "0 -1 0", "0 -1 0", "1 0 0")
+    # The first two joints share a place; the others divide the finger's length.
+    lengths = [0.0] + [2.0 * LINK / max(1, joints - 1)] * (joints - 1)
+    for j in range(joints):
+        child = f"{name}_link_{j + 1}"
+        rest = f'<axis xyz="{axes[j]}"/><limit lower="-3" upper="3" effort="30" velocity="20"/>'
+        parts += [
+            _joint(f"{name}_joint_{j + 1}", "revolute", parent, child, origin, rest),
+            _link(child, lengths[j] or 0.05),
+        ]
+        parent, origin = child, f'xyz="{lengths[j]} 0 0"'
+    parts += [
+        f'<link name="{name}_tip"/>',
+        _joint(f"{name}_tip_mount", "fixed", parent, f"{name}_tip", origin),
+    ]
+    return "".join(parts)
+
+
+def write_hand(
+    folder: Path, joints: Sequence[int], bearings: Sequence[float] = (), radius: float = 0.3
+) -> Path:
+    """Write a hand with the given number of joints of each finger; return its YAML file.
+
+    Args:
+        folder: Where to write.
+        joints: Number of joints of each finger, 2 to 5.
+        bearings: Directions in which the fingers stand, rad; evenly spread by default.
+        radius: Distance of the fingers' bases from the palm's z axis, m.
+    """
+    k = len(joints)
+    bearings = bearings or [2.0 * math.pi * i / k for i in range(k)]
+    names = [f"f{i + 1}" for i in range(k)]
+    fingers = [_finger(*f, radius) for f in zip(names, joints, bearings, strict=True)]
+    urdf = f'<robot name="test"><link name="palm"/>{"".join(fingers)}</robot>'
+    (folder / "hand.urdf").write_text(urdf)
+    config = {
+        "urdf": "hand.urdf",
+        "fingers": [{"name": n, "tip": f"{n}_tip", "radius": 0.02} for n in names],
+    }
+    path = folder / "hand.yaml"
+    path.write_text(yaml.safe_dump(config))
+    return path
