@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slow, independent ways to solve what the core solves fast."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from support.grasps import balance_in_frames
+
+from tactile_hand_ros.core.contact import Contacts
+
+Array = NDArray[np.float64]
+
+
+def best_forces(contacts: Contacts, weights: Array, least: float = 0.0) -> Array | None:
+    """Solve (13) by trying every set of active bounds; None where no forces balance.
+
+    For each set the equality-constrained problem has a closed form; the feasible answer that costs
+    least is the optimum, since (13) is convex.
+    """
+    k = len(contacts.positions)
+    pushes = np.kron(np.eye(k), [0.0, 1.0, 0.0])  # picks each f_n
+    equalities = np.vstack([balance_in_frames(contacts), pushes.sum(axis=0)])
+    best, lowest = None, np.inf
+    for count in range(k):
+        for held in combinations(range(k), count):
+            rows = np.vstack([equalities, pushes[list(held)]])
+            right = np.concatenate([np.zeros(6), [1.0], np.full(count, least)])
+            # min |sqrt(W) f| subject to rows f = right is a least-norm problem.
+            scaled = rows / np.sqrt(weights)
+            forces = np.linalg.lstsq(scaled, right, rcond=1e-11)[0] / np.sqrt(weights)
+            if np.abs(rows @ forces - right).max() > 1e-9 * max(1.0, np.abs(forces).max()):
+                continue
+            cost = float(forces @ (weights * forces))
+            if (pushes @ forces >= least - 1e-10).all() and cost < lowest - 1e-12 * abs(cost):
+                best, lowest = forces.reshape(k, 3), cost
+    return best
+
+
+def contact_law_violation(
+    delassus: Array, free: Array, closing: Array, friction: Array, impulses: Array
+) -> float:
+    """Return how much impulses break Signorini's and Coulomb's laws, 0 for not at all, relative.
+
+    Written from the laws, not from any function whose root a solver looks for.
+    """
+    velocities = (delassus @ impulses.ravel() + free).reshape(-1, 3)
+    normal, opening = impulses[:, 1], velocities[:, 1] + closing
+    push, slide = impulses[:, [0, 2]], velocities[:, [0, 2]]
+    impulse = max(float(np.abs(impulses).max()), 1e-12)
+    speed = max(float(np.abs(free).max()), float(np.abs(velocities).max()), 1e-12)
+    rubbing = np.hypot(*push.T) - friction * normal
+    against = np.hypot(*slide.T)[:, None] * push + (friction * normal)[:, None] * slide
+    return max(
+        float(-normal.min()) / impulse,
+        float(-opening.min()) / speed,
+        float(np.abs(normal * opening).max()) / (impulse * speed),
+        float(rubbing.max()) / impulse,
+        float(np.abs(against).max()) / (impulse * speed * max(1.0, float(friction.max()))),
+        0.0,
+    )
+
+
+def nearest_point(corners: Array, point: Array) -> Array:
+    """Return the point of a convex hull nearest to a point, by Wolfe's min-norm algorithm (1976).
+
+    Args:
+        corners: Shape (v, 3).
+        point: Shape (3,), outside the hull.
+    """
+    arms = corners - point
+    used = [int(np.einsum("ij,ij->i", arms, arms).argmin())]
+    shares = np.array([1.0])
+    for _ in range(200):
+        x = shares @ arms[used]
+        heights = arms @ x
+        new = int(heights.argmin())
+        if heights[new] > x @ x - 1e-14 or new in used:
+            break
+        used, shares = [*used, new], np.append(shares, 0.0)
+        used, shares = _affine_minimum(arms, used, shares)
+    return shares @ corners[used]
+
+
+def _affine_minimum(arms: Array, used: list[int], shares: Array) -> tuple[list[int], Array]:
+    """Walk to the nearest point of the corners' affine hull, dropping corners that would pull."""
+    while True:
+        chosen = arms[used]
+        lhs = np.ones((len(used) + 1,) * 2)
+        lhs[0, 0], lhs[1:, 1:] = 0.0, chosen @ chosen.T
+        wanted = np.linalg.lstsq(lhs, np.eye(len(used) + 1)[0], rcond=None)[0][1:]
+        if (wanted > 1e-13).all():
+            return used, wanted
+        falling = wanted <= 1e-13
+        steps = shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)
+        shares = shares + min(1.0, float(steps.min())) * (wanted - shares)
+        keep = shares > 1e-13
+        used, shares = [u for u, k in zip(used, keep, strict=True) if k], shares[keep]
+        shares = shares / shares.sum()
