@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from support.grasps import balance_in_frames
 
+from support.grasps import balance_in_frames
 from tactile_hand_ros.core.contact import Contacts
 
 Array = NDArray[np.float64]
