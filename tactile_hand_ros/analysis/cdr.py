@@ -160,7 +160,7 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
     sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for size in np.unique(sizes):
         rows = np.flatnonzero(sizes == size)
-        joined = b"".join([messages[row] for row in rows])
+        joined = b"".join([messages[row] for row in rows.tolist()])
         matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), int(size))
         while len(rows):
             layout = _layout(type_name, messages[int(rows[0])])
