@@ -212,7 +212,7 @@ def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME
     Raises:
         MessageError: For a wrong frame or length, infinity or a quaternion not of unit length.
     """
-    _check_frame(message, frame)
+    check_frame(message, frame)
     if len(message.poses) != count:
         raise MessageError(
             f"{len(message.poses)} contacts, expected {count}, one per finger, NaN for no contact."
@@ -246,7 +246,12 @@ def _read_quaternion(pose: Pose, what: str) -> tuple[float, ...]:
     return x, y, z, w
 
 
-def _check_frame(message: PoseArray | PoseStamped | WrenchStamped, frame: str) -> None:
+def check_frame(message: PoseArray | PoseStamped | WrenchStamped, frame: str) -> None:
+    """Check the frame of a message.
+
+    Raises:
+        MessageError: If it is another one.
+    """
     if message.header.frame_id != frame:
         raise MessageError(
             f"frame_id is '{message.header.frame_id}', expected '{frame}'; transform it first."
@@ -276,7 +281,7 @@ def force_from_ros(message: WrenchStamped, *, frame: str | None = None) -> Array
         MessageError: For NaN, infinity or a wrong frame.
     """
     if frame is not None:
-        _check_frame(message, frame)
+        check_frame(message, frame)
     vector = message.wrench.force
     return _vector(vector.x, vector.y, vector.z, "force")
 
@@ -347,7 +352,7 @@ def pose_from_ros(message: PoseStamped, *, frame: str = PALM_FRAME) -> TargetPos
     Raises:
         MessageError: For a wrong frame, NaN, infinity or a quaternion not of unit length.
     """
-    _check_frame(message, frame)
+    check_frame(message, frame)
     point = message.pose.position
     position = _vector(point.x, point.y, point.z, "position")
     quaternion = _read_quaternion(message.pose, "the pose")

@@ -30,7 +30,7 @@ def executable_directory() -> Path:
     """
     try:
         prefix = get_package_prefix(PACKAGE)
-    except (PackageNotFoundError, LookupError) as error:
+    except (PackageNotFoundError, LookupError, OSError) as error:  # OSError: there is no index
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
         raise ExecutableError(
             f"The ament index at AMENT_PREFIX_PATH='{searched}' does not know {PACKAGE}:"

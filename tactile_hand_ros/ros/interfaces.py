@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topic names and quality of service: the wiring between the nodes.
 
-All names except `DIAGNOSTICS` and `CLOCK` are relative, so a namespace gives a second hand.
+All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand. That includes the
+clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
+domain have two times, and two senders on `/clock` would make time jump to and fro for everybody.
+Remap `clock:=/clock` on the one plant whose time shall rule.
 """
 
 from __future__ import annotations
@@ -25,11 +28,12 @@ OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
-CLOCK = "/clock"
+CLOCK = "clock"
 TF = "/tf"
 
 RESET = "~/reset"
 ENABLE = "~/enable"
+RUN = "~/run"
 
 PALM_FRAME = "palm"
 OBJECT_FRAME = "object"

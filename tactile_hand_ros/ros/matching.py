@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
 _SECOND = 1_000_000_000
@@ -26,8 +26,9 @@ class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. After a jump back of more than ``restart_after_ns``
-    the sender has begun anew, and so does the matcher.
+    given up when a newer one is complete. A complete set at stamp 0, or more than
+    ``restart_after_ns`` before the last one, means that the senders have begun anew: everything
+    else is forgotten then. A single old message means nothing, whoever sent it.
     """
 
     def __init__(
@@ -36,25 +37,28 @@ class StampMatcher:
         *,
         memory: int = 100,
         restart_after_ns: int = _SECOND,
+        on_restart: Callable[[], None] | None = None,
     ) -> None:
         """Name the streams.
 
         Args:
             keys: One key per stream; the first is the one whose repetition means that the tick
                 is asked for again.
-            memory: Incomplete stamps that are kept; the oldest go first.
+            memory: Incomplete stamps that are kept; the first to come are the first to go.
             restart_after_ns: Jump back in time that means a restart [ns].
+            on_restart: Called when the senders have begun anew, before their first set is given.
         """
         self.keys = tuple(keys)
         self._index = {key: index for index, key in enumerate(self.keys)}
         self._memory = memory
         self._restart_after = restart_after_ns
+        self._on_restart = on_restart
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.last: int | None = None
-        self._pending: dict[int, list[Any]] = {}
+        self._pending: dict[int, list[Any]] = {}  # values in the order of the keys
 
     @property
     def pending(self) -> int:
@@ -78,23 +82,43 @@ class StampMatcher:
         index = self._index[key]
         last = self.last
         if last is not None and stamp_ns <= last:
-            if last - stamp_ns <= self._restart_after:
-                return REPEAT if stamp_ns == last and index == 0 else None
-            self.reset()
+            if stamp_ns == last:
+                return REPEAT if index == 0 else None
+            if stamp_ns > 0 and last - stamp_ns <= self._restart_after:
+                return None
         values = self._pending.get(stamp_ns)
         if values is None:
             values = self._pending[stamp_ns] = [_MISSING] * len(self.keys)
         values[index] = value
-        if _MISSING not in values:
+        # By identity: arrays do not compare to one truth.
+        if not any([value is _MISSING for value in values]):
             return self._complete(stamp_ns, values)
         if len(self._pending) > self._memory:
-            del self._pending[min(self._pending)]
+            del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None
 
+    def missing(self, stamp_ns: int | None = None) -> list[str]:
+        """Return the keys that a stamp still waits for; none when it is not waited for.
+
+        Args:
+            stamp_ns: The stamp; by default the one that has waited longest.
+        """
+        if stamp_ns is None:
+            values = next(iter(self._pending.values()), None)
+        else:
+            values = self._pending.get(stamp_ns)
+        if values is None:
+            return []
+        return [key for key, value in zip(self.keys, values, strict=True) if value is _MISSING]
+
     def _complete(self, stamp_ns: int, values: list[Any]) -> tuple[Any, ...]:
+        restarted = self.last is not None and stamp_ns < self.last
         self.last = stamp_ns
-        if len(self._pending) == 1:
+        if restarted or len(self._pending) == 1:
+            # After a restart whatever waits at later stamps is from before it.
             self._pending.clear()
         else:
             self._pending = {t: kept for t, kept in self._pending.items() if t > stamp_ns}
+        if restarted and self._on_restart is not None:
+            self._on_restart()
         return tuple(values)

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -49,7 +50,9 @@ class TactileNode(Node, Generic[C]):
         """
         super().__init__(name, **kwargs)
         try:
-            self._config_parameters = ConfigParameters(self, model, self._take_config)
+            self._config_parameters = ConfigParameters(
+                self, model, self._take_config, self.check_config
+            )
         except TactileHandError:
             self.destroy_node()
             raise
@@ -65,6 +68,13 @@ class TactileNode(Node, Generic[C]):
     def config(self) -> C:
         """The configuration in force."""
         return self._config_parameters.config
+
+    def check_config(self, config: C) -> None:
+        """Refuse a change of parameters that the model alone cannot judge, before it is made.
+
+        Raises:
+            TactileHandError: Its text is the reason that the user sees.
+        """
 
     def on_config(self, config: C) -> None:
         """Take over a changed configuration; override it where parameters are live."""
@@ -91,6 +101,10 @@ class TactileNode(Node, Generic[C]):
             self.get_logger().error(str(error))
         else:
             self.diagnostics.clear("configuration")
+
+    def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
+        """Create a publisher for something that carries a tick."""
+        return self.create_publisher(message_type, topic, interfaces.tick_qos())
 
     def subscribe(
         self,

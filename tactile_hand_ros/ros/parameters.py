@@ -34,7 +34,7 @@ from tactile_hand_ros.core.config import (
     parse_yaml,
     unit_of,
 )
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 
 C = TypeVar("C", bound=Config)
 Type = Parameter.Type
@@ -61,7 +61,11 @@ class ConfigParameters(Generic[C]):
     """
 
     def __init__(
-        self, node: Node, model: type[C], on_change: Callable[[C], None] | None = None
+        self,
+        node: Node,
+        model: type[C],
+        on_change: Callable[[C], None] | None = None,
+        check: Callable[[C], None] | None = None,
     ) -> None:
         """Declare every field of the model with the values given at the start.
 
@@ -69,6 +73,8 @@ class ConfigParameters(Generic[C]):
             node: The node.
             model: The configuration class.
             on_change: Called with the new configuration after each accepted change.
+            check: Called with the new configuration before; may raise TactileHandError to refuse
+                what the model alone cannot judge.
 
         Raises:
             ConfigurationError: If a given value is refused or no field has the given name.
@@ -77,6 +83,7 @@ class ConfigParameters(Generic[C]):
         self._model = model
         self._fields = leaves(model)
         self._on_change = on_change
+        self._further_check = check
         given = self._given()
         self.config: C = from_flat(model, given, source=node.get_fully_qualified_name())
         self._declare()
@@ -127,8 +134,10 @@ class ConfigParameters(Generic[C]):
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._candidate(parameters)
-        except ConfigurationError as error:
+            candidate = self._candidate(parameters)
+            if self._further_check is not None:
+                self._further_check(candidate)
+        except TactileHandError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

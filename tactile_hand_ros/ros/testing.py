@@ -251,7 +251,7 @@ def find_executable(name: str) -> Path:
     """Return an executable as ``ros2 run`` finds it, or the source tree's when not installed."""
     try:
         return executable_path(name)
-    except (ExecutableError, OSError) as error:  # OSError: there is no ament index at all
+    except ExecutableError as error:
         if (_SCRIPTS / name).is_file():
             return _SCRIPTS / name
         raise ExecutableError(f"no executable '{name}' is installed or in {_SCRIPTS}.") from error

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation controller: joint torques that hold the object and bring it where it shall be.
+
+Safe state: posture and last good squeeze are held when a contact, f* or k_f is missing or NaN, and,
+with the names of the missing inputs in `/diagnostics`, when joint states come without them for
+`input_timeout`. The hold ends by itself when all inputs of a tick are there again. A desired pose
+that is NaN, in another frame or out of reach is counted and dropped, and the old one stays. Without
+joint states it says nothing; then, and when it dies, the plant (or the drivers of a real hand) must
+hold the joints. Disabled by the user it only damps.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
+from tactile_hand_ros.core.manipulation import Target
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.controller_inputs import Array, ControllerInputs, TickInputs
+from tactile_hand_ros.ros.controller_report import ControllerReport
+from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.wire import JointCodec, PoseCodec
+
+
+class ManipulationControllerNode(TactileNode[ControllerConfig]):
+    """Answers each tick with joint torques.
+
+    Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
+    (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
+    without unit), all of one stamp; `desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m;
+    holds from the tick in its stamp on, at once when that is past or 0).
+
+    Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
+    N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
+    of the contacts; not while holding). Once a second: `/diagnostics`.
+
+    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
+    the stamps does; `~/enable` (std_srvs/SetBool) switches between the law and mere damping.
+
+    Parameters: the fields of `ControllerConfig`; gains are live, the law is not.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build the controller.
+
+        Raises:
+            TactileHandError: If a parameter is refused or the hand cannot be built.
+        """
+        super().__init__("manipulation_controller", ControllerConfig, **kwargs)
+        self._controller = Controller(self.config)
+        self._report = ControllerReport(self)
+        self._fresh: list[tuple[Target, int]] = []
+        self._sent = b""
+        hand = self._controller.hand
+        self._commands = JointCodec(hand.joint_names, ("effort",))
+        self._command_publisher = self.tick_publisher(JointState, interfaces.JOINT_COMMAND)
+        self._poses = PoseCodec()
+        self._pose_publisher = self.tick_publisher(PoseStamped, interfaces.AUXILIARY_POSE)
+        # First, so that of a pose and a tick that wait together the pose is handled first.
+        qos = interfaces.user_qos()
+        self.subscribe(PoseStamped, interfaces.DESIRED_POSE, self._on_desired, qos=qos)
+        self._inputs = ControllerInputs(self, hand, self.config.input_timeout, self)
+        self.create_service(Trigger, interfaces.RESET, self._on_reset)
+        self.create_service(SetBool, interfaces.ENABLE, self._on_enable)
+
+    def on_config(self, config: ControllerConfig) -> None:
+        """Take other gains."""
+        self._controller.configure(config)
+
+    def on_report(self) -> None:
+        """Report mode, missing inputs, distance to the target and the margin of A7."""
+        self._inputs.report()
+        self._report.report(self._controller.target)
+
+    def _on_desired(self, message: PoseStamped) -> None:
+        target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
+        self._inputs.check_time(stamp)
+        self._controller.command(target, stamp)
+        self._fresh.append((target, stamp))
+
+    def on_tick(self, inputs: TickInputs) -> None:
+        """Answer a tick for which everything has arrived."""
+        began = time.perf_counter()
+        command = self._controller.step(*inputs)
+        self._answer(inputs.stamp, command)
+        self._report.note(command, inputs.contacts)
+        self._fresh.clear()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+    def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
+        """Hold the hand at a tick for which inputs are missing."""
+        command = self._controller.hold(theta, rates, reason)
+        self._answer(stamp, command)
+        self._report.note(command)
+
+    def on_repeat(self) -> None:
+        """Give the last answer again."""
+        self._command_publisher.publish(self._sent)
+
+    def on_restart(self) -> None:
+        """Begin anew with the ticks; poses that came together with the first one are for it."""
+        self._controller.reset()
+        for target, stamp in self._fresh:
+            self._controller.command(target, stamp)
+
+    def _answer(self, stamp: int, command: Command) -> None:
+        self._sent = self._commands.encode(stamp, command.torque)
+        self._command_publisher.publish(self._sent)
+        self.diagnostics.tick()
+        if command.pose is not None:
+            turn = quaternion_from_rotation(command.pose.orientation)
+            pose = self._poses.encode(command.pose.position, turn, stamp)
+            self._pose_publisher.publish(pose)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._fresh.clear()
+        self._controller.reset()
+        response.success, response.message = True, "grasp, targets and integral are forgotten"
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._controller.enabled = request.data
+        response.success, response.message = True, "enabled" if request.data else "damping only"
+        return response
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the manipulation controller until SIGINT or SIGTERM and return the exit code."""
+    return run_node(ManipulationControllerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

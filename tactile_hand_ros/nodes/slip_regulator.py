@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip regulator: how hard the hand squeezes.
+
+Safe state: it gives k_f only for ticks at which contacts and every finger's force have come; a
+finger that is silent or says NaN leaves the tick without k_f, and the controller holds the hand. A
+request of the user outside the limits is counted and dropped, and the squeeze stays. When it dies,
+the controller holds the last squeeze; a new one starts at the configured k_f.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, WrenchStamped
+from sensor_msgs.msg import JoyFeedbackArray
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.conversions import feedback_to_ros, number_from_ros
+from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.wire import ContactsCodec, WrenchCodec
+
+HAPTIC_PERIOD_NS = 20_000_000
+"""Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
+
+
+class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
+    """Publishes the squeeze k_f at each tick.
+
+    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
+    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
+    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N).
+
+    Publications: `grasp_force` (geometry_msgs/WrenchStamped, k_f in force.y, N; stamp of the
+    input), `haptic_feedback` (sensor_msgs/JoyFeedbackArray, 50 Hz: id 0 grip as share of the
+    maximum, id 1 slip, 0 to 1). Once a second: `/diagnostics`.
+
+    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f, as a jump back of the
+    stamps does.
+
+    Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build the regulator.
+
+        Raises:
+            TactileHandError: If a parameter is refused or there is no such hand.
+        """
+        super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
+        fingers = load_hand_config(self.config.hand).finger_names
+        self._regulator = SlipRegulator(self.config, len(fingers))
+        self._codec = WrenchCodec(interfaces.PALM_FRAME)
+        self._publisher = self.tick_publisher(WrenchStamped, interfaces.GRASP_FORCE)
+        self._haptic_publisher = self.create_publisher(
+            JoyFeedbackArray, interfaces.HAPTIC_FEEDBACK, interfaces.user_qos()
+        )
+        self._haptic = feedback_to_ros((0.0, 0.0))
+        self._sent = b""
+        self._felt = -1
+        qos = interfaces.user_qos()
+        self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
+        topics = [interfaces.wrench(name) for name in fingers]
+        keys = (interfaces.CONTACTS, *topics)
+        self._matcher = StampMatcher(keys, on_restart=self._regulator.reset)
+        self._contacts = ContactsCodec(len(fingers))
+        self.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
+        for name, topic in zip(fingers, topics, strict=True):
+            codec = WrenchCodec(interfaces.contact_frame(name))
+            self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+        self.create_service(Trigger, interfaces.RESET, self._on_reset)
+
+    def on_config(self, config: SlipRegulatorConfig) -> None:
+        """Take other limits and rates."""
+        self._regulator.configure(config)
+
+    def on_report(self) -> None:
+        """Report the squeeze and what was learned of friction."""
+        put, regulator = self.diagnostics.value, self._regulator
+        put("grasp_force_n", regulator.grasp_force)
+        put("needed_force_n", regulator.needed)
+        put("slip_likelihood", float(regulator.slip_likelihood.max()))
+        put("friction", " ".join(f"{mu:.3g}" for mu in regulator.friction))
+
+    def _on_user_force(self, message: Float64) -> None:
+        self._regulator.request(number_from_ros(message))
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._regulator.reset()
+        response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
+        return response
+
+    def _on_contacts(self, data: bytes) -> None:
+        stamp, poses = self._contacts.decode(data)
+        self._take(interfaces.CONTACTS, stamp, Contacts.from_poses(*poses))
+
+    def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
+        stamp, force = codec.decode(data)
+        self._take(topic, stamp, force)
+
+    def _take(self, key: str, stamp: int, value: Any) -> None:
+        matched = self._matcher.put(key, stamp, value)
+        if matched is None:
+            return
+        if matched is REPEAT:
+            self._publisher.publish(self._sent)
+            return
+        began = time.perf_counter()
+        contacts, *forces = matched
+        grasp_force = self._regulator.step(stamp, contacts, np.array(forces))
+        self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
+        self._publisher.publish(self._sent)
+        if stamp // HAPTIC_PERIOD_NS != self._felt:
+            self._felt = stamp // HAPTIC_PERIOD_NS
+            levels = (grasp_force / self.config.maximum, self._regulator.slip_likelihood.max())
+            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+        self.diagnostics.tick()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the slip regulator until SIGINT or SIGTERM and return the exit code."""
+    return run_node(SlipRegulatorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tactile sensor: what a skin would say of the true contacts.
+
+Safe state: without true contacts it says nothing, and the controller holds the hand. Input that
+cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its tick stays
+without an answer. When it dies, whoever waits for touch notices by the silence.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, WrenchStamped
+
+from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.tactile import TactileReading, TactileSensor, TactileSensorConfig
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.readings import ReadingPublisher
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.wire import ContactsCodec, WrenchCodec
+
+
+class TactileSensorNode(TactileNode[TactileSensorConfig]):
+    """Turns true contacts into tactile readings, tick by tick.
+
+    Subscriptions: `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
+    `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N).
+
+    Publications, with the stamps of the input: `tactile/contacts` (geometry_msgs/PoseArray, palm
+    frame, m; NaN where a finger does not touch), `tactile/<finger>/wrench`
+    (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
+
+    Parameters: the fields of `TactileSensorConfig`; noise, resolution and dropout are live. When
+    the stamps jump back, noise starts anew from its seed.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build the sensor.
+
+        Raises:
+            TactileHandError: If a parameter is refused or there is no such hand.
+        """
+        super().__init__("tactile_sensor", TactileSensorConfig, **kwargs)
+        hand = load_hand_config(self.config.hand)
+        fingers = hand.finger_names
+        self._sensor = TactileSensor(self.config, np.array(hand.radii))
+        self._publisher = ReadingPublisher(self, fingers, interfaces.CONTACTS, interfaces.wrench)
+        self._contacts = ContactsCodec(len(fingers))
+        topics = [interfaces.true_wrench(name) for name in fingers]
+        keys = (interfaces.TRUE_CONTACTS, *topics)
+        self._matcher = StampMatcher(keys, on_restart=self._sensor.reset)
+        self.subscribe(PoseArray, interfaces.TRUE_CONTACTS, self._on_contacts, raw=True)
+        for name, topic in zip(fingers, topics, strict=True):
+            codec = WrenchCodec(interfaces.contact_frame(name))
+            self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+
+    def on_config(self, config: TactileSensorConfig) -> None:
+        """Take other noise."""
+        self._sensor.configure(config)
+
+    def _on_contacts(self, data: bytes) -> None:
+        stamp, contacts = self._contacts.decode(data)
+        self._take(interfaces.TRUE_CONTACTS, stamp, contacts)
+
+    def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
+        stamp, force = codec.decode(data)
+        self._take(topic, stamp, force)
+
+    def _take(self, key: str, stamp: int, value: Any) -> None:
+        matched = self._matcher.put(key, stamp, value)
+        if matched is None:
+            return
+        if matched is REPEAT:
+            self._publisher.repeat()
+            return
+        began = time.perf_counter()
+        (positions, quaternions), *forces = matched
+        true = TactileReading(positions, quaternions, np.array(forces))
+        self._publisher.publish(self._sensor.step(stamp, true), stamp)
+        self.diagnostics.tick()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the tactile sensor until SIGINT or SIGTERM and return the exit code."""
+    return run_node(TactileSensorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ticks that follow the wall clock: how many are due, how late they are, what was lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+_WINDOW = 4096
+"""Latest delays of which percentiles are reported."""
+
+_MOST_BEHIND_NS = 200_000_000
+"""Delay beyond which time is given up instead of made up for [ns]."""
+
+
+class Pace:
+    """Says at each call of a timer with the period of a tick how many ticks have come due.
+
+    Attributes:
+        missed: Ticks that came due together with a later one, so that nobody saw them.
+        lost_ns: Wall time that was given up because the machine could not follow [ns].
+    """
+
+    def __init__(self, tick_ns: int, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """Take the length of a tick [ns]."""
+        self._tick = tick_ns
+        self._clock = clock
+        self.missed = 0
+        self.lost_ns = 0
+        self._delays = np.zeros(_WINDOW)
+        self._delay_count = 0
+        self.start()
+
+    def start(self) -> None:
+        """Let the first tick come due one tick from now."""
+        self._due_at = self._clock() + self._tick
+
+    def due(self) -> int:
+        """Return how many ticks are due now, and count them as done."""
+        behind = self._clock() - self._due_at
+        if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
+            return 0
+        count = max(1, behind // self._tick + 1)
+        if behind > _MOST_BEHIND_NS:
+            self.lost_ns += behind
+            self._due_at += behind
+            count, behind = 1, 0
+        self._delays[self._delay_count % _WINDOW] = 1e-9 * behind
+        self._delay_count += 1
+        self._due_at += count * self._tick
+        self.missed += count - 1
+        return count
+
+    def report(self, put: Callable[[str, object], None]) -> None:
+        """Report counters and delays, each as key and value."""
+        put("missed_ticks", self.missed)
+        put("lost_s", 1e-9 * self.lost_ns)
+        count = min(self._delay_count, _WINDOW)
+        if count:
+            late = 1e6 * np.percentile(np.abs(self._delays[:count]), (50.0, 99.0, 100.0))
+            for name, value in zip(("p50", "p99", "max"), late, strict=True):
+                put(f"jitter_{name}_us", f"{value:.0f}")
