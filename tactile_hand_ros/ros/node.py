@@ -27,11 +27,19 @@ C = TypeVar("C", bound=Config)
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two diagnostic messages [s]."""
 
+PEERS_PERIOD = 0.1
+"""Time between two looks at who is connected [s]."""
+
+PUBLICATIONS = "publications"
+SUBSCRIPTIONS = "subscriptions"
+"""Keys of the diagnostics under which a node tells how many peers each of its topics has."""
+
 
 class TactileNode(Node, Generic[C]):
     """A node whose parameters are one configuration and that survives bad messages.
 
-    Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second.
+    Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
+    come or gone: that both ends of a topic exist does not mean that they know of each other yet.
 
     Attributes:
         diagnostics: Counters and facts to report.
@@ -63,6 +71,8 @@ class TactileNode(Node, Generic[C]):
         # Health must be reported also while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
+        self._peers: dict[str, str] = {}
+        self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
     @property
     def config(self) -> C:
@@ -152,9 +162,36 @@ class TactileNode(Node, Generic[C]):
         if self.diagnostics.reject(topic, error):
             self.get_logger().warning(f"rejected a message on '{topic}': {error}")
 
+    def _look_for_peers(self) -> None:
+        """Say at once when a peer has come or gone."""
+        peers = self.peers()
+        if peers != self._peers:
+            self._peers = peers
+            for key, text in peers.items():
+                self.diagnostics.value(key, text)
+            self.publish_diagnostics()
+
+    def peers(self) -> dict[str, str]:
+        """Return how many matched peers each topic has, as ``topic count`` joined by commas."""
+        # Not self.subscriptions: that is what an executor serves, which may be less.
+        subscriptions = Node.subscriptions.fget(self)
+        sent = {p.topic_name: p.get_subscription_count() for p in self.publishers}
+        taken = {s.topic_name: s.get_publisher_count() for s in subscriptions}
+        return {PUBLICATIONS: _counts(sent), SUBSCRIPTIONS: _counts(taken)}
+
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may at any time."""
         self.on_report()
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
+
+
+def _counts(peers: dict[str, int]) -> str:
+    return ", ".join(f"{topic} {count}" for topic, count in sorted(peers.items()))
+
+
+def parse_peers(text: str) -> dict[str, int]:
+    """Read what a node says under `PUBLICATIONS` or `SUBSCRIPTIONS`: peers by full topic name."""
+    pairs = [part.split(" ") for part in text.split(", ") if part]
+    return {topic: int(count) for topic, count in pairs}
