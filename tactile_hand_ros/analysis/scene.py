@@ -243,7 +243,7 @@ class _Scene:
 def _number_place(chain: Array) -> Array:
     """Return where a finger's number stands: beside its base, on the outer side."""
     outward = chain[0] / max(float(np.linalg.norm(chain[0])), 1e-9)
-    return np.asarray(chain[0] + 0.06 * outward + np.array([0.0, 0.0, -0.03]))
+    return np.asarray(chain[0] + 0.085 * outward + np.array([0.0, 0.0, -0.02]))
 
 
 def _sphere(centre: Array, radius: float) -> tuple[Array, Array, Array]:

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The runs that the paper's claims are judged by."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tactile_hand_ros.analysis.extras import optional
+from tactile_hand_ros.analysis.metrics import Metrics, metrics
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.core.scenario import Scenario, load_scenario
+
+LAYOUTS = ("three_faces", "pinch")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario with some values changed.
+
+    Attributes:
+        scenario: Name of the scenario.
+        meaning: What it shows.
+        changes: Values to change, by dotted key.
+    """
+
+    scenario: str
+    meaning: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+EXPERIMENTS: Mapping[str, Experiment] = {
+    "optimal": Experiment("paper", "law (14), the paper's experiment"),
+    "nominal": Experiment("paper_nominal_weights", "law (14) with W = I"),
+    "firm": Experiment(
+        "paper", "law (14) with twice the squeeze", {"slip_regulator.grasp_force": 20.0}
+    ),
+    "contact": Experiment("contact_law", "law (10) on the same task"),
+    "kawamura": Experiment("kawamura", "law (8) on the same task"),
+    "hold_optimal": Experiment("paper", "law (14), held where it is", {"targets": []}),
+    "hold_contact": Experiment("contact_law", "law (10), held where it is", {"targets": []}),
+    "hold_kawamura": Experiment("kawamura", "law (8), held where it is", {"targets": []}),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished experiment.
+
+    Attributes:
+        key: Which of `EXPERIMENTS`.
+        layout: Layout of the hand's fingers.
+        scenario: What was run.
+        record: What happened.
+        metrics: What was achieved.
+    """
+
+    key: str
+    layout: str
+    scenario: Scenario
+    record: Record
+    metrics: Metrics
+
+
+def run_experiment(key: str, layout: str, duration: float | None = None) -> Outcome:
+    """Run one experiment by function calls.
+
+    Args:
+        key: Which of `EXPERIMENTS`.
+        layout: Layout of the hand's fingers.
+        duration: Simulated time in s instead of the scenario's.
+    """
+    experiment = EXPERIMENTS[key]
+    changes = {"layout": layout, **experiment.changes}
+    if duration is not None:
+        changes["duration"] = duration
+    scenario = load_scenario(experiment.scenario, changes)
+    record = ClosedLoop(scenario).run()
+    return Outcome(key, layout, scenario, record, metrics(record, scenario))
+
+
+def run_all(
+    layouts: Sequence[str], duration: float | None = None, jobs: int = -1
+) -> Iterator[Outcome]:
+    """Run all experiments in all layouts on the cores and yield each when it is done.
+
+    Args:
+        layouts: Layouts of the hand's fingers.
+        duration: Simulated time in s instead of the scenarios'.
+        jobs: Number of processes; -1 for one on each core.
+
+    Raises:
+        MissingLibraryError: If joblib is not installed.
+    """
+    joblib = optional("joblib", "Running experiments on several cores")
+    tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+    try:
+        yield from work(joblib.delayed(run_experiment)(*task) for task in tasks)
+    except BaseException:
+        _stop_workers()
+        raise
+
+
+def _stop_workers() -> None:
+    """Kill the processes of joblib, which otherwise finish what they are at."""
+    with contextlib.suppress(Exception):
+        loky = optional("joblib.externals.loky", "")
+        loky.get_reusable_executor().shutdown(wait=True, kill_workers=True)
