@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from pydantic import model_validator
 
 from tactile_hand_ros.core.config import Config, did_you_mean, param, read_yaml, validate
@@ -109,6 +110,16 @@ class Scenario(Config):
         """Return the parameters of a node by its name."""
         section: Config = getattr(self, node)
         return section
+
+
+def resolved(scenario: Scenario) -> str:
+    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+    data = scenario.model_dump(mode="json")
+    for node in NODES:
+        for name in _SHARED:  # said once at the top
+            data[node].pop(name, None)
+    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+    return text
 
 
 def scenario_names() -> list[str]:
