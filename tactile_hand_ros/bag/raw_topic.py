@@ -122,7 +122,7 @@ class RawTopic:
         self._group = group
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
-        self._sequence = SequenceTracker()
+        self._sequence = SequenceTracker(len(publishers))
 
     @property
     def lost(self) -> int:
@@ -143,7 +143,7 @@ class RawTopic:
         A latched topic is subscribed anew only before its first message: later its publishers'
         histories would arrive a second time.
         """
-        self.publishers = len(publishers)
+        self.publishers = self._sequence.publishers = len(publishers)
         qos = adapted_qos(publishers, self._qos.depth)
         upgrade = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL != self._qos.durability
         downgrade = _weaker(qos, self._qos)

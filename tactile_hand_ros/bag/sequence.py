@@ -14,12 +14,18 @@ class SequenceTracker:
     publisher; any other number is a gap in the nearest publisher below it. For one publisher the
     count is exact; for several that lose at once it is an estimate.
 
-    The first message of a publisher that was there before the recorder starts its numbering.
+    The first message of a publisher that was there before the recorder starts its numbering: while
+    fewer publishers were heard than there are, a number out of order is the first of another one.
+
+    Attributes:
+        lost: Number of messages that never came.
+        publishers: How many publishers the topic has.
     """
 
-    def __init__(self) -> None:
-        """Start without publishers."""
+    def __init__(self, publishers: int = 1) -> None:
+        """Start before the first message."""
         self.lost = 0
+        self.publishers = publishers
         self._next: Counter[int] = Counter()
 
     def see(self, number: int) -> None:
@@ -39,7 +45,7 @@ class SequenceTracker:
         """Make `number` an expected one: of a new publisher, or behind a gap."""
         below = [expected for expected, count in self._next.items() if count and expected < number]
         del self._next[number]
-        if number > 1 and below:
+        if number > 1 and below and self._next.total() >= self.publishers:
             nearest = max(below)
             self.lost += number - nearest
             self._next[nearest] -= 1

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from tactile_hand_ros.bag.sequence import SequenceTracker
 
 
-def lost(numbers: list[int]) -> int:
+def lost(numbers: list[int], publishers: int = 1) -> int:
     """Return the losses that the tracker finds in a stream of numbers."""
-    tracker = SequenceTracker()
+    tracker = SequenceTracker(publishers)
     for number in numbers:
         tracker.see(number)
     return tracker.lost
@@ -43,3 +43,10 @@ def test_restarted_publisher_is_no_loss() -> None:
 def test_loss_beside_a_second_publisher_is_found() -> None:
     """The gap belongs to the publisher just below it."""
     assert lost([1, 2, 1, 5, 2, 6]) == 2
+
+
+def test_publisher_that_spoke_before_the_recorder_came_is_no_loss() -> None:
+    """Its numbering starts anywhere, also above that of a publisher heard before."""
+    assert lost([1, 2, 7, 3, 8, 9, 4], publishers=2) == 0
+    assert lost([1, 2, 7, 3, 8, 10, 4], publishers=2) == 1
+    assert lost([1, 2, 7, 8]) == 4

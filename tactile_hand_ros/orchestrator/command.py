@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of the orchestrator."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rclpy.context import Context
+from rclpy.utilities import remove_ros_args
+from rich.console import Console
+
+from tactile_hand_ros.core.config import parse_yaml
+from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.core.preflight import check_scenario
+from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.orchestrator.processes import Launcher
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import Plan, Session, ros_context
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+from tactile_hand_ros.orchestrator.steering import how_to_steer
+from tactile_hand_ros.orchestrator.view import make_view
+
+EXIT_REFUSED = 2
+_WIDTH = 100  # of tables in logs and pipes
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def orchestrate(
+    context: typer.Context,
+    scenario: Annotated[str, typer.Option(help="Scenario by name or YAML file.")] = "paper",
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time [s], instead of the scenario's.")
+    ] = None,
+    pacing: Annotated[
+        str | None, typer.Option(help="lockstep or realtime, instead of the scenario's.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Another value, as plant.rate=250."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs"),
+    record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
+    namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
+    startup_timeout: Annotated[
+        float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
+    ] = 20.0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+) -> None:
+    """Run a scenario: start the nodes, record them, command the poses, sum up.
+
+    Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
+    2: the scenario was refused and nothing was started; 130, 143: ended by SIGINT, SIGTERM.
+    """
+    signals, ros_arguments = context.obj
+    given = {"duration": duration, "plant.pacing": pacing}
+    values = {key: value for key, value in given.items() if value is not None}
+    launcher = Launcher()
+    try:
+        plan = Plan(
+            scenario=_checked(scenario, {**values, **parse_changes(changes or [])}),
+            namespace=full_namespace(namespace, ros_arguments),
+            record=record,
+            interactive=interactive,
+            startup_timeout=startup_timeout,
+        )
+        with ros_context(ros_arguments) as ros:
+            signals.check()
+            directory = RunDirectory.create(out, plan.scenario.name)
+            raise typer.Exit(_run(Session(plan, directory, launcher, signals), ros, quiet=quiet))
+    except TactileHandError as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(EXIT_REFUSED) from None
+
+
+def _checked(name: str, changes: dict[str, Any]) -> Scenario:
+    """Load a scenario and make sure that it can work."""
+    scenario = load_scenario(name, changes)
+    check_scenario(scenario)
+    return scenario
+
+
+def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
+    """Read ``key=value`` texts; values are YAML.
+
+    Raises:
+        ConfigurationError: If there is no ``=``, or the value is no YAML.
+    """
+    found: dict[str, Any] = {}
+    for change in changes:
+        key, separator, value = change.partition("=")
+        if not separator or not key:
+            raise ConfigurationError(
+                f"--set got '{change}', expected key=value such as plant.rate=250"
+            )
+        found[key] = parse_yaml(value, f"--set {key}")
+    return found
+
+
+def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
+    """Return the namespace of the run with a leading slash, ``/`` if there is none.
+
+    Args:
+        given: The option, empty if not used.
+        ros_arguments: Command line that may remap ``__ns``.
+
+    Raises:
+        ConfigurationError: If it is no ROS namespace.
+    """
+    remapped = [word.partition("__ns:=")[2] for word in ros_arguments if "__ns:=" in word]
+    name = "/" + (given or (remapped[-1] if remapped else "")).strip("/")
+    if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", name):
+        raise ConfigurationError(
+            f"the namespace is '{given or remapped[-1]}', expected names of letters, digits and _ "
+            "joined by /, such as /left"
+        )
+    return name
+
+
+def _run(session: Session, ros: Context, *, quiet: bool) -> int:
+    """Run a session, judge it and show what came out."""
+    plan, directory = session.plan, session.directory
+    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
+
+    def tell(line: str) -> None:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    tell(f"{plan.scenario.name} in {directory.path}")
+    if plan.interactive:
+        tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
+    duration = None if plan.interactive else plan.scenario.duration
+    outcome = session.run(ros, make_view(console, duration, quiet=quiet))
+    # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
+    from tactile_hand_ros.orchestrator.summary import judge, read_results, table, write_summary
+
+    results = read_results(plan, directory, finished=outcome.is_complete)
+    verdict = judge(plan, outcome, results, session.signals.exit_code)
+    write_summary(plan, directory, outcome, results, verdict)
+    if results.metrics:
+        console.print(table(plan, outcome, results))
+    tell(f"{verdict.outcome}; everything is in {directory.path}")
+    for reason in verdict.reasons:
+        print(reason, file=sys.stderr)
+    return verdict.exit_code
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the orchestrator and return its exit code.
+
+    Args:
+        args: Command line with program name; None takes ``sys.argv``.
+    """
+    signals = Signals()
+    signals.install()
+    line = list(sys.argv if args is None else args)
+    ros_arguments = line if "--ros-args" in line else []
+    command = typer.main.get_command(app)
+    try:
+        command(
+            args=remove_ros_args(line)[1:],
+            prog_name="orchestrator",
+            obj=(signals, ros_arguments),
+        )
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
+    except Interrupted:
+        return signals.exit_code
+    return 0

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Looks at a running hand without slowing it down: the newest messages, taken when asked for."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
+from tactile_hand_ros.core.errors import MessageError
+from tactile_hand_ros.orchestrator.wiring import Peers
+from tactile_hand_ros.ros import interfaces as names
+from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.diagnostics import OK, STALE
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
+from tactile_hand_ros.ros.spinning import take_latest
+
+_HEADER = 4  # bytes of a CDR message before its first field, which is the stamp here
+_LATEST, _ALL = 1, 100
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a look at the hand shows; NaN where nothing was heard.
+
+    Attributes:
+        time: Simulated time [s].
+        position_error: Distance of the contact centroid from its desired position [m].
+        grasp_force: k_f [N].
+    """
+
+    time: float
+    position_error: float
+    grasp_force: float
+
+
+def stamp_of(data: bytes) -> int:
+    """Return the stamp [ns] of a serialized message that begins with a header."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _HEADER)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+class Monitor:
+    """Subscriptions that hold one message each and decode it only when somebody looks."""
+
+    def __init__(self, node: Node) -> None:
+        """Subscribe.
+
+        Args:
+            node: A node in the namespace of the run. Its executor does not see the subscriptions.
+        """
+        self._node = node
+        self._group = DirectTakeGroup()
+        self._command = self._subscribe(JointState, names.JOINT_COMMAND, _LATEST)
+        self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
+        self._force = self._subscribe(WrenchStamped, names.GRASP_FORCE, _LATEST)
+        self._desired = self._subscribe(PoseStamped, names.DESIRED_POSE, _ALL)
+        self._diagnostics = self._subscribe(DiagnosticArray, names.DIAGNOSTICS, _ALL)
+        self._last: dict[str, Any] = {}
+        self._targets: list[tuple[int, Any]] = []
+        self._status: dict[str, tuple[bytes, str]] = {}
+        self._peers: dict[str, Peers] = {}
+        self.tick = -1
+
+    def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
+        profile = QoSProfile(
+            history=QoSHistoryPolicy.KEEP_LAST,
+            depth=depth,
+            reliability=QoSReliabilityPolicy.RELIABLE,
+        )
+        return self._node.create_subscription(
+            kind, topic, _never_called, profile, callback_group=self._group, raw=True
+        )
+
+    def answered(self) -> int:
+        """Return the stamp of the newest tick that was answered [ns], -1 before the first."""
+        data = take_latest(self._command)
+        if data is not None:
+            self.tick = stamp_of(data)
+        return self.tick
+
+    def look(self) -> Look:
+        """Return what is known now."""
+        self._take_targets()
+        pose = self._newest(self._pose, PoseStamped)
+        force = self._newest(self._force, WrenchStamped)
+        return Look(
+            time=max(0.0, 1e-9 * self.answered()),
+            position_error=np.nan if pose is None else self._error(pose),
+            grasp_force=np.nan if force is None else float(force.wrench.force.y),
+        )
+
+    def faults(self) -> list[str]:
+        """Return a sentence for each node that reports a warning or an error."""
+        self._take_diagnostics()
+        wrong = {name: text for name, (level, text) in self._status.items() if _is_bad(level)}
+        return [f"{name}: {text}" for name, text in sorted(wrong.items())]
+
+    def peers(self) -> dict[str, Peers]:
+        """Return whom the nodes have met, by full name of the node."""
+        self._take_diagnostics()
+        return self._peers
+
+    def _take_diagnostics(self) -> None:
+        for message in _take_all(self._diagnostics, DiagnosticArray):
+            for status in message.status:
+                self._status[status.name] = (status.level, status.message)
+                told = {pair.key: pair.value for pair in status.values}
+                if PUBLICATIONS in told and SUBSCRIPTIONS in told:
+                    self._peers[status.name] = Peers(
+                        parse_peers(told[PUBLICATIONS]), parse_peers(told[SUBSCRIPTIONS])
+                    )
+
+    def _newest(self, subscription: Subscription, kind: Any) -> Any:
+        data = take_latest(subscription)
+        if data is not None:
+            self._last[subscription.topic_name] = deserialize_message(data, kind)
+        return self._last.get(subscription.topic_name)
+
+    def _take_targets(self) -> None:
+        for message in _take_all(self._desired, PoseStamped):
+            try:
+                target = pose_from_ros(message)
+            except MessageError:  # the controller refuses it too, and says so
+                continue
+            self._targets.append((stamp_to_ns(message.header.stamp), target.position))
+
+    def _error(self, pose: PoseStamped) -> float:
+        """Return the distance from the target that holds at the pose's tick [m]."""
+        stamp = stamp_to_ns(pose.header.stamp)
+        due = [index for index, (since, _) in enumerate(self._targets) if since <= stamp]
+        if not due:
+            return float(np.nan)
+        self._targets = self._targets[due[-1] :]  # a later command replaces those before it
+        point = pose.pose.position
+        present = np.array((point.x, point.y, point.z))
+        return float(np.linalg.norm(present - self._targets[0][1]))
+
+
+def _is_bad(level: bytes) -> bool:
+    return bool(OK < level < STALE)
+
+
+def _take_all(subscription: Subscription, kind: Any) -> list[Any]:
+    taken = []
+    with subscription.handle:
+        while (item := subscription.handle.take_message(kind, True)) is not None:
+            taken.append(deserialize_message(item[0], kind))
+    return taken
+
+
+def _never_called(_: Any) -> None:
+    """Stand in for a callback: messages are taken directly."""

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The processes of a run: started as ``ros2 run`` does, each in a session of its own, and ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from ament_index_python.packages import get_package_prefix
+
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.orchestrator import keeper
+from tactile_hand_ros.orchestrator.signals import pause
+from tactile_hand_ros.ros.executables import PACKAGE, child_environment, executable_path
+
+_POLL = 0.005  # s
+_PROBE_SECONDS = 15.0
+# How long a signal may take until the next, harder one.
+_PATIENCE = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
+_HASTE = 1.0  # s for each, after a second Ctrl-C
+_TAIL = 15  # lines of a log that are shown
+
+
+class NodeDiedError(TactileHandError):
+    """A process of the run ended by itself."""
+
+
+class Launcher:
+    """Says how an executable of this package is started here.
+
+    With ``ros2 run`` where that command exists and finds this package in the same place as the
+    ament index does; else with the file that ``ros2 run`` would start.
+    """
+
+    def __init__(self) -> None:
+        """Ask the ``ros2`` command, if there is one, without waiting for the answer."""
+        self._ros2 = shutil.which("ros2")
+        self._probe: subprocess.Popen[str] | None = None
+        if self._ros2 is not None:
+            self._probe = subprocess.Popen(
+                [self._ros2, "pkg", "prefix", PACKAGE],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,
+            )
+
+    @property
+    def uses_ros2(self) -> bool:
+        """Whether ``ros2 run`` is used."""
+        if self._probe is not None:
+            if not self._finds_the_package(self._probe):
+                self._ros2 = None
+            self._probe = None
+        return self._ros2 is not None
+
+    @staticmethod
+    def _finds_the_package(probe: subprocess.Popen[str]) -> bool:
+        try:
+            answer, _ = probe.communicate(timeout=_PROBE_SECONDS)
+        except subprocess.TimeoutExpired:
+            probe.kill()
+            probe.communicate()
+            return False
+        same = Path(answer.strip()) == Path(get_package_prefix(PACKAGE))
+        return probe.returncode == 0 and same
+
+    def command(self, name: str) -> list[str]:
+        """Return program and first arguments for an executable.
+
+        Raises:
+            ExecutableError: If it does not exist.
+        """
+        path = executable_path(name)
+        if self.uses_ros2:
+            return [str(self._ros2), "run", PACKAGE, name]
+        return [str(path)]
+
+
+class NodeProcess:
+    """One process in a session of its own, with a log.
+
+    Attributes:
+        name: Name of the executable.
+        log: File with everything it says.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], log: Path, mark: str) -> None:
+        """Start it.
+
+        Args:
+            name: Name of the executable.
+            command: Program and arguments.
+            log: File to create.
+            mark: Mark by which the keeper knows it.
+        """
+        self.name = name
+        self.log = log
+        environment = {**child_environment(), keeper.MARK: mark, "PYTHONUNBUFFERED": "1"}
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # a Ctrl-C in the terminal is the orchestrator's affair
+            )
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit code, None while it runs."""
+        return self._process.poll()
+
+    def send(self, number: int) -> None:
+        """Send a signal to the process and all that it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
+
+    def tail(self) -> list[str]:
+        """Return the last lines of the log."""
+        text = self.log.read_text(encoding="utf-8", errors="replace")
+        return [line for line in text.splitlines() if line.strip()][-_TAIL:]
+
+    def check(self) -> None:
+        """Raise if the process has ended.
+
+        Raises:
+            NodeDiedError: With its code and its last line.
+        """
+        code = self.returncode
+        if code is None:
+            return
+        how = (
+            f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        )
+        said = self.tail()
+        last = f", its last line was: {said[-1]}" if said else " without a word"
+        raise NodeDiedError(f"{self.name} {how}{last}")
+
+
+class Processes:
+    """The processes of a run and their keeper; nothing is left when the block ends."""
+
+    def __init__(self, launcher: Launcher, in_a_hurry: Callable[[], bool] = lambda: False) -> None:
+        """Prepare.
+
+        Args:
+            launcher: Says how to start an executable.
+            in_a_hurry: Asked while waiting for an end: whether to be less patient.
+        """
+        self._launcher = launcher
+        self._in_a_hurry = in_a_hurry
+        self._mark = uuid.uuid4().hex
+        self._started: dict[str, NodeProcess] = {}
+        self._keeper: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Processes:
+        """Start the keeper before anything that it might have to end."""
+        self._keeper = subprocess.Popen(
+            [sys.executable, "-I", "-S", keeper.__file__, self._mark],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End what still runs, then the keeper."""
+        self.stop([list(self._started)])
+        if self._keeper is not None and self._keeper.stdin is not None:
+            self._keeper.stdin.close()
+            self._keeper.wait()
+
+    def start(self, name: str, log: Path, *arguments: str) -> None:
+        """Start an executable of this package.
+
+        Args:
+            name: Its name.
+            log: File for what it says.
+            *arguments: Its arguments.
+
+        Raises:
+            ExecutableError: If it does not exist.
+        """
+        command = [*self._launcher.command(name), *arguments]
+        self._started[name] = NodeProcess(name, command, log, self._mark)
+
+    def check(self) -> None:
+        """Raise if one of the processes has ended.
+
+        Raises:
+            NodeDiedError: With its name, code and last line.
+        """
+        for process in self._started.values():
+            process.check()
+
+    def tail(self, name: str) -> list[str]:
+        """Return the last lines of a process's log."""
+        return self._started[name].tail() if name in self._started else []
+
+    def stop(self, order: Sequence[Sequence[str]]) -> list[str]:
+        """End processes, SIGINT first, SIGKILL last.
+
+        Args:
+            order: Names of those that end together, one group after the other.
+
+        Returns:
+            A sentence for each that did not end well.
+        """
+        complaints: list[str] = []
+        for names in order:
+            group = [self._started[name] for name in names if name in self._started]
+            complaints += self._stop_together(group)
+        return complaints
+
+    def _stop_together(self, group: list[NodeProcess]) -> list[str]:
+        running = [process for process in group if process.returncode is None]
+        left = running
+        for number, patience in _PATIENCE:
+            for process in left:
+                process.send(number)
+            left = self._wait(left, patience)
+            if not left:
+                break
+        for process in group:
+            process.send(signal.SIGKILL)  # whatever a process has left in its session
+        return [
+            f"{process.name} did not end well: code {process.returncode}, see {process.log}"
+            for process in running
+            # While it still loads, a process has no handler for SIGINT yet.
+            if process.returncode not in (0, -signal.SIGINT)
+        ]
+
+    def _wait(self, processes: list[NodeProcess], patience: float) -> list[NodeProcess]:
+        """Wait for the end of processes and return those that still run."""
+        begin = time.monotonic()
+        while left := [process for process in processes if process.returncode is None]:
+            limit = min(patience, _HASTE) if self._in_a_hurry() else patience
+            if time.monotonic() - begin > limit:
+                break
+            pause(_POLL)
+        return left

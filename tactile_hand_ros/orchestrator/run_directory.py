@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The directory of one run: what was asked for, what the nodes got, and what came out."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import os
+import re
+from pathlib import Path
+
+import yaml
+
+from tactile_hand_ros.core.config import Config
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.scenario import NODES, Scenario
+from tactile_hand_ros.ros.parameters import to_params_yaml
+
+LATEST = "latest"
+_SHARED = ("hand", "layout", "seed", "duration")
+
+
+class RunDirectory:
+    """``<root>/<time>-<scenario>/`` and the names of the files in it.
+
+    Attributes:
+        path: The directory.
+        bag: Folder of the bag.
+        summary: File with the results.
+        scenario: File with the scenario, every value resolved.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Name the files in a directory."""
+        self.path = path
+        self.bag = path / "bag"
+        self.summary = path / "summary.json"
+        self.scenario = path / "scenario.yaml"
+
+    @classmethod
+    def create(cls, root: Path, name: str, now: datetime.datetime | None = None) -> RunDirectory:
+        """Create a new directory and let ``<root>/latest`` point to it.
+
+        Args:
+            root: Where the runs are.
+            name: Name of the scenario.
+            now: Time for the name, by default the local time.
+
+        Raises:
+            ConfigurationError: If it cannot be created.
+        """
+        tame = re.sub(r"[^\w.-]+", "_", name)
+        stem = f"{now or datetime.datetime.now():%Y%m%d-%H%M%S}-{tame}"
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            run = cls(_new_folder(root, stem))
+            (run.path / "logs").mkdir()
+            (run.path / "parameters").mkdir()
+            _link(root / LATEST, run.path.name)
+        except OSError as error:
+            raise ConfigurationError(
+                f"no run can be stored in '{root}': {error.strerror}; choose another --out"
+            ) from None
+        return run
+
+    def log(self, node: str) -> Path:
+        """Return the file for what a node says."""
+        return self.path / "logs" / f"{node}.log"
+
+    def write_scenario(self, scenario: Scenario) -> str:
+        """Write the scenario with every value resolved and return its text."""
+        text = resolved(scenario)
+        self.scenario.write_text(text, encoding="utf-8")
+        return text
+
+    def write_parameters(self, node: str, config: Config) -> Path:
+        """Write the parameters of a node as a file for ``--params-file``."""
+        path = self.path / "parameters" / f"{node}.yaml"
+        path.write_text(to_params_yaml(config, node), encoding="utf-8")
+        return path
+
+
+def resolved(scenario: Scenario) -> str:
+    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+    data = scenario.model_dump(mode="json")
+    for node in NODES:
+        for name in _SHARED:  # said once at the top
+            data[node].pop(name, None)
+    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    return text
+
+
+def _new_folder(root: Path, stem: str) -> Path:
+    """Create a folder; a second run in the same second gets a number."""
+    for number in itertools.count(1):
+        path = root / (stem if number == 1 else f"{stem}-{number}")
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        return path
+    raise AssertionError("unreachable")
+
+
+def _link(link: Path, target: str) -> None:
+    """Point a link to a neighbour in one step, so that it always points somewhere."""
+    draft = link.with_name(f".{link.name}-{os.getpid()}")
+    draft.unlink(missing_ok=True)
+    draft.symlink_to(target)
+    draft.replace(link)

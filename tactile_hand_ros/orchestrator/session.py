@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run from the first process to the last: start, match, command, watch, stop."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from tactile_hand_ros.bag.config import RecorderConfig
+from tactile_hand_ros.core.config import Config
+from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.scenario import Scenario
+from tactile_hand_ros.orchestrator.monitor import Monitor
+from tactile_hand_ros.orchestrator.processes import Launcher, Processes
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
+from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
+from tactile_hand_ros.orchestrator.view import Rate, View
+from tactile_hand_ros.orchestrator.wiring import (
+    CONTROLLER,
+    OPTIMIZER,
+    PLANT,
+    RECORDER,
+    REGULATOR,
+    SENSOR,
+    Gap,
+    Wiring,
+)
+
+START_ORDER = (RECORDER, CONTROLLER, OPTIMIZER, SENSOR, REGULATOR, PLANT)
+STOP_ORDER = ((PLANT,), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
+
+STALL = 15.0
+"""Time without an answered tick after which a run is given up [s]."""
+
+_LOOK = 0.02  # s between two looks at the newest command
+_FIRST_LOOK = 0.002  # s, while the first one is awaited
+_GRAPH_LOOK = 0.03  # s between two looks at the graph
+_SHOWN = 6  # missing things that an error lists
+
+
+class StartupError(TactileHandError):
+    """The graph did not come together in time."""
+
+
+class StallError(TactileHandError):
+    """Nobody answers the plant any more."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be run.
+
+    Attributes:
+        scenario: The scenario.
+        namespace: Namespace of all nodes, ``/`` for none.
+        record: Whether to record a bag.
+        interactive: Whether to go on until a signal.
+        startup_timeout: Longest wait for the graph [s].
+    """
+
+    scenario: Scenario
+    namespace: str = "/"
+    record: bool = True
+    interactive: bool = False
+    startup_timeout: float = 20.0
+
+    @property
+    def end(self) -> int | None:
+        """Stamp of the last tick [ns], None for an endless run."""
+        return None if self.interactive else (self.scenario.ticks - 1) * self.scenario.plant.tick
+
+
+@dataclass
+class Outcome:
+    """What became of a run, as far as the orchestrator itself saw it.
+
+    Attributes:
+        failure: Why it ended early, empty if it did not.
+        interrupted: Whether a signal ended it.
+        complaints: A sentence for each process that did not end well.
+        startup: Time since the start of the orchestrator at which each step was done [s].
+        last_tick: Stamp of the last tick that was answered [ns], -1 for none.
+        position_error: The last position error that was seen [m].
+    """
+
+    failure: str = ""
+    interrupted: bool = False
+    complaints: list[str] = field(default_factory=list)
+    startup: dict[str, float] = field(default_factory=dict)
+    last_tick: int = -1
+    position_error: float = float("nan")
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run came to its last tick."""
+        return not (self.failure or self.interrupted)
+
+    def done(self, step: str) -> None:
+        """Note that a step of the start is done."""
+        self.startup[step] = round(process_age(), 3)
+
+
+class Session:
+    """Runs a plan in a run directory.
+
+    Attributes:
+        plan: What is to be run.
+        directory: Where everything is written.
+        signals: Say when to stop.
+        outcome: What became of it.
+    """
+
+    def __init__(
+        self, plan: Plan, directory: RunDirectory, launcher: Launcher, signals: Signals
+    ) -> None:
+        """Prepare.
+
+        Args:
+            plan: What is to be run.
+            directory: Where everything is written.
+            launcher: Says how executables are started.
+            signals: Say when to stop.
+        """
+        self.plan = plan
+        self.directory = directory
+        self.signals = signals
+        self.outcome = Outcome()
+        self._processes = Processes(launcher, lambda: signals.count > 1)
+
+    def run(self, ros: Context, view: View) -> Outcome:
+        """Run to the end, to a signal or to a failure; nothing is left running.
+
+        Args:
+            ros: Context for the orchestrator's own node.
+            view: Shows the progress.
+        """
+        outcome = self.outcome
+        outcome.done("scenario_checked")
+        with self._processes:
+            try:
+                self._start()
+                with graph_node(ros, self.plan.namespace) as node:
+                    self._conduct(node, view)
+            except Interrupted:
+                outcome.interrupted = True
+            except TactileHandError as error:
+                outcome.failure = str(error)
+            outcome.complaints = self._processes.stop(STOP_ORDER)
+        return outcome
+
+    def _start(self) -> None:
+        """Start all processes, one right after the other: they load at the same time."""
+        text = self.directory.write_scenario(self.plan.scenario)
+        configs = self._configs(text)
+        for name in START_ORDER:
+            if name not in configs:
+                continue
+            self.signals.check()
+            parameters = self.directory.write_parameters(name, configs[name])
+            arguments = ["--ros-args", "--params-file", str(parameters.resolve())]
+            if self.plan.namespace != "/":
+                arguments += ["-r", f"__ns:={self.plan.namespace}"]
+            # What a node says goes into its log here, not a second time below the home folder.
+            arguments += ["--disable-external-lib-logs"]
+            self._processes.start(name, self.directory.log(name), *arguments)
+        self.outcome.done("processes_started")
+
+    def _configs(self, scenario_text: str) -> dict[str, Config]:
+        scenario = self.plan.scenario
+        endless = {"duration": 0.0} if self.plan.interactive else {}
+        configs: dict[str, Config] = {
+            PLANT: scenario.plant.changed({"autostart": False, **endless}),
+            SENSOR: scenario.tactile_sensor,
+            REGULATOR: scenario.slip_regulator,
+            OPTIMIZER: scenario.force_optimizer,
+            CONTROLLER: scenario.manipulation_controller,
+        }
+        if self.plan.record:
+            configs[RECORDER] = RecorderConfig(
+                output=str(self.directory.bag.resolve()),
+                topics=_recorded(self.plan.namespace),
+                scenario=scenario_text,
+            )
+        return configs
+
+    def _conduct(self, node: Node, view: View) -> None:
+        steering = Steering(node, self._check)
+        monitor = Monitor(node)
+        fingers = load_hand_config(self.plan.scenario.hand).finger_names
+        wiring = Wiring(node, fingers, recorded=self.plan.record)
+        self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
+        steering.command(self.plan.scenario.targets)
+        self.outcome.done("targets_sent")
+        steering.run(True)
+        try:
+            self._watch(monitor, view)
+        finally:
+            # Between two ticks, so that the last one is whole in the bag.
+            with contextlib.suppress(SteeringError):
+                steering.run(False, timeout=1.0, check=False)
+
+    def _check(self) -> None:
+        self.signals.check()
+        self._processes.check()
+
+    def _await_graph(self, missing: Callable[[], list[Gap]]) -> None:
+        """Wait until everybody is there and has met everybody else.
+
+        Args:
+            missing: Asked again and again for what is missing.
+
+        Raises:
+            StartupError: With the names of those who are missing and what they last said.
+            NodeDiedError: If a process ended.
+            DuplicateNodeError: If a node of the run is there twice.
+        """
+        end = time.monotonic() + self.plan.startup_timeout
+        while gaps := missing():
+            self._processes.check()
+            if time.monotonic() > end:
+                raise StartupError(self._absence(gaps))
+            self.signals.wait(_GRAPH_LOOK)
+        self.outcome.done("graph_matched")
+
+    def _absence(self, gaps: Sequence[Gap]) -> str:
+        """Say who is missing, which topics, and what the log says."""
+        shown = "; ".join(gap.text for gap in gaps[:_SHOWN])
+        more = f"; and {len(gaps) - _SHOWN} more" if len(gaps) > _SHOWN else ""
+        lines = [
+            f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}{more}; "
+            f"look at {self.directory.path / 'logs'}"
+        ]
+        for name in dict.fromkeys(gap.node for gap in gaps):
+            tail = self._processes.tail(name)
+            lines += [f"{name} | {line}" for line in tail] or [f"{name} has not said anything"]
+        return "\n".join(lines)
+
+    def _watch(self, monitor: Monitor, view: View) -> None:
+        """Follow the run to its last tick.
+
+        Raises:
+            Interrupted: After a signal.
+            NodeDiedError: If a process ended.
+            StallError: If no tick is answered any more.
+        """
+        outcome, end = self.outcome, self.plan.end
+        rate = Rate(self.plan.scenario.plant.tick)
+        progress = due = time.monotonic()
+        with view:
+            while end is None or outcome.last_tick < end:
+                self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
+                self._processes.check()
+                before, outcome.last_tick = outcome.last_tick, monitor.answered()
+                now = time.monotonic()
+                if before < 0 <= outcome.last_tick:
+                    outcome.done("first_tick_answered")
+                if before != outcome.last_tick:
+                    progress = now
+                elif now - progress > STALL:
+                    raise StallError(_stall(monitor))
+                if now >= due:
+                    due = now + view.period
+                    faults = monitor.faults()
+                    view.show(monitor.look(), rate(outcome.last_tick), faults[0] if faults else "")
+            outcome.position_error = monitor.look().position_error
+
+
+def _recorded(namespace: str) -> list[str]:
+    """Return the patterns of the topics that belong to a run."""
+    if namespace == "/":
+        return [".*"]
+    return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
+
+
+def _gaps(node: Node, wiring: Wiring, monitor: Monitor, steering: Steering) -> list[Gap]:
+    """Return what is missing for the run to begin."""
+    peers = {**monitor.peers(), node.get_fully_qualified_name(): steering.peers}
+    gaps = wiring.missing(peers)
+    if not gaps and not steering.is_ready:
+        return [Gap(PLANT, "the service of the plant does not answer yet")]
+    return gaps
+
+
+def _stall(monitor: Monitor) -> str:
+    where = f"t = {1e-9 * monitor.tick:g} s" if monitor.tick >= 0 else "the start"
+    faults = "; ".join(monitor.faults()) or "no node reports a fault"
+    return f"no tick was answered for {STALL:g} s since {where}: {faults}; look at the logs"
+
+
+@contextlib.contextmanager
+def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
+    """Provide an rclpy context that leaves signals alone.
+
+    Args:
+        arguments: Command line with ROS arguments, or nothing.
+
+    Raises:
+        ConfigurationError: If the ROS arguments cannot be used.
+    """
+    context = Context()
+    try:
+        rclpy.init(
+            context=context,
+            args=list(arguments),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except RuntimeError as error:
+        reason = str(error).split(", at ")[0].splitlines()[0]
+        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None
+    try:
+        yield context
+    finally:
+        context.try_shutdown()
+
+
+@contextlib.contextmanager
+def graph_node(context: Context, namespace: str) -> Iterator[Node]:
+    """Provide a node of this process in the namespace of the run."""
+    node = Node(
+        "orchestrator", namespace=namespace, context=context, start_parameter_services=False
+    )
+    try:
+        yield node
+    finally:
+        node.destroy_node()

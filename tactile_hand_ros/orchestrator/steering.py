@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the orchestrator says to the graph: desired poses, and go or pause."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool
+
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.core.scenario import TargetConfig
+from tactile_hand_ros.orchestrator.wiring import Peers
+from tactile_hand_ros.ros import interfaces as names
+from tactile_hand_ros.ros.conversions import pose_to_ros
+
+_SLICE = 0.02  # s
+
+
+class SteeringError(TactileHandError):
+    """The graph does not answer."""
+
+
+class Steering:
+    """Publisher of desired poses and client of the plant's ``~/run``."""
+
+    def __init__(self, node: Node, check: Callable[[], None]) -> None:
+        """Create publisher and client.
+
+        Args:
+            node: A node in the namespace of the run.
+            check: Called while waiting; raises to give up.
+        """
+        self._check = check
+        self._publisher = node.create_publisher(
+            PoseStamped, names.DESIRED_POSE, QoSProfile(depth=1)
+        )
+        self._client = node.create_client(SetBool, "plant/run")
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the plant's service can be called."""
+        return bool(self._client.service_is_ready())
+
+    @property
+    def peers(self) -> Peers:
+        """Whom this process has met."""
+        met = {self._publisher.topic_name: int(self._publisher.get_subscription_count())}
+        return Peers(met, {})
+
+    def command(self, targets: Sequence[TargetConfig], timeout: float = 5.0) -> None:
+        """Send desired poses, each with the tick from which it holds, and wait until they arrived.
+
+        Raises:
+            SteeringError: If a listener does not acknowledge them.
+        """
+        end = time.monotonic() + timeout
+        for wish in targets:
+            target = wish.target()
+            self._publisher.publish(pose_to_ros(target.position, target.orientation, wish.stamp))
+            # A queue of one is full with each message, and only with a full queue does Fast DDS ask
+            # for the acknowledgement at once; otherwise it asks every 3 s.
+            while not self._publisher.wait_for_all_acked(Duration(seconds=_SLICE)):
+                self._check()
+                if time.monotonic() > end:
+                    raise SteeringError(
+                        f"the desired pose for t = {wish.time} s was not received by everybody "
+                        f"within {timeout:g} s; look at the logs of the nodes"
+                    )
+
+    def run(self, on: bool, timeout: float = 5.0, check: bool = True) -> None:
+        """Let the plant run or pause.
+
+        Args:
+            on: Run or pause.
+            timeout: Longest wait for the answer [s].
+            check: Whether to give up early when the constructor's `check` says so.
+
+        Raises:
+            SteeringError: If the plant refuses or does not answer.
+        """
+        future = self._client.call_async(SetBool.Request(data=on))
+        end = time.monotonic() + timeout
+        while not future.done():
+            if check:
+                self._check()
+            if time.monotonic() > end:
+                raise SteeringError(f"the plant did not answer to ~/run within {timeout:g} s")
+            self._executor.spin_once(timeout_sec=_SLICE)
+        answer = future.result()
+        if not answer.success:
+            raise SteeringError(f"the plant refuses ~/run: {answer.message}")
+
+
+def how_to_steer(namespace: str) -> str:
+    """Return the command that moves the hand from a second terminal."""
+    topic = f"{namespace.rstrip('/')}/{names.DESIRED_POSE}"
+    pose = (
+        "{header: {frame_id: palm}, pose: {position: {x: 0.02, y: 0.06, z: 0.40}, "
+        "orientation: {w: 1.0}}}"
+    )
+    return f"ros2 topic pub --once {topic} geometry_msgs/msg/PoseStamped '{pose}'"

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results of a run, computed from its bag, as JSON and as a table."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.table import Table
+
+from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.analysis.metrics import json_ready
+from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import Outcome, Plan
+
+LOST_KEY = "lost_messages"
+
+
+@dataclass
+class Results:
+    """What the bag says.
+
+    Attributes:
+        metrics: `Run.metrics` as plain data, empty without a bag or a tick.
+        recording: Message counts against ticks, empty without a bag or a tick.
+        problems: A sentence for each thing that is wrong with the bag.
+    """
+
+    metrics: dict[str, Any] = field(default_factory=dict)
+    recording: dict[str, Any] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Results:
+    """Compute the results from the bag.
+
+    Args:
+        plan: What was to be run.
+        directory: The run.
+        finished: Whether all ticks must be there.
+    """
+    results = Results()
+    try:
+        run = Run(directory.path, namespace=plan.namespace)
+        results.metrics = run.metrics.to_dict()
+        results.recording = run.bag_metrics.to_dict()
+    except TactileHandError as error:
+        results.problems.append(str(error))
+        return results
+    results.recording["expected_ticks"] = plan.scenario.ticks if finished else None
+    lost = int(run.summary.custom_data.get(LOST_KEY, "0"))
+    results.recording["lost_messages"] = lost
+    results.problems += _incomplete(results.recording, results.metrics["ticks"])
+    if finished and results.metrics["ticks"] != plan.scenario.ticks:
+        results.problems.append(
+            f"the bag holds {results.metrics['ticks']} ticks, expected {plan.scenario.ticks}"
+        )
+    if lost:
+        results.problems.append(f"the recorder lost {lost} messages")
+    return results
+
+
+def _incomplete(recording: dict[str, Any], ticks: int) -> list[str]:
+    """Say which topics lack messages, in one sentence for all that lack the same."""
+    found: list[str] = []
+    if recording["absent"]:
+        found.append(f"the bag has nothing on {', '.join(recording['absent'])}")
+    short = {
+        topic: c["ticks"] for topic, c in recording["topics"].items() if c["complete"] is False
+    }
+    for count in sorted(set(short.values())):
+        topics = ", ".join(topic for topic, present in short.items() if present == count)
+        found.append(f"the bag has {count} of {ticks} ticks on {topics}")
+    return found
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a run is judged.
+
+    Attributes:
+        outcome: ``goal reached``, ``goal not reached``, ``finished``, ``interrupted``, ``failed``.
+        reasons: Sentences that say why it is not simply good.
+        exit_code: Of the orchestrator.
+    """
+
+    outcome: str
+    reasons: list[str]
+    exit_code: int
+
+
+def judge(plan: Plan, outcome: Outcome, results: Results, signal_code: int) -> Verdict:
+    """Judge a run.
+
+    Args:
+        plan: What was to be run.
+        outcome: What the orchestrator saw.
+        results: What the bag says.
+        signal_code: Exit code if a signal ended it.
+    """
+    troubles = [*results.problems, *outcome.complaints]
+    if outcome.failure:
+        return Verdict("failed", [outcome.failure, *troubles], 1)
+    if outcome.interrupted and plan.interactive and signal_code == _CTRL_C:
+        return Verdict("finished", troubles, 1 if troubles else 0)
+    if outcome.interrupted:
+        return Verdict("interrupted", troubles, signal_code)
+    missed = _missed(plan, outcome, results)
+    verdict = "goal not reached" if missed else "goal reached"
+    return Verdict(verdict, [*missed, *troubles], 1 if missed or troubles else 0)
+
+
+_CTRL_C = 130
+
+
+def _missed(plan: Plan, outcome: Outcome, results: Results) -> list[str]:
+    """Say by how much the goal was missed; without a bag, by the last pose that was seen."""
+    goal, metrics = plan.scenario.goal, results.metrics
+    position = metrics.get("final_position_error_m") if metrics else outcome.position_error
+    checks = [("position", position, goal.position_error, "m")]
+    if metrics:
+        rotation = metrics["final_rotation_error_rad"]
+        checks.append(("rotation", rotation, goal.rotation_error, "rad"))
+    return [
+        f"the final {name} error is {_number(value)} {unit}, the goal is {limit:g} {unit}"
+        for name, value, limit, unit in checks
+        if value is None or not value <= limit
+    ]
+
+
+def write_summary(
+    plan: Plan, directory: RunDirectory, outcome: Outcome, results: Results, verdict: Verdict
+) -> None:
+    """Write ``summary.json`` whole or not at all."""
+    scenario = plan.scenario
+    content = {
+        "scenario": scenario.name,
+        "outcome": verdict.outcome,
+        "exit_code": verdict.exit_code,
+        "reasons": verdict.reasons,
+        "goal": {
+            "position_error_m": scenario.goal.position_error,
+            "rotation_error_rad": scenario.goal.rotation_error,
+        },
+        "metrics": results.metrics,
+        "recording": results.recording,
+        "startup_s": outcome.startup,
+        "seed": scenario.seed,
+        "pacing": scenario.plant.pacing,
+        "namespace": plan.namespace,
+        "interactive": plan.interactive,
+        "finished_at": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "versions": versions(),
+    }
+    text = json.dumps(json_ready(content), indent=2, allow_nan=False)
+    draft = directory.summary.with_name(f".{directory.summary.name}")
+    draft.write_text(text + "\n", encoding="utf-8")
+    draft.replace(directory.summary)
+
+
+def table(plan: Plan, outcome: Outcome, results: Results) -> Table:
+    """Return the results as a table for the terminal."""
+    out = Table(title=f"{plan.scenario.name}: {plan.scenario.description}", title_justify="left")
+    out.add_column("result")
+    out.add_column("value", justify="right")
+    out.add_column("goal", justify="right")
+    for row in _rows(plan, outcome, results):
+        out.add_row(*row)
+    return out
+
+
+def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str, str]]:
+    goal, m, r = plan.scenario.goal, results.metrics, results.recording
+    position, rotation = m["final_position_error_m"], m["final_rotation_error_rad"]
+    rows = [
+        ("simulated time", f"{m['simulated_time_s']:.3f} s", ""),
+        ("final position error", _milli(position, "mm"), f"< {1e3 * goal.position_error:g} mm"),
+        ("final rotation error", _milli(rotation, "mrad"), f"< {1e3 * goal.rotation_error:g} mrad"),
+        ("settling time", f"{_number(m['settling_time_s'])} s", ""),
+        ("squeeze k_f", f"{_number(m['final_grasp_force_N'])} N", ""),
+        (
+            "sum of normal forces",
+            f"{_number(m['normal_force_sum_N'])} N",
+            f"off by {_percent(m['normal_force_sum_relative_error'])}",
+        ),
+    ]
+    rows += [
+        (
+            f"normal force, {finger}",
+            f"{_number(force)} N",
+            f"k_f f* = {_number(m['optimal_normal_forces_N'][finger])} N",
+        )
+        for finger, force in m["final_normal_forces_N"].items()
+    ]
+    friction = [b for b in m["max_required_friction"].values() if b is not None]
+    return [
+        *rows,
+        ("required friction, peak", f"{max(friction):.3f}" if friction else "-", ""),
+        ("peak joint rate", f"{_number(m['peak_joint_rate_rad_per_s'])} rad/s", ""),
+        ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
+        ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
+        ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),
+        ("messages recorded, lost", f"{r['messages']}, {r['lost_messages']}", "none lost"),
+        (
+            "start to first tick",
+            f"{_number(outcome.startup.get('first_tick_answered'))} s",
+            "< 5 s",
+        ),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.4g}"
+
+
+def _milli(value: float | None, unit: str) -> str:
+    return "unknown" if value is None else f"{1e3 * value:.4g} {unit}"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{100 * value:.2g} %"

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who must talk to whom before a run may begin, and who is still missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.ros import interfaces as names
+
+PLANT = "plant"
+SENSOR = "tactile_sensor"
+REGULATOR = "slip_regulator"
+OPTIMIZER = "force_optimizer"
+CONTROLLER = "manipulation_controller"
+RECORDER = "recorder"
+ORCHESTRATOR = "orchestrator"
+
+
+class DuplicateNodeError(TactileHandError):
+    """A node of the same name runs already."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One topic, who publishes it and who must have subscribed to it."""
+
+    topic: str
+    publisher: str
+    subscribers: tuple[str, ...] = ()
+
+
+class Peers(NamedTuple):
+    """How many peers a node has met, by full topic name."""
+
+    publications: Mapping[str, int]
+    subscriptions: Mapping[str, int]
+
+
+_NOBODY = Peers({}, {})
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something that a node does not offer yet."""
+
+    node: str
+    text: str
+
+
+def links(fingers: Sequence[str]) -> list[Link]:
+    """Return the topics between the nodes; an empty publisher means the user."""
+    per_finger = [
+        link
+        for finger in fingers
+        for link in (
+            Link(names.true_wrench(finger), PLANT, (SENSOR,)),
+            Link(names.wrench(finger), SENSOR, (REGULATOR,)),
+            Link(names.optimal_force(finger), OPTIMIZER, (CONTROLLER,)),
+        )
+    ]
+    return [
+        Link(names.JOINT_STATES, PLANT, (CONTROLLER,)),
+        Link(names.TRUE_CONTACTS, PLANT, (SENSOR,)),
+        Link(names.OBJECT_POSE, PLANT),
+        Link(names.ROBOT_DESCRIPTION, PLANT),
+        Link(names.CLOCK, PLANT),
+        Link(names.CONTACTS, SENSOR, (OPTIMIZER, CONTROLLER)),
+        Link(names.GRASP_FORCE, REGULATOR, (CONTROLLER,)),
+        Link(names.HAPTIC_FEEDBACK, REGULATOR),
+        Link(names.JOINT_COMMAND, CONTROLLER, (PLANT,)),
+        Link(names.AUXILIARY_POSE, CONTROLLER),
+        Link(names.DESIRED_POSE, ORCHESTRATOR, (CONTROLLER,)),
+        Link(names.USER_GRASP_FORCE, "", (REGULATOR,)),
+        *per_finger,
+    ]
+
+
+def services() -> list[tuple[str, str]]:
+    """Return nodes and their services, both relative to the namespace."""
+    resettable = (PLANT, REGULATOR, CONTROLLER)
+    return [
+        (PLANT, f"{PLANT}/run"),
+        (CONTROLLER, f"{CONTROLLER}/enable"),
+        *((node, f"{node}/reset") for node in resettable),
+    ]
+
+
+class Wiring:
+    """Compares the ROS graph with what the run needs.
+
+    That a publisher and a subscription exist is not enough: each must have met the other, which
+    only the two nodes know. They tell it in their diagnostics.
+
+    What was found once is not looked for again: a question to the graph costs the nodes that are
+    starting at that moment.
+    """
+
+    def __init__(self, node: Node, fingers: Sequence[str], *, recorded: bool) -> None:
+        """Say what is needed.
+
+        Args:
+            node: Any node in the namespace of the run.
+            fingers: Names of the hand's fingers.
+            recorded: Whether the recorder takes part.
+        """
+        self._node = node
+        self._namespace = node.get_namespace()
+        recorder = (RECORDER,) if recorded else ()
+        self._links = [
+            Link(link.topic, link.publisher, link.subscribers + recorder) for link in links(fingers)
+        ]
+        self._services = services()
+
+    def missing(self, peers: Mapping[str, Peers]) -> list[Gap]:
+        """Return what is still missing.
+
+        Args:
+            peers: What the nodes said of their peers, by full name of the node.
+
+        Raises:
+            DuplicateNodeError: If a node of the run is there twice.
+        """
+        gaps = self._missing_services()
+        still = {link: found for link in self._links if (found := self._missing_of(link, peers))}
+        self._links = list(still)
+        return gaps + [gap for found in still.values() for gap in found]
+
+    def _missing_services(self) -> list[Gap]:
+        if not self._services:
+            return []
+        offered = {name for name, _ in self._node.get_service_names_and_types()}
+        self._services = [
+            (node, name) for node, name in self._services if self._full(name) not in offered
+        ]
+        return [
+            Gap(node, f"{node} does not offer the service {self._full(name)}")
+            for node, name in self._services
+        ]
+
+    def _missing_of(self, link: Link, peers: Mapping[str, Peers]) -> list[Gap]:
+        topic = self._full(link.topic)
+        gaps = []
+        if link.publisher and not self._publishes(link.publisher, topic):
+            gaps.append(Gap(link.publisher, f"{link.publisher} does not publish {topic}"))
+        present = self._own(self._node.get_subscriptions_info_by_topic(topic))
+        gaps += [
+            Gap(name, f"{name} does not subscribe to {topic}")
+            for name in link.subscribers
+            if name not in present
+        ]
+        return gaps or self._unmet(link, topic, len(present), peers)
+
+    def _unmet(
+        self, link: Link, topic: str, subscriptions: int, peers: Mapping[str, Peers]
+    ) -> list[Gap]:
+        """Return who is there but has not met the other end."""
+        if not link.publisher:
+            return []
+        met = peers.get(self._full(link.publisher), _NOBODY).publications.get(topic, 0)
+        gaps = [
+            Gap(name, f"{name} has not met the publisher of {topic}")
+            for name in link.subscribers
+            if not peers.get(self._full(name), _NOBODY).subscriptions.get(topic, 0)
+        ]
+        if met < subscriptions:
+            text = f"{link.publisher} has met {met} of {subscriptions} subscribers of {topic}"
+            gaps.append(Gap(link.publisher, text))
+        return gaps
+
+    def _publishes(self, name: str, topic: str) -> bool:
+        count = self._own(self._node.get_publishers_info_by_topic(topic)).count(name)
+        if count > 1:
+            raise DuplicateNodeError(
+                f"two nodes are called '{self._full(name)}' in this ROS domain; stop the other run,"
+                " or give this one another --namespace or ROS_DOMAIN_ID"
+            )
+        return count == 1
+
+    def _own(self, endpoints: Sequence[TopicEndpointInfo]) -> list[str]:
+        """Return the names of the nodes in the run's namespace that the endpoints belong to."""
+        return [each.node_name for each in endpoints if each.node_namespace == self._namespace]
+
+    def _full(self, name: str) -> str:
+        return name if name.startswith("/") else f"{self._namespace.rstrip('/')}/{name}"
