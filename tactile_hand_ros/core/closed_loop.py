@@ -6,7 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tactile_hand_ros.core.cone_optimizer import Cones
+from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Command, Controller
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.core.plant import Plant, PlantState
@@ -14,7 +17,10 @@ from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.core.slip import SlipRegulator
+from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.core.tactile import TactileReading, TactileSensor
+
+Array = NDArray[np.float64]
 
 
 class ClosedLoop:
@@ -35,8 +41,9 @@ class ClosedLoop:
         self.plant = Plant(scenario.plant)
         hand = self.plant.hand
         self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
-        self.regulator = SlipRegulator(scenario.slip_regulator)
+        self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
         self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
+        self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
         self.controller = Controller(scenario.manipulation_controller)
         self._state = self.plant.state
         self._stamp = 0
@@ -65,16 +72,29 @@ class ClosedLoop:
         """Run one tick and write it into a row of the record."""
         state, stamp = self._state, self._stamp
         true = true_reading(state)
-        touch = self.sensor.step(stamp, true)
-        grasp_force = self.regulator.step(stamp)
+        touch = self.sensor.step(stamp, true, sliding_speeds(state))
         contacts = touch.contacts
-        optimal = self.optimizer.solve(contacts)
+        grasp_force = self.regulator.step(stamp, contacts, touch.forces)
+        optimal = self.optimizer.solve(contacts, self._cones(contacts, touch.forces))
         command = self.controller.step(
-            stamp, state.theta, state.rates, contacts, optimal.forces, grasp_force
+            stamp,
+            state.theta,
+            state.rates,
+            contacts,
+            optimal.forces,
+            grasp_force,
+            touch.forces,
         )
         self._write(record, row, true, touch, grasp_force, optimal, command)
         self._state = self.plant.advance(command.torque)
         self._stamp += self.scenario.plant.tick
+
+    def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
+        c = self.optimizer.config
+        if not c.cones:
+            return None
+        friction = c.cone_share * self.regulator.friction
+        return self._cone_watch.step(self._stamp, contacts, forces, friction)
 
     def _write(
         self,
@@ -110,6 +130,11 @@ class ClosedLoop:
             target = due[-1].target()
             record.desired_position[row] = target.position
             record.desired_quaternion[row] = quaternion_from_rotation(target.orientation)
+
+
+def sliding_speeds(state: PlantState) -> Array:
+    """Return how fast each contact slides, shape (k,), m/s."""
+    return np.asarray(np.hypot(state.sliding[:, 0], state.sliding[:, 1]))
 
 
 def true_reading(state: PlantState) -> TactileReading:

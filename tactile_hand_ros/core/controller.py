@@ -126,6 +126,7 @@ class Controller:
         contacts: Contacts,
         optimal_forces: Array,
         grasp_force: float,
+        forces: Array | None = None,
     ) -> Command:
         """Answer a tick for which everything has arrived.
 
@@ -136,6 +137,7 @@ class Controller:
             contacts: Contacts by touch; NaN where there is none.
             optimal_forces: f* in contact frames, shape (k, 3); NaN when (13) has no answer.
             grasp_force: k_f, N.
+            forces: Measured forces in contact frames, shape (k, 3), N; for the load observer.
         """
         dt = 0.0 if self._last_stamp is None else 1e-9 * (stamp - self._last_stamp)
         self._last_stamp = stamp
@@ -151,12 +153,12 @@ class Controller:
             refused = self._take_due_target(stamp, pose)
             assert self.target is not None
             parts = self._law.step(
-                tips, rates, contacts, optimal_forces, grasp_force, self.target, pose, dt
+                tips, rates, contacts, optimal_forces, grasp_force, self.target, pose, dt, forces
             )
         except GraspError as error:
             return self.hold(theta, rates, str(error))
         self._hold.release()
-        self._squeeze = parts.squeeze
+        self._squeeze = parts.squeeze + parts.carry
         torque = self._for_middle_of_period(parts.total) + self._gravity(theta)
         return Command(torque, Mode.DRIVE, pose, refused)
 

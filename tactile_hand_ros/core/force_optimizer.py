@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from tactile_hand_ros.core.cone_optimizer import ConeOptimizer, Cones
 from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts, skew
 from tactile_hand_ros.core.errors import ConfigurationError
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 _MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
 _GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
+
+
+_MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
 
 
 class ForceOptimizerConfig(Config):
@@ -36,6 +40,15 @@ class ForceOptimizerConfig(Config):
     )
     minimum_normal: float = param(
         0.0, "least share f_n of each contact in the unit squeeze", live=True, ge=0.0, lt=0.34
+    )
+    cones: bool = param(
+        False, "keep squeeze and load inside the friction cones that the regulator has learned"
+    )
+    load_time: float = param(
+        0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
+    )
+    cone_share: float = param(
+        0.78, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )
 
     def weight_vector(self, fingers: int) -> Array:
@@ -77,6 +90,9 @@ class OptimalForces:
         stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
         solve_time: Time that OSQP reports, s.
         iterations: Iterations that OSQP reports.
+        cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
+            that nothing has to slip; NaN where friction is not looked at.
+        shaped: Whether the cones changed f*.
     """
 
     status: Status
@@ -87,6 +103,8 @@ class OptimalForces:
     stationarity_residual: float = np.nan
     solve_time: float = 0.0
     iterations: int = 0
+    cone_margin: float = np.nan
+    shaped: bool = False
 
     @property
     def ok(self) -> bool:
@@ -117,6 +135,7 @@ class ForceOptimizer:
         """
         self._k = fingers
         self._columns = 3 * fingers
+        self._shaper: ConeOptimizer | None = None
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -139,11 +158,12 @@ class ForceOptimizer:
         """Forget the last answer."""
         self._set_up()
 
-    def solve(self, contacts: Contacts) -> OptimalForces:
+    def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
         """Share a unit squeeze among the contacts.
 
         Args:
             contacts: Contact points and frames in the palm frame.
+            cones: Friction and load of the contacts; (13) does not look at them by default.
 
         Returns:
             f* in contact frames, or a status that says why there is none.
@@ -161,7 +181,29 @@ class ForceOptimizer:
         balance = self._balance(contacts)
         self._values[self._balance_slots] = balance.ravel()
         self._solver.update(Ax=self._values)
-        return self._judge(self._solver.solve(raise_error=False), balance)
+        solved = self._judge(self._solver.solve(raise_error=False), balance)
+        return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
+
+    def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
+        """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
+        margin = cones.margin(solved.forces)
+        if cones.holds(solved.forces):
+            return replace(solved, cone_margin=margin)
+        if self._shaper is None:
+            self._shaper = ConeOptimizer(self._weights, self.config.minimum_normal)
+        forces, residual = self._shaper.solve(balance, cones)
+        if not residual < _MAX_CONE_RESIDUAL:
+            self._shaper = None
+            return replace(solved, cone_margin=margin)
+        return replace(
+            solved,
+            forces=forces,
+            balance_residual=float(np.abs(forces.ravel() @ balance).max()),
+            sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
+            stationarity_residual=residual,
+            cone_margin=cones.margin(forces),
+            shaped=True,
+        )
 
     def _balance(self, contacts: Contacts) -> Array:
         """Return G~^T for forces in contact frames, torques per size of the grasp, (3k, 6).
@@ -185,6 +227,7 @@ class ForceOptimizer:
         matrix = sparse.csc_matrix(rows)
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
+        self._shaper = None
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
         self._solver = osqp.OSQP()

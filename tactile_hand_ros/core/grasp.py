@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.contact import skew
+from tactile_hand_ros.core.contact import Contacts, skew
 from tactile_hand_ros.core.errors import CollinearContactsError, GraspError
 
 Array = NDArray[np.float64]
@@ -35,6 +35,17 @@ def grasp_map(points: Array, origin: Array) -> Array:
     out[:3] = np.eye(3)[:, None, :]
     out[3:] = skew(points - origin).transpose(1, 0, 2)
     return out.reshape(6, 3 * k)
+
+
+def net_wrench(contacts: Contacts, forces: Array) -> Array:
+    """Return the wrench of contact forces about the contact centroid, shape (6,), N and N m.
+
+    Args:
+        contacts: Contact points and frames.
+        forces: Forces on the object in contact frames, shape (k, 3), N.
+    """
+    in_palm = (contacts.rotations @ forces[:, :, None])[:, :, 0]
+    return np.asarray(grasp_map(contacts.positions, contacts.centroid) @ in_palm.ravel())
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:

@@ -13,6 +13,7 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts, hand_jacobian
 from tactile_hand_ros.core.grasp import wrench_forces
 from tactile_hand_ros.core.hand import Fingertips
+from tactile_hand_ros.core.load_observer import LoadObserver, ObserverConfig, limit_length
 from tactile_hand_ros.core.virtual_frame import VirtualFrame, orientation_error
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ class LawConfig(Config):
         (0.0, 0.0, 0.0), "reference of the relative attitude term in (8)", unit="rad", live=True
     )
     integral: IntegralConfig = IntegralConfig()
+    observer: ObserverConfig = ObserverConfig()
 
 
 @dataclass(frozen=True)
@@ -67,18 +69,20 @@ class LawTorque:
 
     Attributes:
         squeeze: Holds the object; does no work on a rigid grasp.
+        carry: Carries what weighs on the object: integral action and observed load.
         drive: Moves the object towards its target.
         damping: -K_c theta'.
     """
 
     squeeze: Array
+    carry: Array
     drive: Array
     damping: Array
 
     @property
     def total(self) -> Array:
         """The torque of the law, shape (m,), N m."""
-        return self.squeeze + self.drive + self.damping
+        return self.squeeze + self.carry + self.drive + self.damping
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,6 @@ class LawInput:
         contacts: Contact points and frames.
         optimal_forces: f* in contact frames, shape (k, 3).
         grasp_force: k_f, N.
-        wrench: Manipulation wrench K_p [p_d - p; r_d] plus integral action, shape (6,).
     """
 
     tips: Fingertips
@@ -99,11 +102,10 @@ class LawInput:
     contacts: Contacts
     optimal_forces: Array
     grasp_force: float
-    wrench: Array
 
 
 class ManipulationLaw:
-    """Integral action and virtual frame around one of the three laws."""
+    """Virtual frame, integral action and load observer around one of the three laws."""
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
         """Build a law for fingertips of the given radii, shape (k,), m."""
@@ -111,6 +113,7 @@ class ManipulationLaw:
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
+        self._observer = LoadObserver()
 
     def configure(self, config: LawConfig) -> None:
         """Take other gains; the state of the integral stays."""
@@ -120,11 +123,17 @@ class ManipulationLaw:
         """Forget the grasp and the integral."""
         self._frame.reset()
         self._integral[:] = 0.0
+        self._observer.reset()
 
     @property
     def integral_wrench(self) -> Array:
         """Wrench of the integral action, shape (6,), N and N m."""
         return self._integral.copy()
+
+    @property
+    def observed_load(self) -> Array:
+        """Wrench that the observer carries, shape (6,), N and N m."""
+        return self._observer.wrench.copy()
 
     def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
         """Return what the hand believes of the object's pose.
@@ -147,6 +156,7 @@ class ManipulationLaw:
         target: Target,
         auxiliary: AuxiliaryPose,
         dt: float,
+        forces: Array | None = None,
     ) -> LawTorque:
         """Return the joint torques of the law, without gravity compensation.
 
@@ -158,7 +168,8 @@ class ManipulationLaw:
             grasp_force: k_f, N.
             target: Desired pose.
             auxiliary: Pose from `auxiliary_pose` at this tick.
-            dt: Time since the last step, s; drives the integral action.
+            dt: Time since the last step, s; drives integral action and observer.
+            forces: Measured forces in contact frames, shape (k, 3), N; used by the observer.
 
         Raises:
             CollinearContactsError: If the contacts lie on a line (A7).
@@ -171,12 +182,21 @@ class ManipulationLaw:
         )
         self._integrate(error, dt)
         c = self.config
-        wrench = self._integral.copy()
-        wrench[:3] += c.k_p * error[:3]
-        wrench[3:] += c.k_o * error[3:]
-        seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force, wrench)
-        squeeze, drive = LAWS[c.name](seen, c)
-        return LawTorque(squeeze, drive, -c.damping * rates)
+        wrench = np.concatenate([c.k_p * error[:3], c.k_o * error[3:]])
+        seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
+        law = LAWS[c.name](seen, c)
+        carried = self._carried(contacts, forces, dt)
+        carry = np.zeros_like(rates) if carried is None else law.drive(carried)
+        return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
+
+    def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
+        """Return what integral and observer carry, shape (6,), or None while both are off."""
+        c = self.config
+        observes = c.observer.time > 0.0 and forces is not None
+        if not observes:
+            return self._integral if c.integral.k_p > 0.0 or c.integral.k_o > 0.0 else None
+        assert forces is not None
+        return self._integral + self._observer.step(c.observer, contacts, forces, dt)
 
     def _integrate(self, error: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
@@ -189,42 +209,67 @@ class ManipulationLaw:
                 self._integral[part] = 0.0
                 continue
             self._integral[part] += gain * dt * error[part]
-            size = float(np.linalg.norm(self._integral[part]))
-            if size > limit:
-                self._integral[part] *= limit / size
+            limit_length(self._integral[part], limit)
 
 
-def kawamura_law(seen: LawInput, config: LawConfig) -> tuple[Array, Array]:
+class KawamuraLaw:
     """Equation (8): squeeze towards the tips' centroid, turn the object by turning the tips."""
-    tips = seen.tips
-    centroid = tips.positions.sum(axis=0) / len(tips.positions)
-    pull = seen.grasp_force / seen.radii.sum() * (centroid - tips.positions)
-    turn = config.k_st * np.array(config.r_ref) + seen.wrench[3:]
-    drive = np.einsum("kim,i->m", tips.linear, seen.wrench[:3])
-    return (
-        np.einsum("kim,ki->m", tips.linear, pull),
-        drive + np.einsum("kim,i->m", tips.angular, turn),
-    )
+
+    def __init__(self, seen: LawInput, config: LawConfig) -> None:
+        """Take what the law sees at a tick."""
+        self._seen, self._config = seen, config
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, with the relative attitude term, shape (m,), N m."""
+        tips, c = self._seen.tips, self._config
+        centroid = tips.positions.sum(axis=0) / len(tips.positions)
+        pull = self._seen.grasp_force / self._seen.radii.sum() * (centroid - tips.positions)
+        attitude = np.einsum("kim,i->m", tips.angular, c.k_st * np.array(c.r_ref))
+        return np.asarray(np.einsum("kim,ki->m", tips.linear, pull) + attitude)
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench, shape (6,), that every finger applies in full."""
+        tips = self._seen.tips
+        moving = np.einsum("kim,i->m", tips.linear, wrench[:3])
+        return np.asarray(moving + np.einsum("kim,i->m", tips.angular, wrench[3:]))
 
 
-def contact_law(seen: LawInput, config: LawConfig) -> tuple[Array, Array]:
+class ContactLaw:
     """Equation (10): squeeze towards the contacts' centroid, manipulate through the grasp map."""
-    squeeze = seen.grasp_force * (seen.contacts.centroid - seen.contacts.positions)
-    return _joint_torques(seen, squeeze)
+
+    def __init__(self, seen: LawInput, config: LawConfig) -> None:
+        """Take what the law sees at a tick."""
+        self._seen = seen
+        jacobian = hand_jacobian(seen.tips, seen.contacts.positions)
+        self._transposed = jacobian.reshape(-1, jacobian.shape[-1]).T
+
+    def squeezing_forces(self) -> Array:
+        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+        contacts = self._seen.contacts
+        return self._seen.grasp_force * (contacts.centroid - contacts.positions)
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, shape (m,), N m."""
+        return np.asarray(self._transposed @ self.squeezing_forces().ravel())
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+        forces = wrench_forces(self._seen.contacts.positions, wrench)
+        return np.asarray(self._transposed @ forces.ravel())
 
 
-def optimal_law(seen: LawInput, config: LawConfig) -> tuple[Array, Array]:
-    """Equation (14): squeeze by the optimal forces, manipulate through the grasp map."""
-    in_palm = (seen.contacts.rotations @ seen.optimal_forces[:, :, None])[:, :, 0]
-    return _joint_torques(seen, seen.grasp_force * in_palm)
+class OptimalLaw(ContactLaw):
+    """Equation (14): as (10), but squeeze by the optimal forces of (13)."""
+
+    def squeezing_forces(self) -> Array:
+        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+        seen = self._seen
+        in_palm = (seen.contacts.rotations @ seen.optimal_forces[:, :, None])[:, :, 0]
+        return np.asarray(seen.grasp_force * in_palm)
 
 
-def _joint_torques(seen: LawInput, squeeze: Array) -> tuple[Array, Array]:
-    """Map squeezing forces, shape (k, 3), and the manipulation wrench to joint torques."""
-    points = seen.contacts.positions
-    jacobian = hand_jacobian(seen.tips, points)
-    transposed = jacobian.reshape(-1, jacobian.shape[-1]).T
-    return transposed @ squeeze.ravel(), transposed @ wrench_forces(points, seen.wrench).ravel()
-
-
-LAWS = {"optimal": optimal_law, "contact": contact_law, "kawamura": kawamura_law}
+LAWS: dict[str, type[KawamuraLaw] | type[ContactLaw]] = {
+    "optimal": OptimalLaw,
+    "contact": ContactLaw,
+    "kawamura": KawamuraLaw,
+}

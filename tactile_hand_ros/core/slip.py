@@ -1,30 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The squeeze k_f: what the user asks for, inside limits and without jumps."""
+"""The squeeze k_f: what the user asks for, what the touched object needs, or both."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.errors import MessageError
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.errors import CollinearContactsError, MessageError
+from tactile_hand_ros.core.friction import FrictionConfig, FrictionEstimator
+from tactile_hand_ros.core.slip_detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.core.squeeze import Split, required_squeeze, split
+
+Array = NDArray[np.float64]
+
+_MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
+
+
+class ReflexConfig(Config):
+    """Parameters of the reflex that keeps an object from slipping."""
+
+    margin: float = param(
+        0.2, "share by which the squeeze exceeds what the friction needs", live=True, ge=0.0
+    )
+    rise_rate: float = param(4000.0, "fastest rise of the squeeze", unit="N/s", live=True, gt=0.0)
+    doubling_time: float = param(
+        0.03, "time in which the squeeze doubles while something slips", unit="s", live=True, gt=0.0
+    )
+    release_rate: float = param(
+        1.0, "least fall of the squeeze towards what is needed", unit="N/s", live=True, gt=0.0
+    )
+    release_time: float = param(
+        1.0, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
+    )
+    smoothing: float = param(
+        0.005, "time constant of the measured load", unit="s", live=True, gt=0.0
+    )
+    lead: float = param(
+        0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
+    )
 
 
 class SlipRegulatorConfig(Config):
     """Parameters of the slip-prevention regulator."""
 
     hand: str = param("paper", "hand by name or YAML file")
+    mode: Literal["user", "shared", "auto"] = param(
+        "user",
+        "user gives the squeeze asked for, auto what the object needs, shared the larger of both",
+        live=True,
+    )
     grasp_force: float = param(
         10.0, "squeeze k_f until the user asks for another", unit="N", gt=0.0
     )
     minimum: float = param(0.5, "least squeeze", unit="N", live=True, ge=0.0)
     maximum: float = param(40.0, "largest squeeze, the crush limit", unit="N", live=True, gt=0.0)
-    rise_rate: float = param(50.0, "fastest rise of the squeeze", unit="N/s", live=True, gt=0.0)
-    fall_rate: float = param(20.0, "fastest fall of the squeeze", unit="N/s", live=True, gt=0.0)
+    rise_rate: float = param(50.0, "fastest rise the user may cause", unit="N/s", live=True, gt=0.0)
+    fall_rate: float = param(20.0, "fastest fall the user may cause", unit="N/s", live=True, gt=0.0)
     smoothing: float = param(
         0.05, "time constant with which the squeeze lands on its goal", unit="s", live=True, gt=0.0
     )
+    detector: SlipDetectorConfig = SlipDetectorConfig()
+    friction: FrictionConfig = FrictionConfig()
+    reflex: ReflexConfig = ReflexConfig()
 
     @model_validator(mode="after")
     def _limits_are_ordered(self) -> SlipRegulatorConfig:
@@ -37,24 +81,60 @@ class SlipRegulatorConfig(Config):
 
 
 class SlipRegulator:
-    """Moves k_f smoothly to what the user asks for.
+    """Chooses k_f at every tick, from touch alone.
 
-    Far from its goal the squeeze moves at the rise or fall rate, near it it lands exponentially.
+    The user's squeeze moves at the rise or fall rate and lands exponentially. The squeeze that the
+    object needs follows from the measured forces, split into load and squeeze, and the friction
+    that slips and sticks have shown: the least one that keeps every contact inside its cone, with a
+    margin. It rises at once, falls slowly, and rises to the limit while something slips.
+
+    Attributes:
+        grasp_force: k_f, N.
+        needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
+            shape can hold, NaN while unknown.
+        state: `Grip` of each contact, shape (k,).
+        friction: Estimated mu of each contact, shape (k,).
     """
 
-    def __init__(self, config: SlipRegulatorConfig) -> None:
-        """Start at the configured squeeze."""
+    def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
+        """Start at the configured squeeze for a hand with k fingers."""
         self.config = config
+        self._k = fingers
+        self._detector = SlipDetector(config.detector, fingers)
+        self._estimator = FrictionEstimator(config.friction, fingers)
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
-        """Take other limits and rates; the squeeze moves inside new limits at the allowed rate."""
+        """Take other limits, rates and mode; the squeeze moves on from where it is."""
         self.config = config
+        self._detector.configure(config.detector)
+        self._estimator.configure(config.friction)
 
     def reset(self) -> None:
-        """Go back to the configured squeeze."""
-        self.grasp_force = self._goal = self.config.grasp_force
+        """Go back to the configured squeeze and forget what was learned."""
+        start = self.config.grasp_force
+        self.grasp_force = self._asked = self._goal = self._reflex = start
+        self.needed = math.nan
         self._last_stamp: int | None = None
+        self._load: Array | None = None
+        self._squeezes: deque[float] = deque(maxlen=_MEMORY)
+        self._detector.reset()
+        self._estimator.reset()
+
+    @property
+    def state(self) -> NDArray[np.int_]:
+        """`Grip` of each contact, shape (k,)."""
+        return self._detector.state
+
+    @property
+    def slip_likelihood(self) -> Array:
+        """Evidence for slip of each contact, 0 to 1, shape (k,)."""
+        return self._detector.likelihood
+
+    @property
+    def friction(self) -> Array:
+        """Estimated friction of each contact, shape (k,)."""
+        return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
         """Take the squeeze that the user asks for, in N.
@@ -70,14 +150,86 @@ class SlipRegulator:
             )
         self._goal = grasp_force
 
-    def step(self, stamp: int) -> float:
-        """Return k_f in N at a tick in ns; a tick that was seen before changes nothing."""
-        c = self.config
+    def step(
+        self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
+    ) -> float:
+        """Return k_f in N at a tick; a tick that was seen before changes nothing.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contacts by touch; without them nothing is known of the object's need.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+        """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
+        if self._last_stamp == stamp:
+            return self.grasp_force
         self._last_stamp = stamp
-        goal = min(max(self._goal, c.minimum), c.maximum)
-        rate = min(max((goal - self.grasp_force) / c.smoothing, -c.fall_rate), c.rise_rate)
-        step = rate * dt
-        overshoots = abs(step) >= abs(goal - self.grasp_force)
-        self.grasp_force = goal if overshoots else self.grasp_force + step
+        self._follow_user(dt)
+        if contacts is not None and forces is not None:
+            self._feel(contacts, np.where(contacts.touching[:, None], forces, np.nan), dt)
+        c = self.config
+        goal = self._asked
+        if c.mode != "user" and math.isfinite(self._reflex):
+            goal = self._reflex if c.mode == "auto" else max(self._asked, self._reflex)
+        self.grasp_force = min(max(goal, c.minimum), c.maximum)
         return self.grasp_force
+
+    def _follow_user(self, dt: float) -> None:
+        c = self.config
+        goal = min(max(self._goal, c.minimum), c.maximum)
+        rate = min(max((goal - self._asked) / c.smoothing, -c.fall_rate), c.rise_rate)
+        arrives = abs(rate * dt) >= abs(goal - self._asked)
+        self._asked = goal if arrives else self._asked + rate * dt
+
+    def _feel(self, contacts: Contacts, forces: Array, dt: float) -> None:
+        """Update slip, friction and the needed squeeze from touch."""
+        c = self.config.reflex
+        parts = self._split(contacts, forces)
+        state = self._detector.step(
+            forces, dt, None if parts is None else parts.squeeze, self._own_change()
+        )
+        friction = self._estimator.step(forces, state, dt)
+        self.needed = self._need(parts, friction / (1.0 + c.margin), dt)
+        slips = bool((state == Grip.SLIP).any())
+        goal = self.needed if math.isfinite(self.needed) else self._reflex
+        if slips:  # the load is more than friction lets through: grow until it holds
+            goal = max(goal, self._reflex * math.exp(dt / c.doubling_time * math.log(2.0)))
+        falls = max(c.release_rate, (self._reflex - goal) / c.release_time)
+        low, high = self._reflex - falls * dt, self._reflex + c.rise_rate * dt
+        self._reflex = min(max(goal, low), high, self.config.maximum)
+
+    def _own_change(self) -> float:
+        """Return the largest second difference of k_f that may still be on its way through, N."""
+        self._squeezes.append(self.grasp_force)
+        bends = np.diff(np.array(self._squeezes), n=2)
+        return float(np.abs(bends).max()) if len(bends) else 0.0
+
+    def _split(self, contacts: Contacts, forces: Array) -> Split | None:
+        """Split the forces where they form a grasp."""
+        if not contacts.touching.all():
+            return None
+        try:
+            return split(contacts, forces)
+        except CollinearContactsError:
+            return None
+
+    def _need(self, parts: Split | None, friction: Array, dt: float) -> float:
+        if parts is None or parts.grasp_force <= 0.0:
+            self._load = None
+            return math.nan
+        load = self._foreseen(parts, dt)
+        shape = parts.squeeze / parts.grasp_force
+        return max(required_squeeze(load[i], shape[i], float(friction[i])) for i in range(self._k))
+
+    def _foreseen(self, parts: Split, dt: float) -> Array:
+        """Smooth the load and extrapolate it by the lead time."""
+        c = self.config.reflex
+        if self._load is None or dt == 0.0:
+            self._load, self._trend = parts.load, np.zeros_like(parts.load)
+            return self._load
+        share = min(1.0, dt / c.smoothing)
+        before = self._load
+        self._load = before + share * (parts.load - before)
+        # The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
+        self._trend = self._trend + share * ((self._load - before) / dt - self._trend)
+        return np.asarray(self._load + (c.smoothing + c.lead) * self._trend)

@@ -193,7 +193,7 @@ def test_integral_action_is_the_gain_times_the_integral_of_the_error(grip):
     np.testing.assert_allclose(law.integral_wrench, expected, atol=1e-12)
     about = literal_grasp_map(grip.contacts.positions, grip.contacts.centroid)
     forces = np.linalg.pinv(about) @ expected
-    np.testing.assert_allclose(parts.drive, grip.jacobian.T @ forces, atol=1e-10)
+    np.testing.assert_allclose(parts.carry, grip.jacobian.T @ forces, atol=1e-10)
 
 
 def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):

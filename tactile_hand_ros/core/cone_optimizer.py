@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optimization (13) inside friction cones: reshape the squeeze where squeezing more is no help.
+
+A contact slips however hard one squeezes when f* itself leaves its cone. Here f* is found such that
+the whole force of each contact, squeeze and load, stays inside:
+
+    min f^T W f + rho t^2   s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum,  t >= 0,
+    u_j . (f + l)_t <= mu cos(pi / 12) (f + l)_n + t    for twelve directions u_j,
+
+with l the load per unit of squeeze. The pyramid lies inside the cone, so that t = 0 certifies the
+friction. Where no such f* exists, t is the least common violation: the best that touch can do until
+the squeeze is raised.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+Array = NDArray[np.float64]
+
+_SIDES = 12
+_ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+_DIRECTIONS = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]).T
+_INSIDE = math.cos(math.pi / _SIDES)
+_PENALTY = 1e4  # of t^2, relative to the largest weight
+_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class Cones:
+    """What the contacts can bear and what they carry.
+
+    Attributes:
+        friction: mu of each contact, with whatever margin is wanted, shape (k,).
+        load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+    """
+
+    friction: Array
+    load: Array
+
+    def holds(self, forces: Array) -> bool:
+        """Return whether forces f* under the load lie in the pyramids of the optimization.
+
+        The pyramids rather than the cones, so that f* does not jump where they begin to matter.
+        """
+        total = forces + self.load
+        reach = (total[:, [0, 2]] @ _DIRECTIONS.T).max(axis=1)
+        return bool((reach <= _INSIDE * self.friction * total[:, 1]).all())
+
+    def margin(self, forces: Array) -> float:
+        """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
+        total = forces + self.load
+        tangential = np.hypot(total[:, 0], total[:, 2])
+        return float((self.friction * total[:, 1] - tangential).min())
+
+
+class ConeOptimizer:
+    """Solves (13) inside friction cones; set up once, warm-started."""
+
+    def __init__(self, weights: Array, minimum: float) -> None:
+        """Set up the problem.
+
+        Args:
+            weights: Diagonal of W, shape (3k,).
+            minimum: Least share f_n of a contact.
+        """
+        n = len(weights)
+        k = n // 3
+        self._n, self._k = n, k
+        self._weights = np.append(weights, _PENALTY * weights.max())
+        self._fixed = self._fixed_rows()
+        m = len(self._fixed)
+        self._lower = np.concatenate([np.zeros(6), [1.0], np.full(k, minimum), [0.0]])
+        self._lower = np.append(self._lower, np.full(m - len(self._lower), -np.inf))
+        self._upper = np.full(m, np.inf)
+        self._upper[:7] = self._lower[:7]
+        pattern = np.ones_like(self._fixed)
+        pattern[6:] = self._fixed[6:] != 0.0
+        for i in range(k):
+            pattern[self._cone_rows(i), 3 * i : 3 * i + 3] = 1.0
+        pattern[:6, n] = 0.0
+        self._pattern = sparse.csc_matrix(pattern)
+        self._columns = np.repeat(np.arange(n + 1), np.diff(self._pattern.indptr))
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            sparse.diags(2.0 * self._weights, format="csc"),
+            np.zeros(n + 1),
+            self._pattern.copy(),
+            self._lower,
+            self._upper,
+            verbose=False,
+            eps_abs=_TOLERANCE,
+            eps_rel=_TOLERANCE,
+            polishing=True,
+            warm_starting=True,
+            max_iter=4000,
+            check_termination=10,
+            adaptive_rho_interval=50,
+        )
+
+    def _fixed_rows(self) -> Array:
+        """Return the constraint rows whose numbers never change, the others as zeros."""
+        n, k = self._n, self._k
+        rows = np.zeros((8 + k + _SIDES * k, n + 1))
+        rows[6, 1:n:3] = 1.0
+        rows[7 + np.arange(k), 1 + 3 * np.arange(k)] = 1.0
+        rows[7 + k, n] = 1.0
+        for i in range(k):
+            cone = self._cone_rows(i)
+            rows[cone, 3 * i] = _DIRECTIONS[:, 0]
+            rows[cone, 3 * i + 2] = _DIRECTIONS[:, 1]
+            rows[cone, n] = -1.0
+        return rows
+
+    def _cone_rows(self, contact: int) -> slice:
+        first = 8 + self._k + _SIDES * contact
+        return slice(first, first + _SIDES)
+
+    def solve(self, balance: Array, cones: Cones) -> tuple[Array, float]:
+        """Return f*, shape (k, 3), and the largest violation of the optimality conditions.
+
+        Args:
+            balance: G~^T for forces in contact frames, shape (3k, 6).
+            cones: Friction and load of the contacts.
+        """
+        n, k = self._n, self._k
+        rows = self._fixed.copy()
+        rows[:6, :n] = balance.T
+        upper = self._upper.copy()
+        for i in range(k):
+            slope, cone = _INSIDE * cones.friction[i], self._cone_rows(i)
+            rows[cone, 3 * i + 1] = -slope
+            x, normal, z = cones.load[i]
+            upper[cone] = slope * normal - _DIRECTIONS @ np.array([x, z])
+        self._solver.update(Ax=rows[self._pattern.indices, self._columns], u=upper)
+        result = self._solver.solve(raise_error=False)
+        x, y = np.asarray(result.x), np.asarray(result.y)
+        if not np.isfinite(x).all() or not np.isfinite(y).all():
+            return np.full((k, 3), np.nan), np.inf
+        gradient = np.abs(2.0 * self._weights * x + rows.T @ y).max() / self._weights[:n].max()
+        image = rows @ x
+        outside = np.maximum(np.maximum(self._lower - image, image - upper), 0.0).max()
+        return x[:n].reshape(k, 3).copy(), float(max(gradient, outside))
