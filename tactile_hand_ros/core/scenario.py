@@ -200,6 +200,19 @@ def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    for key in keys[:-1]:
-        data = data.setdefault(key, {})
-    data[keys[-1]] = value
+    """Set a value by its path.
+
+    Raises:
+        ConfigurationError: If the path leads through something that has no keys.
+    """
+    place: Any = data
+    for index, key in enumerate(keys):
+        if not isinstance(place, dict):
+            raise ConfigurationError(
+                f"'{'.'.join(keys)}' cannot be set: '{'.'.join(keys[:index])}' has no keys in it; "
+                "set it as a whole"
+            )
+        if index == len(keys) - 1:
+            place[key] = value
+        else:
+            place = place.setdefault(key, {})

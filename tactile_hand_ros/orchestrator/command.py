@@ -20,7 +20,7 @@ from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Plan, Session, ros_context
+from tactile_hand_ros.orchestrator.session import Plan, Session, first_line, ros_context
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
@@ -162,16 +162,28 @@ def main(args: Sequence[str] | None = None) -> int:
     signals = Signals()
     signals.install()
     line = list(sys.argv if args is None else args)
-    ros_arguments = line if "--ros-args" in line else []
     command = typer.main.get_command(app)
     try:
-        command(
-            args=remove_ros_args(line)[1:],
-            prog_name="orchestrator",
-            obj=(signals, ros_arguments),
-        )
+        own, ros_arguments = split_ros_arguments(line)
+        command(args=own, prog_name="orchestrator", obj=(signals, ros_arguments))
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except Interrupted:
         return signals.exit_code
+    except ConfigurationError as error:
+        print(error, file=sys.stderr)
+        return EXIT_REFUSED
     return 0
+
+
+def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Split a command line with program name into our own arguments and a line for rclpy.
+
+    Raises:
+        ConfigurationError: If the ROS arguments are malformed.
+    """
+    try:
+        own = remove_ros_args(list(line))[1:]
+    except RuntimeError as error:
+        raise ConfigurationError(f"the ROS arguments cannot be used: {first_line(error)}") from None
+    return own, list(line) if "--ros-args" in line else []

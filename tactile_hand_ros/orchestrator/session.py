@@ -314,8 +314,7 @@ def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:
-        reason = str(error).split(", at ")[0].splitlines()[0]
-        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None
+        raise ConfigurationError(f"the ROS arguments cannot be used: {first_line(error)}") from None
     try:
         yield context
     finally:
@@ -332,3 +331,8 @@ def graph_node(context: Context, namespace: str) -> Iterator[Node]:
         yield node
     finally:
         node.destroy_node()
+
+
+def first_line(error: Exception) -> str:
+    """Return what an error of rcl says, without the place in its sources."""
+    return str(error).split(", at ")[0].splitlines()[0]
