@@ -39,7 +39,8 @@ class Contacts:
     def touching(self) -> NDArray[np.bool_]:
         """Which fingers touch, shape (k,)."""
         # A sum is finite only if all its terms are; a point without a frame is of no use either.
-        return np.isfinite(self.positions.sum(axis=1) + self.rotations.sum(axis=(1, 2)))
+        sums = self.positions.sum(axis=1) + self.rotations.sum(axis=(1, 2))
+        return np.asarray(np.isfinite(sums))
 
     @property
     def normals(self) -> Array:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-10  # of the residual, relative to the largest impulse
 _MAX_NEWTON = 60
+_ROUNDING = 1e-12  # of the largest impulse
 _MAX_SWEEPS = 20_000
 # Where more contacts share a load than joints can tell apart, W is singular: any split is right.
 _REGULARISATION = 1e-13
@@ -76,8 +77,18 @@ def solve_contacts(
             again, better = _newton(w, offset, friction, scale, swept)
             if better < residual:
                 best, residual = again, better
+        _open_exactly(best)
     velocities: Array = delassus @ best + free
     return ContactImpulses(best.reshape(-1, 3), velocities.reshape(-1, 3), residual)
+
+
+@compiled
+def _open_exactly(p: Array) -> None:
+    """Remove impulses of rounding size: an open contact would seem to touch."""
+    least = _ROUNDING * np.abs(p).max()
+    for i in range(0, len(p), 3):
+        if p[i + 1] <= least:
+            p[i] = p[i + 1] = p[i + 2] = 0.0
 
 
 @compiled
