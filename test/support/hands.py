@@ -7,7 +7,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+import pinocchio as pin
 import yaml
+from numpy.typing import NDArray
 
 LINK = 0.3  # length of all links of a finger together and of the base's distance, m
 
@@ -77,3 +80,11 @@ def write_hand(
     path = folder / "hand.yaml"
     path.write_text(yaml.safe_dump(config))
     return path
+
+
+def tip_rotations(description: str, tips: Sequence[str], theta: NDArray) -> NDArray:
+    """Return the orientations of tip links by Pinocchio alone, shape (k, 3, 3)."""
+    model = pin.buildModelFromXML(description)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, theta)
+    return np.array([data.oMf[model.getFrameId(tip)].rotation for tip in tips])

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from support.hands import write_hand
+from support.hands import tip_rotations, write_hand
 
 from tactile_hand_ros.core.contact import hand_jacobian
 from tactile_hand_ros.core.errors import ConfigurationError, HandModelError
@@ -27,14 +27,8 @@ def random_posture(hand, seed=0):
 
 
 def orientation_of_tips(hand, theta):
-    """Return rotations of the tip links through Pinocchio's frames, shape (k, 3, 3)."""
-    import pinocchio as pin
-
-    model = pin.buildModelFromXML(hand.description)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, theta)
-    tips = [f for f in model.frames if f.type == pin.BODY and f.name.endswith("_tip")]
-    return np.array([data.oMf[model.getFrameId(f.name)].rotation for f in tips])
+    """Return the rotations of the tip links, shape (k, 3, 3)."""
+    return tip_rotations(hand.description, [f"{name}_tip" for name in hand.finger_names], theta)
 
 
 def test_tips_of_the_paper_are_where_trigonometry_puts_them():

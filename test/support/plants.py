@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plants to test with, and the torques that make contact forces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.contact import hand_jacobian
+from tactile_hand_ros.core.plant import Plant, PlantState
+from tactile_hand_ros.core.plant_config import PlantConfig
+
+Array = NDArray[np.float64]
+
+
+def plant(step: float = 0.001, **values: Any) -> Plant:
+    """Return a plant with one step a tick; values by dotted name, as in a YAML file."""
+    changes = {"time_step": step, "rate": 1.0 / step, **values}
+    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    return Plant(PlantConfig().changed(changes))
+
+
+def jacobian(plant: Plant, state: PlantState) -> Array:
+    """Return J_h at a state, shape (3k, m); tips that do not touch count at their centres."""
+    tips = plant.hand.fingertips(state.theta)
+    points = np.where(np.isfinite(state.contacts.positions), state.contacts.positions, 0.0)
+    points = np.where(state.contacts.touching[:, None], points, tips.positions)
+    return hand_jacobian(tips, points).reshape(-1, plant.hand.joints)
+
+
+def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:
+    """Return the torques whose fingertips push with forces, shape (k, 3), palm axes, at rest."""
+    state = plant.state
+    weight = plant.hand.gravity_torque(state.theta)
+    return jacobian(plant, state).T @ np.ravel(forces) + weight - damping * state.rates
+
+
+def squeeze(state: PlantState, size: float) -> Array:
+    """Return forces along the normals that balance in the layout `pinch`, shape (3, 3)."""
+    return size * np.array([[0.25], [0.25], [0.5]]) * state.contacts.normals
+
+
+def forces_in_palm(state: PlantState) -> Array:
+    """Return the contact forces on the object in palm axes, shape (k, 3), N; 0 without contact."""
+    rotations = np.where(np.isfinite(state.contacts.rotations), state.contacts.rotations, 0.0)
+    return (rotations @ state.forces[:, :, None])[:, :, 0]
+
+
+def momentum(plant: Plant, state: PlantState) -> tuple[Array, Array]:
+    """Return linear and angular momentum of the object about its centre of mass."""
+    config = plant.config.object
+    inertia = state.rotation @ np.diag(config.inertia) @ state.rotation.T
+    return config.mass * state.velocity, inertia @ state.spin

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled functions are those of the sources that are there now."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tactile_hand_ros.core import compiled
+
+INNER = """
+from tactile_hand_ros.core.compiled import compiled
+
+@compiled
+def inner(x):
+    return x + {constant}
+"""
+OUTER = """
+from tactile_hand_ros.core.compiled import compiled
+from tactile_hand_ros.core.inner import inner
+
+@compiled
+def outer(x):
+    return 10.0 * inner(x)
+"""
+CALL = "from tactile_hand_ros.core.outer import outer; print(outer(1.0))"
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Write a package of our name with two compiled functions in two files."""
+    core = tmp_path / "tactile_hand_ros" / "core"
+    core.mkdir(parents=True)
+    for folder in (core.parent, core):
+        (folder / "__init__.py").touch()
+    (core / "compiled.py").write_text(Path(compiled.__file__).read_text())
+    (core / "outer.py").write_text(OUTER)
+    (core / "inner.py").write_text(INNER.format(constant=1.0))
+    return core
+
+
+def call(core: Path, **environment: str) -> float:
+    """Run the outer function in a new process, as another run of a node would."""
+    result = subprocess.run(
+        [sys.executable, "-c", CALL],
+        cwd=core.parents[1],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    return float(result.stdout)
+
+
+def test_a_change_in_a_called_file_is_seen(package: Path) -> None:
+    """Numba alone would keep the old inner function inside the cached outer one."""
+    assert call(package) == 20.0
+    (package / "inner.py").write_text(INNER.format(constant=2.0))
+    assert call(package) == 30.0
+
+
+def test_the_same_source_runs_without_numba(package: Path) -> None:
+    assert call(package, TACTILE_HAND_INTERPRETED="1") == 20.0
+    assert not list(package.rglob("*.nbi"))
+
+
+def test_results_are_kept_where_the_user_wants(package: Path, tmp_path: Path) -> None:
+    assert call(package, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == 20.0
+    assert not list(package.rglob("*.nbi"))
