@@ -19,7 +19,7 @@ class FrictionConfig(Config):
     """Parameters of the friction estimate."""
 
     prior: float = param(0.4, "friction assumed before anything is known", live=True, gt=0.0)
-    least: float = param(0.05, "friction is never taken for lower", live=True, gt=0.0)
+    least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
     most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     explore: float = param(
         0.0,

@@ -42,6 +42,9 @@ class ReflexConfig(Config):
     smoothing: float = param(
         0.005, "time constant of the measured load", unit="s", live=True, gt=0.0
     )
+    least_trend: float = param(
+        5.0, "rate of a load below which it is noise", unit="N/s", live=True, ge=0.0
+    )
     lead: float = param(
         0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
     )
@@ -232,4 +235,6 @@ class SlipRegulator:
         self._load = before + share * (parts.load - before)
         # The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
         self._trend = self._trend + share * ((self._load - before) / dt - self._trend)
-        return np.asarray(self._load + (c.smoothing + c.lead) * self._trend)
+        speed = np.linalg.norm(self._trend, axis=1, keepdims=True)
+        real = np.maximum(0.0, 1.0 - c.least_trend / np.maximum(speed, 1e-12))
+        return np.asarray(self._load + (c.smoothing + c.lead) * real * self._trend)

@@ -28,6 +28,14 @@ class SlipDetectorConfig(Config):
     least_noise: float = param(
         0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
     )
+    relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
+    patience: float = param(
+        0.3,
+        "what looks like slip for longer than this is learned as noise",
+        unit="s",
+        live=True,
+        gt=0.0,
+    )
     ratio: float = param(
         9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
     )
@@ -89,6 +97,7 @@ class SlipDetector:
         self._last = np.full((k, 3), np.nan)
         self._change = np.full((k, 3), np.nan)
         self._touched_for = np.zeros(k)
+        self._slipped_for = np.zeros(k)
 
     @property
     def likelihood(self) -> Array:
@@ -118,7 +127,8 @@ class SlipDetector:
         ready = known & (self._touched_for > c.settling_time)
         # A sensor that is slower than the loop repeats its sample, which tells nothing.
         fresh = ready & (power > 0.0)
-        floor = np.maximum(self._variance, _GAIN * c.least_noise**2)
+        least = c.least_noise**2 + np.where(known, c.relative_noise * forces[:, 1], 0.0) ** 2
+        floor = np.maximum(self._variance, _GAIN * least)
         self._collect(power / (floor + (_LEAK * own_change) ** 2), fresh)
         self.evidence[~ready] = 0.0
         slipping = np.where(
@@ -126,7 +136,9 @@ class SlipDetector:
             self.evidence > 0.75 * c.threshold,
             self.evidence > c.threshold,
         )
-        self._learn(power, known & ~slipping & (power > 0.0), dt)
+        self._slipped_for = np.where(slipping, self._slipped_for + dt, 0.0)
+        plain = ~slipping | (self._slipped_for > c.patience)
+        self._learn(power, known & plain & (power > 0.0), dt)
         self.state = np.where(ready, np.where(slipping, Grip.SLIP, Grip.STICK), Grip.UNKNOWN)
         return self.state
 

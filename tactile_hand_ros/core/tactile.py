@@ -41,6 +41,9 @@ class TactileSensorConfig(Config):
     location_resolution: float = param(
         0.0, "spacing of the taxels, 0 for continuous", unit="m", live=True, ge=0.0
     )
+    location_bandwidth: float = param(
+        0.0, "corner frequency of the contact location, 0 for none", unit="Hz", ge=0.0
+    )
     force_noise: float = param(
         0.0, "standard deviation of each force component", unit="N", live=True, ge=0.0
     )
@@ -111,6 +114,7 @@ class TactileSensor:
         self._waiting: deque[tuple[int, TactileReading]] = deque()
         self._bias = np.zeros((k, 3))
         self._felt: Array | None = None
+        self._arms = np.full((k, 3), np.nan)
         self._rumble = BandNoise((k, 3), c.vibration.low, c.vibration.high, c.rate)
 
     def step(
@@ -144,7 +148,7 @@ class TactileSensor:
         lost = self._random.random(k) < c.dropout
         positions, quaternions = true.positions, true.quaternions
         if c.location_noise > 0.0 or c.location_resolution > 0.0:
-            positions, quaternions = self._displaced(true, shift)
+            positions, quaternions = self._displaced(true, shift, elapsed)
         touching = np.isfinite(positions[:, :1])
         felt = self._feel(true.forces, sliding, white, elapsed)
         forces = np.where(touching, _rounded(felt, c.force_resolution), 0.0)
@@ -175,12 +179,23 @@ class TactileSensor:
             forces = forces + self._bias
         return np.asarray(forces + c.force_noise * white[2])
 
-    def _displaced(self, true: TactileReading, shift: Array) -> tuple[Array, Array]:
+    def _settled(self, arms: Array, elapsed: float) -> Array:
+        """Low-pass where on the fingertips the contacts are; new contacts show at once."""
+        bandwidth = self.config.location_bandwidth
+        if bandwidth > 0.0:
+            share = 1.0 - math.exp(-2.0 * math.pi * bandwidth * elapsed)
+            before = np.where(np.isfinite(self._arms), self._arms, arms)
+            arms = before + share * (arms - before)
+            self._arms = arms
+        return arms
+
+    def _displaced(self, true: TactileReading, shift: Array, elapsed: float) -> tuple[Array, Array]:
         """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
         normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
         radii = self._radii[:, None]
         centres = true.positions - radii * normals
         arms = _rounded(radii * normals + shift, self.config.location_resolution)
+        arms = self._settled(arms, elapsed)
         seen = arms / np.linalg.norm(arms, axis=1, keepdims=True)
         frames = np.array(
             [contact_frame(n) if np.isfinite(n[0]) else np.full((3, 3), np.nan) for n in seen]
