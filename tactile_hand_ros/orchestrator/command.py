@@ -53,7 +53,7 @@ def orchestrate(
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
-    ] = 20.0,
+    ] = 30.0,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
 ) -> None:
     """Run a scenario: start the nodes, record them, command the poses, sum up.

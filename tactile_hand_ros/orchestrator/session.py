@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.core.config import Config
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.paths import config_directory
 from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.orchestrator.monitor import Monitor
 from tactile_hand_ros.orchestrator.processes import Launcher, Processes
@@ -44,6 +46,7 @@ STALL = 15.0
 _LOOK = 0.02  # s between two looks at the newest command
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _SHOWN = 6  # missing things that an error lists
 
 
@@ -71,7 +74,7 @@ class Plan:
     namespace: str = "/"
     record: bool = True
     interactive: bool = False
-    startup_timeout: float = 20.0
+    startup_timeout: float = 30.0
 
     @property
     def end(self) -> int | None:
@@ -296,6 +299,16 @@ def _stall(monitor: Monitor) -> str:
     return f"no tick was answered for {STALL:g} s since {where}: {faults}; look at the logs"
 
 
+def hasten_discovery() -> None:
+    """Let this process and its children announce themselves more often while they start.
+
+    A profile that the user has chosen stays in force.
+    """
+    profile = config_directory() / "middleware" / "fast_dds.xml"
+    if profile.is_file() and not any(name in os.environ for name in _PROFILES):
+        os.environ[_PROFILES[0]] = str(profile)
+
+
 @contextlib.contextmanager
 def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
     """Provide an rclpy context that leaves signals alone.
@@ -306,6 +319,7 @@ def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
     Raises:
         ConfigurationError: If the ROS arguments cannot be used.
     """
+    hasten_discovery()
     context = Context()
     try:
         rclpy.init(
