@@ -123,6 +123,10 @@ class ClosedLoop:
         record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
         record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
         record.true_forces[row] = true.forces
+        record.true_sliding[row], record.true_slid[row] = sliding_speeds(state), state.slid
+        record.friction[row] = self.regulator.friction
+        record.slip_evidence[row] = self.regulator.slip_likelihood
+        record.grip[row] = self.regulator.state
 
     def _write_desired(self, record: Record, row: int) -> None:
         due = [wish for wish in self.scenario.targets if wish.stamp <= self._stamp]

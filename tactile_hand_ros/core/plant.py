@@ -47,6 +47,7 @@ class PlantState:
         contacts: Contact points and frames; NaN where a finger does not touch.
         forces: Contact forces on the object in contact frames, shape (k, 3), N.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
+        slid: Distance that each contact has slid since the start, shape (k,), m.
         gaps: Distances of the fingertips from the object, shape (k,), m.
     """
 
@@ -60,6 +61,7 @@ class PlantState:
     contacts: Contacts
     forces: Array
     sliding: Array
+    slid: Array
     gaps: Array
 
 
@@ -82,7 +84,6 @@ class Plant:
         self._gravity = np.array(config.gravity)
         self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
-        self.friction = np.full(self.hand.fingers, config.object.friction)
         self.reset()
 
     def _expand(self, given: list[float]) -> Array:
@@ -108,10 +109,13 @@ class Plant:
         self._rotation = rotation_from_vector(c.rotation)
         self._close_gaps()
         k = self.hand.fingers
+        self.friction = np.full(k, c.friction)
         self._torque = np.zeros(self.hand.joints)
         self._impulses = np.zeros((k, 3))
         self.contact_residual = 0.0
         self._sliding = np.zeros((k, 2))
+        self._slid = np.zeros(k)
+        self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
         return self.state
 
     def _close_gaps(self) -> None:
@@ -152,6 +156,8 @@ class Plant:
         return self.state
 
     def _step(self, h: float) -> None:
+        while self._changes and self._changes[0].start <= self.time:
+            self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
         tips, inertia, bias = self.hand.dynamics(self._theta + 0.5 * h * v[:m], v[:m])
         hand = HandTerms(
@@ -168,6 +174,7 @@ class Plant:
         self._theta = self._theta + 0.5 * h * (v[:m] + after.velocities[:m])
         self._position, self._rotation, self._v = after.position, after.rotation, after.velocities
         self._impulses, self._sliding = after.impulses, after.sliding
+        self._slid = self._slid + h * np.hypot(self._sliding[:, 0], self._sliding[:, 1])
         self.contact_residual = after.residual
         self._steps += 1
         self.time = self._steps * h
@@ -192,6 +199,7 @@ class Plant:
             Contacts(points, frames),
             self._impulses / h,
             self._sliding,
+            self._slid,
             gaps,
         )
 

@@ -57,6 +57,13 @@ class ObjectConfig(Config):
         return ConvexPolyhedron.box(np.array(self.size))
 
 
+class FrictionChange(Config):
+    """The object's surface becomes another from some time on, by water say."""
+
+    start: float = param(..., "when it changes", unit="s", ge=0.0)
+    friction: float = param(..., "Coulomb friction mu from then on", ge=0.0)
+
+
 class PlantConfig(Config):
     """Parameters of the plant."""
 
@@ -67,6 +74,7 @@ class PlantConfig(Config):
     )
     object: ObjectConfig = ObjectConfig()
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
+    friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)
     rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)

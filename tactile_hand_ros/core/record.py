@@ -46,6 +46,11 @@ class Record:
     true_positions: Array = _ticks("k3", "true contact points, m")
     true_quaternions: Array = _ticks("k4", "true contact frames")
     true_forces: Array = _ticks("k3", "true contact forces, N")
+    true_sliding: Array = _ticks("k", "true sliding speed of each contact, m/s")
+    true_slid: Array = _ticks("k", "true distance each contact has slid, m")
+    friction: Array = _ticks("k", "friction as the regulator has learned it")
+    slip_evidence: Array = _ticks("k", "evidence for slip, 1 at the alarm")
+    grip: Array = _ticks("k", "state of each contact: 0 unknown, 1 stick, 2 slip")
 
     @classmethod
     def empty(cls, ticks: int, finger_names: list[str], joint_names: list[str]) -> Record:
