@@ -35,9 +35,8 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
         wrench = np.zeros(6)
         wrench[axis] = law.k_p  # of an error of one metre along this axis
         none = np.zeros((hand.fingers, 3))
-        seen = LawInput(tips, hand.radii, state.contacts, none, 0.0, wrench)
-        _, drive = LAWS[law.name](seen, law)
-        stiffness[:, axis] = _resultant(tips, points, drive)
+        seen = LawInput(tips, hand.radii, state.contacts, none, 0.0)
+        stiffness[:, axis] = _resultant(tips, points, LAWS[law.name](seen, law).drive(wrench))
     return stiffness
 
 
