@@ -86,7 +86,8 @@ class Scenario(Config):
             shared = [name for name in _SHARED if name in model.model_fields]
             if wrong := [name for name in shared if name in section]:
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
-            given = {name: data[name] for name in shared if name in data}
+            # Defaults too: those of a node need not be those of the scenario.
+            given = {name: data.get(name, cls.model_fields[name].default) for name in shared}
             data[node] = {**section, **given}
         return data
 
@@ -183,10 +184,18 @@ def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
     base = data.pop("extends", None)
     if base is None:
         return data
-    local = path.parent / f"{base}.yaml"
-    under = _read(local if local.is_file() else find_scenario(str(base)), (*seen, path))
+    under = _read(_find_base(str(base), path), (*seen, path))
     under.pop("name", None)
     return _merged(under, data)
+
+
+def _find_base(base: str, path: Path) -> Path:
+    """Return the scenario that another extends: beside it, else by name or path.
+
+    A user's ``paper.yaml`` may extend ``paper``, which then is the one of the package.
+    """
+    beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
+    return beside if beside.is_file() and beside.resolve() != path else find_scenario(base)
 
 
 def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
