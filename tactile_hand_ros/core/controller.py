@@ -98,6 +98,7 @@ class Controller:
         self._squeeze = np.zeros(self.hand.joints)
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
+        self._drove = False
         self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
         self.target: Target | None = None
         self._queue: list[tuple[int, Target]] = []
@@ -139,7 +140,7 @@ class Controller:
             grasp_force: k_f, N.
             forces: Measured forces in contact frames, shape (k, 3), N; for the load observer.
         """
-        dt = 0.0 if self._last_stamp is None else 1e-9 * (stamp - self._last_stamp)
+        dt = self._elapsed(stamp)
         self._last_stamp = stamp
         if not self.enabled:
             return self._disabled(theta, rates)
@@ -158,6 +159,7 @@ class Controller:
         except GraspError as error:
             return self.hold(theta, rates, str(error))
         self._hold.release()
+        self._drove = True
         self._squeeze = parts.squeeze + parts.carry
         torque = self._for_middle_of_period(parts.total) + self._gravity(theta)
         return Command(torque, Mode.DRIVE, pose, refused)
@@ -165,6 +167,7 @@ class Controller:
     def hold(self, theta: Array, rates: Array, reason: str) -> Command:
         """Answer a tick without what the law needs: keep posture and last good squeeze."""
         self._last_torque = None
+        self._drove = False
         if not self.enabled:
             return self._disabled(theta, rates)
         self._hold.engage(theta, self._squeeze)
@@ -174,9 +177,16 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._last_torque = None
+        self._drove = False
         self._squeeze = np.zeros(self.hand.joints)
         torque = self._gravity(theta) - self.config.law.damping * rates
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
+
+    def _elapsed(self, stamp: int) -> float:
+        """Return the time since the last tick in s; nothing is integrated over an interruption."""
+        if self._last_stamp is None or not self._drove:
+            return 0.0
+        return max(0.0, 1e-9 * (stamp - self._last_stamp))
 
     def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
         if not contacts.touching.all():

@@ -37,7 +37,7 @@ def check_reach(
     wanted = target.position + (tips - pose.position) @ turn.T
     _, missing = inverse_kinematics(hand, wanted, theta)
     worst = int(missing.argmax())
-    if missing[worst] > _TOLERANCE:
+    if not missing[worst] <= _TOLERANCE:  # nor is NaN a place that can be reached
         at = ", ".join(f"{x:.3f}" for x in target.position)
         raise PoseError(
             f"desired pose ({at}) m is out of reach: {hand.finger_names[worst]} would stay "
