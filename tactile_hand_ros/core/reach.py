@@ -30,20 +30,28 @@ def check_reach(
         target: Desired pose.
 
     Raises:
-        PoseError: If a fingertip would stay more than 10 mm short.
+        PoseError: If a fingertip would stay more than 10 mm short, or the pose is not finite.
     """
+    if not (np.isfinite(target.position).all() and np.isfinite(target.orientation).all()):
+        raise PoseError(
+            f"desired pose {_text(target.position)} m is not a pose: position and orientation must "
+            "be finite numbers"
+        )
     turn = target.orientation @ pose.orientation.T
     tips = contacts.positions - hand.radii[:, None] * contacts.normals
     wanted = target.position + (tips - pose.position) @ turn.T
     _, missing = inverse_kinematics(hand, wanted, theta)
     worst = int(missing.argmax())
-    if not missing[worst] <= _TOLERANCE:  # nor is NaN a place that can be reached
-        at = ", ".join(f"{x:.3f}" for x in target.position)
+    if missing[worst] > _TOLERANCE:
         raise PoseError(
-            f"desired pose ({at}) m is out of reach: {hand.finger_names[worst]} would stay "
-            f"{1e3 * missing[worst]:.0f} mm short of its contact; ask for a pose closer to the "
-            f"present one, ({', '.join(f'{x:.3f}' for x in pose.position)}) m"
+            f"desired pose {_text(target.position)} m is out of reach: {hand.finger_names[worst]} "
+            f"would stay {1e3 * missing[worst]:.0f} mm short of its contact; ask for a pose closer "
+            f"to the present one, {_text(pose.position)} m"
         )
+
+
+def _text(position: Array) -> str:
+    return "(" + ", ".join(f"{x:.3f}" for x in position.round(3) + 0.0) + ")"  # no -0.000
 
 
 def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
