@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The orchestrator with all its processes: results, refusals, signals, deaths, steering."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rosbags.rosbag2 import Reader
+
+from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.bag.reader import summarize
+from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.orchestrator import keeper
+from tactile_hand_ros.orchestrator.session import START_ORDER
+from tactile_hand_ros.ros.conversions import pose_to_ros
+from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    private_context,
+    spinning,
+    start_executable,
+    wait_until,
+)
+
+# Six processes and their libraries start; a machine that does other things too takes its time.
+PATIENCE = 90.0
+NEAR = """
+extends: paper
+description: A target that is nearly reached already.
+duration: 0.6
+targets:
+  - {time: 0.0, position: [0.0, 0.0436, 0.4098]}
+  - {time: 0.2, position: [0.0, 0.0438, 0.4098]}
+goal: {position_error: 0.002, rotation_error: 0.02}
+"""
+TICKS = 301
+TICK_TOPICS = [
+    "joint_states",
+    "joint_command",
+    "tactile/contacts",
+    "grasp_force",
+    "auxiliary_pose",
+    "clock",
+    "ground_truth/object_pose",
+    "ground_truth/contacts",
+    *(f"tactile/finger_{i}/wrench" for i in (1, 2, 3)),
+    *(f"optimal_force/finger_{i}" for i in (1, 2, 3)),
+    *(f"ground_truth/finger_{i}/wrench" for i in (1, 2, 3)),
+]
+
+Start = Callable[..., ProcessUnderTest]
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """Reserve a ROS domain."""
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def near(tmp_path: Path) -> Path:
+    """Return a short scenario that reaches its goal."""
+    path = tmp_path / "near.yaml"
+    path.write_text(NEAR)
+    return path
+
+
+@pytest.fixture
+def start(domain: int, tmp_path: Path) -> Iterator[Start]:
+    """Return a function that starts orchestrators, which do not outlive the test."""
+    with ExitStack() as stack:
+
+        def _start(*arguments: object, env: dict[str, str] | None = None) -> ProcessUnderTest:
+            words = [str(argument) for argument in (*arguments, "--out", tmp_path / "runs")]
+            return stack.enter_context(start_executable("orchestrator", *words, env=env))
+
+        yield _start
+
+
+def end_of(orchestrator: ProcessUnderTest) -> int:
+    """Wait for the end, insist on no traceback and return the exit code."""
+    code = orchestrator.wait(PATIENCE)
+    assert "Traceback" not in orchestrator.stderr, orchestrator.stderr
+    return code
+
+
+def latest(tmp_path: Path) -> Path:
+    """Return the folder of the newest run."""
+    return tmp_path / "runs" / "latest"
+
+
+def summary_of(tmp_path: Path) -> dict[str, object]:
+    """Read the summary of the newest run."""
+    content: dict[str, object] = json.loads((latest(tmp_path) / "summary.json").read_text())
+    return content
+
+
+def wait_until_running(tmp_path: Path, orchestrator: ProcessUnderTest) -> None:
+    """Wait until some hundred ticks are in the bag."""
+    bag = latest(tmp_path) / "bag" / "bag_0.mcap"
+
+    def well_under_way() -> bool:
+        assert orchestrator.returncode is None, orchestrator.stdout + orchestrator.stderr
+        return bag.exists() and bag.stat().st_size > 100_000
+
+    wait_until(well_under_way, PATIENCE, "a bag that grows")
+
+
+def family(orchestrator: ProcessUnderTest) -> list[psutil.Process]:
+    """Return all processes that an orchestrator has started, and theirs."""
+    found = psutil.Process(orchestrator.pid).children(recursive=True)
+    assert len(found) >= len(START_ORDER)
+    return found
+
+
+def member(processes: list[psutil.Process], name: str) -> psutil.Process:
+    """Return the process that runs an executable."""
+    [found] = [p for p in processes if any(Path(word).name == name for word in p.cmdline())]
+    return found
+
+
+def assert_gone(processes: list[psutil.Process]) -> None:
+    """Insist that all processes end."""
+    wait_until(lambda: not any(p.is_running() for p in processes), 20.0, "the end of all")
+
+
+def test_run_reaches_its_goal_and_is_recorded_completely(
+    start: Start, near: Path, tmp_path: Path
+) -> None:
+    """Exit code 0, every tick on every topic, and a summary that says what the bag says."""
+    orchestrator = start("--scenario", near)
+    wait_until(lambda: latest(tmp_path).exists(), PATIENCE)
+    assert end_of(orchestrator) == 0, orchestrator.stdout + orchestrator.stderr
+    folder = latest(tmp_path)
+    with Reader(folder / "bag") as reader:
+        counts = {name: topic.msgcount for name, topic in reader.topics.items()}
+    repeated = Run(folder).bag_metrics.repeated_ticks
+    for topic in TICK_TOPICS:
+        assert TICKS <= counts[f"/{topic}"] <= TICKS + repeated, topic
+    assert counts["/desired_pose"] == 2
+    assert counts["/robot_description"] == 1
+
+    summary = summary_of(tmp_path)
+    run = Run(folder)
+    assert summary["metrics"] == run.metrics.to_dict()
+    assert summary["outcome"] == "goal reached"
+    assert summary["recording"]["complete"] is True
+    assert summary["recording"]["lost_messages"] == 0
+    assert np.array_equal(run.record.stamps, 2_000_000 * np.arange(TICKS))
+    desired = np.unique(run.record.desired_position[:, 1])
+    assert desired.tolist() == [0.0436, 0.0438]
+    assert run.record.desired_position[99:101, 1].tolist() == [0.0436, 0.0438]
+
+    scenario = load_scenario(str(near))
+    assert load_scenario(str(folder / "scenario.yaml")) == scenario
+    assert run.scenario == scenario
+    assert {path.stem for path in (folder / "logs").iterdir()} == set(START_ORDER)
+    assert {path.stem for path in (folder / "parameters").iterdir()} == set(START_ORDER)
+    assert "final position error" in orchestrator.stdout
+
+
+def test_missed_goal_is_an_exit_code_also_in_a_namespace(
+    start: Start, near: Path, tmp_path: Path
+) -> None:
+    """All topics are below the namespace, which ROS arguments may give."""
+    tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet")
+    orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
+    assert end_of(orchestrator) == 1
+    assert "the final position error is" in orchestrator.stderr
+    assert summary_of(tmp_path)["outcome"] == "goal not reached"
+    counts = summarize(latest(tmp_path) / "bag").counts
+    for topic in TICK_TOPICS:
+        assert counts[f"/left/{topic}"] >= 151, topic
+    assert "/joint_states" not in counts
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--scenario", "papr"), "did you mean 'paper'"),
+        (("--set", "plant.rte=500"), "did you mean 'rate'"),
+        (("--set", "targets=[{position: [9, 9, 9]}]"), "out of reach"),
+        (("--namespace", "1st"), "the namespace is '1st'"),
+        (("--ros-args", "-p"), "ROS arguments cannot be used"),
+    ],
+)
+def test_refused_scenario_starts_nothing(
+    start: Start, tmp_path: Path, arguments: tuple[str, ...], complaint: str
+) -> None:
+    """One sentence, exit code 2, and no run."""
+    before = arguments if "--ros-args" not in arguments else ()
+    orchestrator = start(*before, *(() if before else (*arguments, "--")))
+    assert end_of(orchestrator) == 2
+    assert complaint in orchestrator.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_broken_yaml_is_refused_with_its_place(start: Start, tmp_path: Path) -> None:
+    """The line is named."""
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("extends: paper\nplant: {rate: 500\n")
+    orchestrator = start("--scenario", broken)
+    assert end_of(orchestrator) == 2
+    assert "is not valid YAML" in orchestrator.stderr
+    assert f"{broken}: line 3" in orchestrator.stderr
+
+
+def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_path: Path) -> None:
+    """Exit code 130, all topics end at the same tick, nothing runs any more."""
+    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
+    wait_until_running(tmp_path, orchestrator)
+    processes = family(orchestrator)
+    orchestrator.send(signal.SIGINT)
+    assert end_of(orchestrator) == 130
+    assert_gone(processes)
+    run = Run(latest(tmp_path))
+    assert run.bag_metrics.complete
+    assert len(run.record) > 100
+    summary = summary_of(tmp_path)
+    assert summary["outcome"] == "interrupted"
+    assert summary["reasons"] == []
+    assert summary["metrics"] == run.metrics.to_dict()
+
+
+def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path) -> None:
+    """Exit code 1; what was recorded is readable and summed up."""
+    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
+    wait_until_running(tmp_path, orchestrator)
+    processes = family(orchestrator)
+    member(processes, "force_optimizer").kill()
+    assert end_of(orchestrator) == 1
+    assert "force_optimizer was ended by SIGKILL" in orchestrator.stderr
+    assert_gone(processes)
+    summary = summary_of(tmp_path)
+    assert summary["outcome"] == "failed"
+    assert summary["metrics"] == Run(latest(tmp_path)).metrics.to_dict()
+    assert summary["metrics"]["ticks"] > 100
+
+
+def test_nothing_outlives_a_killed_orchestrator(start: Start, tmp_path: Path) -> None:
+    """Not even a node that does not react; the recorder still finishes its bag."""
+    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
+    wait_until_running(tmp_path, orchestrator)
+    processes = family(orchestrator)
+    member(processes, "slip_regulator").suspend()
+    orchestrator.send(signal.SIGKILL)
+    assert orchestrator.wait() == -signal.SIGKILL
+    assert_gone(processes)
+    assert Run(latest(tmp_path)).metrics.ticks > 100
+
+
+def broken_prefix(folder: Path, name: str, program: str) -> dict[str, str]:
+    """Return an environment in which one executable of the package is another program."""
+    index = folder / "share" / "ament_index" / "resource_index" / "packages"
+    executables = folder / "lib" / PACKAGE
+    index.mkdir(parents=True)
+    executables.mkdir(parents=True)
+    (index / PACKAGE).touch()
+    for other in START_ORDER:
+        if other != name:
+            (executables / other).symlink_to(executable_path(other))
+    (executables / name).write_text(program)
+    (executables / name).chmod(0o755)
+    return {"AMENT_PREFIX_PATH": f"{folder}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"}
+
+
+def test_node_that_cannot_start_is_reported_at_once(
+    start: Start, near: Path, tmp_path: Path
+) -> None:
+    """By name, with its code and its last line; the others are ended."""
+    program = "#!/bin/sh\necho first >&2\necho the cable is loose >&2\nexit 3\n"
+    environment = broken_prefix(tmp_path / "prefix", "tactile_sensor", program)
+    orchestrator = start("--scenario", near, "--startup-timeout", "80", env=environment)
+    assert end_of(orchestrator) == 1
+    assert "tactile_sensor ended with code 3" in orchestrator.stderr
+    assert "the cable is loose" in orchestrator.stderr
+    assert summary_of(tmp_path)["metrics"] == {}
+
+
+def test_missing_node_is_named_with_its_topics(start: Start, near: Path, tmp_path: Path) -> None:
+    """After the deadline, with what it said last."""
+    program = "#!/bin/sh\necho waiting for the bus\nexec tail -f /dev/null\n"
+    environment = broken_prefix(tmp_path / "prefix", "slip_regulator", program)
+    orchestrator = start("--scenario", near, "--startup-timeout", "4", env=environment)
+    wait_until(lambda: latest(tmp_path).exists(), PATIENCE)
+    processes = family_when_started(orchestrator)
+    assert end_of(orchestrator) == 1
+    assert "the graph is not complete after 4 s" in orchestrator.stderr
+    assert "slip_regulator does not" in orchestrator.stderr
+    assert "slip_regulator | waiting for the bus" in orchestrator.stderr
+    assert_gone(processes)
+
+
+def family_when_started(orchestrator: ProcessUnderTest) -> list[psutil.Process]:
+    """Wait until all nodes are started and return them."""
+    wait_until(
+        lambda: len(psutil.Process(orchestrator.pid).children()) > len(START_ORDER), PATIENCE
+    )
+    return family(orchestrator)
+
+
+def test_second_terminal_steers_an_interactive_hand(
+    start: Start, near: Path, domain: int, tmp_path: Path
+) -> None:
+    """A pose published by somebody else moves the hand; Ctrl-C is the regular end."""
+    orchestrator = start("--scenario", near, "--interactive")
+    orchestrator.wait_for_output("ros2 topic pub --once /desired_pose", PATIENCE)
+    orchestrator.wait_for_output("t = ", PATIENCE)
+    heights: list[float] = []
+    with private_context(domain) as context:
+        node = Node("user", context=context)
+        node.create_subscription(
+            PoseStamped, "auxiliary_pose", lambda pose: heights.append(pose.pose.position.z), 10
+        )
+        publisher = node.create_publisher(PoseStamped, "desired_pose", 10)
+        with spinning(node):
+            # The controller and the recorder listen, and the orchestrator, to show the error.
+            wait_until(lambda: publisher.get_subscription_count() >= 3)
+            publisher.publish(pose_to_ros((0.0, 0.0434, 0.4148), np.eye(3), 0))
+            wait_until(lambda: heights and heights[-1] > 0.4123, PATIENCE, "half of the way")
+        node.destroy_node()
+    orchestrator.send(signal.SIGINT)
+    assert end_of(orchestrator) == 0, orchestrator.stderr
+    run = Run(latest(tmp_path))
+    assert run.record.desired_position[-1].tolist() == [0.0, 0.0434, 0.4148]
+    assert run.metrics.ticks > TICKS  # longer than the scenario
+    assert run.bag_metrics.complete
+
+
+def test_keeper_finds_processes_by_their_mark_only(tmp_path: Path) -> None:
+    """A mark that merely begins alike is another run's."""
+    sleeper = ["tail", "-f", os.devnull]
+    with (
+        ProcessUnderTest(sleeper, env={keeper.MARK: "mark-1"}) as ours,
+        ProcessUnderTest(sleeper, env={keeper.MARK: "mark-12"}) as theirs,
+    ):
+        wait_until(lambda: list(keeper.marked("mark-1")) == [ours.pid])
+        keeper.sweep("mark-1", grace=1.0)
+        assert ours.wait() != 0
+        assert theirs.returncode is None
