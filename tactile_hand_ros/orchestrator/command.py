@@ -134,7 +134,7 @@ def _run(session: Session, ros: Context, *, quiet: bool) -> int:
     def tell(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    tell(f"{plan.scenario.name} in {directory.path}")
+    tell(f"{plan.scenario.name}: {plan.scenario.description}")
     if plan.interactive:
         tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
     duration = None if plan.interactive else plan.scenario.duration

@@ -164,7 +164,7 @@ def write_summary(
 
 def table(plan: Plan, outcome: Outcome, results: Results) -> Table:
     """Return the results as a table for the terminal."""
-    out = Table(title=f"{plan.scenario.name}: {plan.scenario.description}", title_justify="left")
+    out = Table()
     out.add_column("result")
     out.add_column("value", justify="right")
     out.add_column("goal", justify="right")

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: changes, namespaces, ROS arguments, and how executables are started."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_prefix
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.orchestrator.command import (
+    full_namespace,
+    parse_changes,
+    split_ros_arguments,
+)
+from tactile_hand_ros.orchestrator.monitor import Look, stamp_of
+from tactile_hand_ros.orchestrator.processes import Launcher
+from tactile_hand_ros.orchestrator.steering import how_to_steer
+from tactile_hand_ros.orchestrator.view import Rate, facts
+from tactile_hand_ros.ros.conversions import set_stamp
+from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+
+
+def test_changes_are_yaml() -> None:
+    changes = parse_changes(["plant.rate=250", "targets=[{position: [0, 0, 1e-1]}]", "name=a=b"])
+    assert changes == {
+        "plant.rate": 250,
+        "targets": [{"position": [0, 0, 0.1]}],
+        "name": "a=b",
+    }
+
+
+@pytest.mark.parametrize("change", ["plant.rate", "=3", "a={"])
+def test_what_is_no_change_is_refused(change: str) -> None:
+    with pytest.raises(ConfigurationError, match="--set"):
+        parse_changes([change])
+
+
+@pytest.mark.parametrize(
+    ("given", "arguments", "expected"),
+    [
+        ("", [], "/"),
+        ("/", [], "/"),
+        ("left", [], "/left"),
+        ("/left/", [], "/left"),
+        ("/a/b_2", [], "/a/b_2"),
+        ("", ["x", "--ros-args", "-r", "__ns:=/right"], "/right"),
+        ("left", ["x", "--ros-args", "-r", "__ns:=/right"], "/left"),
+    ],
+)
+def test_namespace(given: str, arguments: list[str], expected: str) -> None:
+    assert full_namespace(given, arguments) == expected
+
+
+@pytest.mark.parametrize("given", ["1st", "a-b", "a//b", "a b"])
+def test_bad_namespace_is_refused(given: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"'{given}'"):
+        full_namespace(given, [])
+
+
+def test_ros_arguments_are_taken_out() -> None:
+    line = ["orchestrator", "--quiet", "--ros-args", "-r", "a:=b", "--", "--duration", "1"]
+    own, ros = split_ros_arguments(line)
+    assert own == ["--quiet", "--duration", "1"]
+    assert ros == line
+    assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
+
+
+@pytest.mark.parametrize("stamp", [0, 2_000_000, 86_399_999_999_999])
+def test_stamp_is_read_from_bytes(stamp: int) -> None:
+    message = JointState(name=["a"])
+    set_stamp(message.header.stamp, stamp)
+    data = serialize_message(message)
+    assert stamp_of(data) == stamp
+    big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
+    assert stamp_of(big_endian) == stamp
+
+
+def test_facts_are_readable_whatever_is_missing() -> None:
+    assert facts(Look(1.0, np.nan, np.nan), 0.0) == "pose error no target  k_f -  0 ticks/s"
+    assert facts(Look(1.0, 0.0123, 10.0), 512.4) == "pose error 12.3 mm  k_f 10.00 N  512 ticks/s"
+
+
+def test_rate_begins_at_zero() -> None:
+    rate = Rate(2_000_000)
+    assert rate(0) == 0.0
+    assert rate(2_000_000_000) > 0.0
+
+
+def test_hint_names_the_topic_in_the_namespace() -> None:
+    assert "/left/desired_pose geometry_msgs/msg/PoseStamped" in how_to_steer("/left")
+    assert " /desired_pose " in how_to_steer("/")
+
+
+def fake_ros2(folder: Path, answer: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put a ``ros2`` first on PATH that answers every question in the same way."""
+    command = folder / "ros2"
+    command.write_text(f"#!/bin/sh\n{answer}\n")
+    command.chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder), prepend=":")
+    return command
+
+
+def test_ros2_run_is_used_where_it_finds_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = fake_ros2(tmp_path, f"echo {get_package_prefix(PACKAGE)}", monkeypatch)
+    assert Launcher().command("plant") == [str(command), "run", PACKAGE, "plant"]
+
+
+@pytest.mark.parametrize("answer", ["exit 1", "echo /opt/elsewhere", "echo broken >&2; kill $$"])
+def test_same_file_is_started_where_ros2_does_not_work(
+    answer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_ros2(tmp_path, answer, monkeypatch)
+    launcher = Launcher()
+    assert launcher.command("plant") == [str(executable_path("plant"))]
+    assert not launcher.uses_ros2

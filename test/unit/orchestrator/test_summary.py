@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run is judged by goal, completeness, failures and signals, in an exit code with reasons."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from tactile_hand_ros.analysis import metrics
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import Outcome, Plan
+from tactile_hand_ros.orchestrator.summary import (
+    Results,
+    Verdict,
+    judge,
+    read_results,
+    table,
+    write_summary,
+)
+
+PLAN = Plan(load_scenario("paper", {"duration": 0.1}))
+STEERED = Plan(PLAN.scenario, interactive=True)
+RECORDING = {
+    "expected_ticks": 51,
+    "ticks_per_second": 500.0,
+    "messages": 900,
+    "lost_messages": 0,
+}
+
+
+def results(**changes: Any) -> Results:
+    """Return good results with some values changed."""
+    good = {"final_position_error_m": 1e-5, "final_rotation_error_rad": 1e-5}
+    return Results({**good, **changes}, dict(RECORDING))
+
+
+def test_good_run() -> None:
+    assert judge(PLAN, Outcome(), results(), 128) == Verdict("goal reached", [], 0)
+
+
+@pytest.mark.parametrize("error", [2e-4, None])
+def test_missed_goal_is_said_in_numbers(error: float | None) -> None:
+    verdict = judge(PLAN, Outcome(), results(final_position_error_m=error), 128)
+    assert (verdict.outcome, verdict.exit_code) == ("goal not reached", 1)
+    assert "the goal is 0.0001 m" in verdict.reasons[0]
+
+
+def test_rotation_counts_too() -> None:
+    verdict = judge(PLAN, Outcome(), results(final_rotation_error_rad=0.5), 128)
+    assert verdict.reasons == ["the final rotation error is 0.5 rad, the goal is 0.001 rad"]
+
+
+def test_incomplete_bag_is_no_success() -> None:
+    incomplete = results()
+    incomplete.problems.append("the recorder lost 3 messages")
+    verdict = judge(PLAN, Outcome(), incomplete, 128)
+    assert (verdict.outcome, verdict.exit_code) == ("goal reached", 1)
+    assert verdict.reasons == ["the recorder lost 3 messages"]
+
+
+def test_failure_comes_first() -> None:
+    outcome = Outcome(failure="plant ended with code 1", complaints=["recorder did not end well"])
+    verdict = judge(PLAN, outcome, results(), 128)
+    assert verdict == Verdict("failed", [outcome.failure, *outcome.complaints], 1)
+
+
+@pytest.mark.parametrize("code", [130, 143])
+def test_signal_gives_its_code(code: int) -> None:
+    verdict = judge(PLAN, Outcome(interrupted=True), results(), code)
+    assert (verdict.outcome, verdict.exit_code) == ("interrupted", code)
+
+
+def test_ctrl_c_is_the_regular_end_of_an_interactive_run() -> None:
+    outcome = Outcome(interrupted=True)
+    assert judge(STEERED, outcome, results(), 130) == Verdict("finished", [], 0)
+    assert judge(STEERED, outcome, results(), 143).exit_code == 143
+
+
+def test_without_a_bag_the_last_pose_that_was_seen_decides() -> None:
+    seen = Results()
+    assert judge(PLAN, Outcome(position_error=1e-5), seen, 128).exit_code == 0
+    assert judge(PLAN, Outcome(position_error=1e-3), seen, 128).exit_code == 1
+    assert judge(PLAN, Outcome(), seen, 128).exit_code == 1
+
+
+def test_run_without_a_bag_says_so(tmp_path: Path) -> None:
+    found = read_results(PLAN, RunDirectory(tmp_path), finished=True)
+    assert found.metrics == {}
+    assert len(found.problems) == 1
+
+
+def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path) -> None:
+    """Numbers of a real record; NaN becomes null and 'unknown'."""
+    record = ClosedLoop(PLAN.scenario).run()
+    record.auxiliary_position[-1] = math.nan
+    full = Results(metrics(record, PLAN.scenario).to_dict(), dict(RECORDING))
+    verdict = judge(PLAN, Outcome(), full, 128)
+    write_summary(PLAN, RunDirectory(tmp_path), Outcome(), full, verdict)
+    read = json.loads((tmp_path / "summary.json").read_text())
+    assert read["metrics"]["final_position_error_m"] is None
+    assert read["versions"]["tactile_hand_ros"]
+    assert (read["scenario"], read["seed"], read["exit_code"]) == ("paper", 1, 1)
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+    text = io.StringIO()
+    Console(width=100, file=text).print(table(PLAN, Outcome(), full))
+    assert "final position error" in text.getvalue() and "unknown" in text.getvalue()
+    assert "k_f f* = 4." in text.getvalue()
