@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -98,15 +99,22 @@ def run_all(
     joblib = optional("joblib", "Running experiments on several cores")
     tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
     work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+    with _interrupts_held_back():
+        results = work(joblib.delayed(run_experiment)(*task) for task in tasks)
+    yield from results  # joblib ends its processes when this is left early
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Hold Ctrl-C back for a moment.
+
+    Processes started inside never see it, so that only this one answers, instead of each with a
+    traceback.
+    """
+    # Its start would let Ctrl-C through again.
+    optional("joblib.externals.loky.backend.resource_tracker", "").ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield from work(joblib.delayed(run_experiment)(*task) for task in tasks)
-    except BaseException:
-        _stop_workers()
-        raise
-
-
-def _stop_workers() -> None:
-    """Kill the processes of joblib, which otherwise finish what they are at."""
-    with contextlib.suppress(Exception):
-        loky = optional("joblib.externals.loky", "")
-        loky.get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

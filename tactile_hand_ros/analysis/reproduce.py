@@ -96,11 +96,19 @@ def draw(
     ]
 
 
-def write(results: Sequence[Reproduction], folder: Path) -> list[Path]:
-    """Write the report as Markdown and all numbers as JSON; return the files."""
+def write(results: Sequence[Reproduction], folder: Path, picture: str = "png") -> list[Path]:
+    """Write the report as Markdown and all numbers as JSON; return the files.
+
+    Args:
+        results: All layouts.
+        folder: Where to, beside the figures.
+        picture: Suffix of the figures that the report shows.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     report, data = folder / REPORT, folder / DATA
-    report.write_text("\n".join([_HEAD, *(_section(r) for r in results)]), encoding="utf-8")
+    report.write_text(
+        "\n".join([_HEAD, *(_section(r, picture) for r in results)]), encoding="utf-8"
+    )
     content = {result.layout: json_ready(_plain(result)) for result in results}
     data.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     return [report, data]
@@ -113,9 +121,9 @@ Table I, by function calls (`tactile-hand reproduce`). The paper does not print 
 stand: `three_faces` and `pinch` are two readings of it.
 """
 
-_LAWS = """What the laws do on the same task. Under (10) and (8) k_f multiplies lengths, so that the same
-number squeezes less or more than under (14). Rolling is how far a contact moved over the object,
-stiffness how hard the contacts are pulled per metre of position error.
+_LAWS = """What the laws do on the same task. Under (8) and (10) k_f multiplies lengths, so that
+the same number does not squeeze as it does under (14). Rolling is how far a contact moved over the
+object, stiffness how hard the contacts are pulled per metre of position error.
 """
 
 _FIGURES = {
@@ -126,8 +134,8 @@ _FIGURES = {
 }
 
 
-def _section(result: Reproduction) -> str:
-    pictures = [f"![{text}]({name}_{result.layout}.png)\n" for name, text in _FIGURES.items()]
+def _section(result: Reproduction, picture: str) -> str:
+    pictures = [f"![{text}]({name}_{result.layout}.{picture})\n" for name, text in _FIGURES.items()]
     claims = tables.markdown(tables.CLAIM_COLUMNS, tables.claim_rows(result.claims))
     laws = tables.markdown(tables.LAW_COLUMNS, tables.law_rows(result.laws))
     return "\n".join(

@@ -105,6 +105,22 @@ def label_panel(axes: Axes, letter: str, title: str) -> None:
     axes.set_title(f"({letter}) {title}", loc="left", pad=4.0)
 
 
+# No dates and versions inside, so that equal runs give equal files.
+_METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+
+
+def _shrink(file: Path) -> None:
+    """Store a picture with 256 colours, which no eye tells from more in a drawing."""
+    image = optional("PIL.Image", "Drawing")
+    with image.open(file) as picture:
+        small = picture.convert("RGB").quantize(256, dither=image.Dither.NONE)
+    small.save(file, optimize=True, dpi=(DPI, DPI))
+
+
 def save(
     figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
@@ -120,7 +136,7 @@ def save(
     files = [folder / f"{name}.{suffix}" for suffix in formats]
     with look():
         for file in files:
-            # No date inside, so that equal runs give equal files.
-            metadata = {"Date": None} if file.suffix == ".svg" else {"Software": None}
-            figure.savefig(file, dpi=DPI, metadata=metadata)
+            figure.savefig(file, dpi=DPI, metadata=_METADATA.get(file.suffix))
+            if file.suffix == ".png":
+                _shrink(file)
     return files

@@ -159,7 +159,7 @@ def number(value: float, unit: str = "") -> str:
 
 def _with_error(value: float, error: float) -> str:
     off = "" if math.isnan(error) else f"  ({100 * error:.2g} % off k_f)"
-    return number(value, "N") + off
+    return ("unknown" if math.isnan(value) else f"{value:.6g} N") + off
 
 
 def _plain(text: str) -> str:
