@@ -99,7 +99,7 @@ class _Alignment:
 
     def _write_contacts(self, name: str, positions: Array, quaternions: Array) -> None:
         series, k = self._named(name), len(self._topics.fingers)
-        poses = self._placed(series, series.rows("poses", 7 * k)).reshape(-1, k, 7)
+        poses = self._placed(series, series.rows("poses", 7 * k)).reshape(len(self._ticks), k, 7)
         poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact has no frame either
         positions[:], quaternions[:] = poses[:, :, :3], poses[:, :, 3:]
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,14 @@ from tactile_hand_ros.core.record import Record
 STORE = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000  # log time of the first tick, ns
 PERIOD = 3_000_000  # wall time of a tick, ns
+ON_TOPICS = (
+    *("theta", "rates", "torque", "command", "grasp_force"),
+    *("contact_positions", "contact_quaternions", "forces", "optimal_forces"),
+    *("auxiliary_position", "auxiliary_quaternion", "desired_position", "desired_quaternion"),
+    *("object_position", "object_quaternion"),
+    *("true_positions", "true_quaternions", "true_forces"),
+)
+"""Arrays of a record that a bag can tell; others only the simulation knows."""
 LATENCY = 1_000_000  # from a tick to its command, ns
 
 
@@ -93,17 +102,21 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
     state = {"position": record.theta, "velocity": record.rates, "effort": record.torque}
     values = {name: array[row] for name, array in state.items()}
     bag.write(f"{prefix}joint_states", joints(stamp, names, **values), at)
+    truth = bool(np.isfinite(record.true_forces[row]).any())
     for name, positions, quaternions in (
         ("tactile/contacts", record.contact_positions, record.contact_quaternions),
         ("ground_truth/contacts", record.true_positions, record.true_quaternions),
     ):
-        bag.write(prefix + name, pose_array(stamp, positions[row], quaternions[row]), at)
+        if truth or not name.startswith("ground_truth"):
+            bag.write(prefix + name, pose_array(stamp, positions[row], quaternions[row]), at)
     for i, finger in enumerate(record.finger_names):
         for name, forces in (
             (f"tactile/{finger}/wrench", record.forces),
             (f"ground_truth/{finger}/wrench", record.true_forces),
             (f"optimal_force/{finger}", record.optimal_forces),
         ):
+            if not truth and name.startswith("ground_truth"):
+                continue
             bag.write(prefix + name, wrench(stamp, forces[row, i], f"{finger}_contact"), at)
     squeeze = (0.0, record.grasp_force[row], 0.0)
     bag.write(f"{prefix}grasp_force", wrench(stamp, squeeze), at)
@@ -111,14 +124,18 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
         ("auxiliary_pose", record.auxiliary_position, record.auxiliary_quaternion),
         ("ground_truth/object_pose", record.object_position, record.object_quaternion),
     ):
+        if not truth and name.startswith("ground_truth"):
+            continue
         bag.write(prefix + name, pose_stamped(stamp, position[row], quaternion[row]), at)
     command = joints(stamp, names, effort=record.command[row])
     bag.write(f"{prefix}joint_command", command, at + LATENCY)
 
 
-def write_record(folder: Path, record: Record, prefix: str = "/") -> Path:
+def write_record(
+    folder: Path, record: Record, prefix: str = "/", custom_data: dict[str, str] | None = None
+) -> Path:
     """Write a whole record with its first desired pose, sent before the first tick."""
-    with RunWriter(folder) as bag:
+    with RunWriter(folder, custom_data) as bag:
         known = np.flatnonzero(np.isfinite(record.desired_position[:, 0]))
         if len(known):
             row = known[0]
@@ -127,3 +144,36 @@ def write_record(folder: Path, record: Record, prefix: str = "/") -> Path:
         for row in range(len(record)):
             write_tick(bag, record, row, START + row * PERIOD, prefix)
     return folder
+
+
+def random_record(ticks: int = 20, seed: int = 1, truth: bool = True) -> Record:
+    """Return a record of a hand with three fingers and nine joints, filled with random numbers."""
+    fingers = [f"finger_{i + 1}" for i in range(3)]
+    record = Record.empty(ticks, fingers, [f"joint_{i + 1}" for i in range(9)])
+    random = np.random.default_rng(seed)
+    told = {f.name for f in fields(record) if f.metadata} - {"stamps", *NOT_ON_TOPICS}
+    record.stamps[:] = 2_000_000 * np.arange(ticks)
+    for name in sorted(told):
+        array = getattr(record, name)
+        array[:] = random.normal(size=array.shape)
+        if name.endswith(("quaternion", "quaternions")):
+            array /= np.linalg.norm(array, axis=-1, keepdims=True)
+    # One pose is commanded, before the first tick.
+    record.desired_position[:] = record.desired_position[0]
+    record.desired_quaternion[:] = record.desired_quaternion[0]
+    if not truth:
+        for name in ("object_position", "object_quaternion"):
+            getattr(record, name)[:] = np.nan
+        for name in ("true_positions", "true_quaternions", "true_forces"):
+            getattr(record, name)[:] = np.nan
+    return record
+
+
+def assert_same(actual: Record, expected: Record) -> None:
+    """Insist that two records are equal to the last bit, NaN where the other has NaN."""
+    for field in fields(Record):
+        one, other = getattr(actual, field.name), getattr(expected, field.name)
+        if field.metadata:
+            np.testing.assert_array_equal(one, other, err_msg=field.name)
+        else:
+            assert one == other
