@@ -144,6 +144,19 @@ class Reference:
         tips = np.array([self.data.oMf[f].translation for f in self.frames])
         return tips - self.world.radii[:, None] * (self.world.faces @ rotation.T)
 
+    def contact_jacobian(self, s: State) -> Array:
+        """Return J_h of (2), shape (3k, m)."""
+        pin.computeJointJacobians(self.model, self.data, s.theta)
+        pin.updateFramePlacements(self.model, self.data)
+        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+        blocks = []
+        for frame, radius, face in zip(
+            self.frames, self.world.radii, self.world.faces, strict=True
+        ):
+            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            blocks.append(jac[:3] + pin.skew(radius * rotation @ face) @ jac[3:])
+        return np.vstack(blocks)
+
     def drift(self, y: Array) -> float:
         """Return the largest violation of (6), m/s."""
         s = self.unpack(y)
@@ -185,9 +198,9 @@ class Reference:
             forces.append(self.solve_rates(y, torque, external)[1])
             if t_next is None:
                 break
-            if hold:
-                rate = lambda _, y, u=torque: self.solve_rates(y, u, external)[0]  # noqa: E731
-            else:
-                rate = lambda t, y: self.solve_rates(y, torque_at(t, y), external)[0]  # noqa: E731
+
+            def rate(t: float, y: Array, held: Array = torque) -> Array:
+                return self.solve_rates(y, held if hold else torque_at(t, y), external)[0]
+
             y = solve_ivp(rate, (t, t_next), y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
         return np.array(states), np.array(forces)

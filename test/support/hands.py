@@ -4,14 +4,20 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.core.reach import inverse_kinematics
+
+_BENT = (1.0, 0.0, 1.2, 0.6, 0.1)  # angles of a finger's joints that bend it inwards, rad
 LINK = 0.3  # length of all links of a finger together and of the base's distance, m
 
 
@@ -41,6 +47,8 @@ def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
     axes = ("0 -1 0", "0 0 1", "0 -1 0", "0 -1 0", "1 0 0")
     # The first two joints share a place; the others divide the finger's length.
     lengths = [0.0] + [2.0 * LINK / max(1, joints - 1)] * (joints - 1)
+    if joints == 2:  # bends in its plane only
+        axes, lengths = ("0 -1 0", "0 -1 0"), [LINK, LINK]
     for j in range(joints):
         child = f"{name}_link_{j + 1}"
         rest = f'<axis xyz="{axes[j]}"/><limit lower="-3" upper="3" effort="30" velocity="20"/>'
@@ -82,9 +90,47 @@ def write_hand(
     return path
 
 
+def posture_for(hand: Hand, tips: NDArray) -> NDArray:
+    """Return joint angles that bring the tips of a `write_hand` hand to places, shape (k, 3), m."""
+    counts = Counter(name.split("_")[0] for name in hand.joint_names)
+    bent = [
+        (_BENT[0], _BENT[2]) if counts[finger] == 2 else _BENT[: counts[finger]]
+        for finger in hand.finger_names
+    ]
+    start = np.concatenate(bent)
+    theta, missing = inverse_kinematics(hand, tips, start)
+    assert missing.max() < 1e-4, f"tips stay {missing} m short"
+    return theta
+
+
 def tip_rotations(description: str, tips: Sequence[str], theta: NDArray) -> NDArray:
     """Return the orientations of tip links by Pinocchio alone, shape (k, 3, 3)."""
     model = pin.buildModelFromXML(description)
     data = model.createData()
     pin.framesForwardKinematics(model, data, theta)
     return np.array([data.oMf[model.getFrameId(tip)].rotation for tip in tips])
+
+
+def prism_grasp(folder: Path, joints: Sequence[int], height: float = 0.4) -> dict[str, Any]:
+    """Return a scenario's values: every finger touches its own side of an upright prism.
+
+    Args:
+        folder: Where to write the hand.
+        joints: Number of joints of each finger.
+        height: Height of the object over the palm, m.
+    """
+    path, k, apothem = write_hand(folder, joints), len(joints), 0.1
+    bearings = 2.0 * np.pi * np.arange(k) / k
+    outward = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(k)], axis=1)
+    tips = (apothem + 0.02) * outward + [0.0, 0.0, height]
+    # Corners lie between the fingers.
+    between = bearings + np.pi / k
+    ring = apothem / np.cos(np.pi / k) * np.stack([np.cos(between), np.sin(between)], axis=1)
+    corners = [[x, y, z] for x, y in ring for z in (-0.12, 0.12)]
+    return {
+        "hand": str(path),
+        "layout": "",
+        "plant.initial_joints": posture_for(Hand.load(str(path)), tips).tolist(),
+        "plant.object.vertices": np.ravel(corners).tolist(),
+        "plant.object.position": [0.0, 0.0, height],
+    }

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation agrees with an adaptive integration of (2) to (6) that shares no code with it.
+
+The controller is written here a second time too, from the paper's formulas with NumPy alone, and is
+continuous as in the paper; so these tests cover plant, optimizer, law and the wiring of all blocks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from paper.reference import Reference, State, World
+from scipy.spatial.transform import Rotation
+from support.plants import plant, torque_for
+
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.disturbance import Disturbance
+from tactile_hand_ros.core.scenario import load_scenario
+
+FACES = {
+    "three_faces": np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]]),
+    "pinch": np.array([[0, 1.0, 0], [0, 1.0, 0], [0, -1.0, 0]]),
+}
+TARGET = np.array([-0.1, 0.2, 0.4])
+
+
+def reference_of(world, layout):
+    """Return the reference for a plant, and its state at the start."""
+    config, hand, state = world.config, world.hand, world.state
+    reference = Reference(
+        World(
+            hand.description,
+            [f"finger_{i}_tip" for i in (1, 2, 3)],
+            hand.radii,
+            config.object.mass,
+            np.diag(config.object.inertia),
+            np.array(config.gravity),
+            FACES[layout],
+        )
+    )
+    quaternion = Rotation.from_matrix(state.rotation).as_quat()
+    start = State(state.theta, np.zeros(9), state.position, quaternion, np.zeros(3), np.zeros(3))
+    return reference, start
+
+
+class PaperLaw:
+    """Laws (14) and (10) as the paper prints them, for a target with R_pod = I."""
+
+    def __init__(self, reference, name="optimal", weights=(10.0, 1.0, 10.0), k_f=10.0):
+        self.reference, self.name, self.k_f = reference, name, k_f
+        self.weights = np.tile(weights, 3)
+
+    def __call__(self, t, s, points):
+        centroid = points.mean(axis=0)
+        arms = points - centroid
+        grasp = np.vstack([np.tile(np.eye(3), 3), np.hstack([pin.skew(d) for d in arms])])
+        forces = self.k_f * (self.optimal(s, grasp) if self.name == "optimal" else -arms.ravel())
+        wrench = np.concatenate([3.0 * (TARGET - centroid), 0.5 * self.rotation_error(points)])
+        jacobian = self.reference.contact_jacobian(s)
+        return jacobian.T @ (forces + np.linalg.pinv(grasp) @ wrench) - 0.07 * s.rates
+
+    def optimal(self, s, grasp):
+        """Solve (13) in closed form; the inequality does not bind in these grasps."""
+        quaternion = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion))
+        rotation = quaternion.toRotationMatrix()
+        frames = np.zeros((9, 9))
+        for i, face in enumerate(self.reference.world.faces):
+            n = -rotation @ face
+            t_z = np.array([0.0, 0.0, 1.0]) - n * n[2]
+            t_z /= np.linalg.norm(t_z)
+            frames[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.stack([pin.skew(n) @ t_z, n, t_z]).T
+        rows = np.vstack([grasp @ frames, np.tile([0.0, 1.0, 0.0], 3)])
+        spread = rows / self.weights
+        forces = spread.T @ np.linalg.solve(spread @ rows.T, np.eye(7)[6])
+        assert forces[1::3].min() > 0.0
+        return frames @ forces
+
+    @staticmethod
+    def rotation_error(points):
+        r_x = points[0] - points[1]
+        r_z = pin.skew(r_x) @ (points[0] - points[2])
+        r_x, r_z = r_x / np.linalg.norm(r_x), r_z * np.sign(r_z[2]) / np.linalg.norm(r_z)
+        axes = (r_x, pin.skew(r_z) @ r_x, r_z)
+        return sum(pin.skew(r) @ d for r, d in zip(axes, np.eye(3), strict=True))
+
+
+def palm_forces(record, rows):
+    """Return the true contact forces of a record in palm axes, shape (n, k, 3)."""
+    quaternions = record.true_quaternions[rows]
+    turns = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(-1, 3, 3, 3)
+    return np.einsum("nkij,nkj->nki", turns, record.true_forces[rows])
+
+
+def compare(reference, states, forces, record, rows):
+    """Return the largest differences of object and centroid in m and of forces in N."""
+    positions = np.array([reference.unpack(y).position for y in states])
+    centroids = np.array([reference.contacts(y).mean(axis=0) for y in states])
+    # The simulation gives the mean force of the step that ended: there is none at the start.
+    apart = np.abs(palm_forces(record, rows) - forces)[1:]
+    return (
+        np.abs(record.object_position[rows] - positions).max(),
+        np.abs(record.true_positions[rows].mean(axis=1) - centroids).max(),
+        apart.max(),
+    )
+
+
+@pytest.fixture(scope="module", params=["three_faces", "pinch"])
+def experiment(request):
+    """Run the paper's 10 s in the closed loop, and as far as it moves by the reference."""
+    layout = request.param
+    scenario = load_scenario("paper", {"layout": layout})
+    loop = ClosedLoop(scenario)
+    reference, start = reference_of(loop.plant, layout)
+    times = np.linspace(0.0, 10.0, 51) if layout == "three_faces" else np.linspace(0.0, 3.0, 16)
+    states, forces = reference.run(start, PaperLaw(reference), times, hold=False, rtol=1e-8)
+    return reference, states, forces, loop.run(), np.round(500.0 * times).astype(int)
+
+
+def test_the_reference_keeps_its_constraint(experiment):
+    reference, states, *_ = experiment
+    drift = max(reference.drift(y) for y in states)
+    print(f"drift of the reference {drift:.1e} m/s")
+    assert drift < 1e-9
+
+
+def test_the_closed_loop_moves_as_the_reference(experiment):
+    position, centroid, force = compare(*experiment)
+    print(f"object {1e3 * position:.4f} mm, centroid {1e3 * centroid:.4f} mm, force {force:.1e} N")
+    assert position < 1e-4
+    assert centroid < 1e-5
+    assert force < 1e-3 * 10.0
+
+
+def test_every_finger_presses_as_in_the_reference(experiment):
+    """Of each finger's own force, the weakest finger's included: 0.1 % in the end."""
+    _, _, forces, record, rows = experiment
+    apart = np.linalg.norm(palm_forces(record, rows) - forces, axis=2)
+    share = apart / np.linalg.norm(forces, axis=2)
+    assert share[1:].max() < 2e-3
+    assert share[-1].max() < 1e-3
+
+
+def test_the_paper_meets_its_claims(experiment):
+    """(15): at rest at p_d with f_n = k_f f*_n, in both layouts."""
+    *_, record, _ = experiment
+    assert np.linalg.norm(record.auxiliary_position[-1] - TARGET) < 1e-4
+    assert np.abs(record.rates[-1]).max() < 1e-3
+    normal, wanted = record.true_forces[-1, :, 1], 10.0 * record.optimal_forces[-1, :, 1]
+    np.testing.assert_allclose(normal, wanted, rtol=1e-3)
+    assert normal.sum() == pytest.approx(10.0, rel=1e-4)
+    assert np.isfinite(record.true_positions).all()  # no contact is ever lost
+    turned = Rotation.from_quat(record.object_quaternion)
+    on_object = np.stack(
+        [
+            turned.apply(record.true_positions[:, i] - record.object_position, inverse=True)
+            for i in range(3)
+        ],
+        axis=1,
+    )
+    # Each contact stays on its face: one coordinate at half an edge, the others well inside.
+    assert np.abs(np.abs(on_object).max(axis=2) - 0.1302).max() < 1e-5
+    assert np.sort(np.abs(on_object), axis=2)[:, :, 1].max() < 0.125
+
+
+def test_a_held_torque_moves_as_the_reference_that_holds_it_too():
+    scenario = load_scenario(
+        "paper", {"duration": 0.5, "manipulation_controller.midpoint_hold": False}
+    )
+    loop = ClosedLoop(scenario)
+    reference, start = reference_of(loop.plant, "three_faces")
+    times = np.arange(251) / 500.0
+    states, forces = reference.run(start, PaperLaw(reference), times, hold=True, rtol=1e-8)
+    record = loop.run()
+    position, centroid, _ = compare(reference, states, forces, record, np.arange(251))
+    assert position < 1e-4 and centroid < 1e-5
+
+
+def motion(seconds=2.0, **law):
+    """Return object positions over time by the reference under some law."""
+    reference, start = reference_of(plant(), "three_faces")
+    times = np.linspace(0.0, seconds, 3)
+    states, _ = reference.run(start, PaperLaw(reference, **law), times, hold=False, rtol=1e-8)
+    return np.array([y[18:25] for y in states])
+
+
+def test_no_squeeze_changes_the_motion():
+    """Internal forces do no work on a grasp that sticks: W, k_f and (10) all move it alike."""
+    paper = motion()
+    assert np.abs(paper[-1, :3] - paper[0, :3]).max() > 0.05
+    for law in ({"weights": (1.0, 1.0, 1.0)}, {"k_f": 25.0}, {"name": "contact"}):
+        np.testing.assert_allclose(motion(**law), paper, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"force_optimizer.weights": [1.0, 1.0, 1.0]},
+        {"slip_regulator.grasp_force": 20.0},
+        {"manipulation_controller.law.name": "contact"},
+    ],
+)
+def test_no_squeeze_changes_the_motion_of_the_closed_loop(changes):
+    paper = ClosedLoop(load_scenario("paper")).run(500)
+    other = ClosedLoop(load_scenario("paper", changes)).run(500)
+    assert np.abs(other.true_forces[-1] - paper.true_forces[-1]).max() > 0.1
+    assert np.abs(other.object_position - paper.object_position).max() < 5e-5
+
+
+@pytest.mark.parametrize("layout", ["three_faces", "pinch"])
+def test_gravity_push_and_unequal_inertia_move_as_the_reference(layout):
+    """An open-loop swing with everything at once, in small steps."""
+    step, wrench = 1e-4, np.array([0.3, -0.2, 0.4, 0.01, 0.02, -0.01])
+    push = Disturbance(force=tuple(wrench[:3]), torque=tuple(wrench[3:]))
+    world = plant(
+        step,
+        layout=layout,
+        gravity=(0.5, 0.0, -2.0),
+        object__mass=0.2,
+        object__inertia=(0.001, 0.002, 0.003),
+        disturbances=[push],
+    )
+    reference, start = reference_of(world, layout)
+    torque = torque_for(world, 4.0 * world.state.contacts.normals * [[1.0], [1.0], [1.5]])
+    times = np.linspace(0.0, 0.15, 4)
+    states, _ = reference.run(start, lambda *_: torque, times, wrench=wrench)
+    moved, turned = [], []
+    for tick in range(1501):
+        if tick % 500 == 0:
+            moved.append(world.state.position)
+            turned.append(world.state.rotation)
+        world.advance(torque)
+    assert world.state.contacts.touching.all() and not (np.abs(world.state.sliding) > 1e-9).any()
+    ends = [reference.unpack(y) for y in states]
+    assert np.linalg.norm(ends[-1].position - start.position) > 0.005
+    np.testing.assert_allclose(moved, [s.position for s in ends], atol=2e-5)
+    rotations = [Rotation.from_quat(s.quaternion).as_matrix() for s in ends]
+    np.testing.assert_allclose(turned, rotations, atol=2e-4)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze that a user asks for: inside limits and without jumps."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.core.errors import ConfigurationError, MessageError
+from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
+
+TICK = 2_000_000
+
+
+def regulator(**values):
+    return SlipRegulator(SlipRegulatorConfig(**values), 3)
+
+
+def squeezes(slip, ticks, start=0):
+    """Return k_f at each of the ticks."""
+    return np.array([slip.step((start + i) * TICK) for i in range(ticks)])
+
+
+def test_starts_with_the_configured_squeeze_and_keeps_it():
+    np.testing.assert_array_equal(squeezes(regulator(grasp_force=7.0), 100), 7.0)
+
+
+def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
+    slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0, smoothing=0.05)
+    slip.step(0)
+    slip.request(20.0)
+    up = squeezes(slip, 1000, start=1)
+    slip.request(5.0)
+    down = squeezes(slip, 2000, start=1001)
+    for force, goal, rate in ((up, 20.0, 50.0), (down, 5.0, 20.0)):
+        steps = np.abs(np.diff(force))
+        assert steps.max() == pytest.approx(rate * 0.002)
+        assert (np.diff(np.abs(force - goal)) <= 0.0).all()  # neither overshoots nor turns back
+        assert force[-1] == pytest.approx(goal, abs=1e-6)
+    # 12.5 N at full rate, then exponentially with the time constant.
+    assert up[125] == pytest.approx(5.0 + 0.252 * 50.0, abs=1e-9)
+    landing = 20.0 - up[300:400]
+    np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
+
+
+def test_a_change_has_no_corner_where_it_lands():
+    slip = regulator(grasp_force=5.0)
+    slip.step(0)
+    slip.request(10.0)
+    bends = np.abs(np.diff(squeezes(slip, 500, start=1), n=2))
+    assert bends[1:].max() < 0.1 * 50.0 * 0.002
+
+
+@pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
+def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
+    slip = regulator(grasp_force=10.0, minimum=0.5, maximum=40.0)
+    slip.step(0)
+    with pytest.raises(MessageError, match=r"outside 0.5 to 40.0 N"):
+        slip.request(force)
+    np.testing.assert_array_equal(squeezes(slip, 10, start=1), 10.0)
+
+
+def test_limits_themselves_may_be_asked_for():
+    slip = regulator(minimum=1.0, maximum=30.0)
+    slip.step(0)
+    for goal in (30.0, 1.0):
+        slip.request(goal)
+        assert squeezes(slip, 3000, start=round(goal) * 3000)[-1] == pytest.approx(goal, abs=1e-6)
+
+
+def test_a_repeated_tick_changes_nothing():
+    slip = regulator()
+    slip.step(0)
+    slip.request(20.0)
+    once = slip.step(TICK)
+    assert [slip.step(TICK) for _ in range(5)] == [once] * 5
+    assert slip.step(2 * TICK) > once
+
+
+def test_the_result_does_not_depend_on_ticks_that_were_missed():
+    slip = regulator(grasp_force=5.0)
+    slip.step(0)
+    slip.request(15.0)
+    assert slip.step(10**11) == 15.0  # a long silence lands on the goal, not beyond
+
+
+def test_a_clock_that_starts_again_makes_no_jump():
+    slip = regulator()
+    squeezes(slip, 10, start=1000)
+    slip.request(20.0)
+    before = slip.grasp_force
+    assert abs(slip.step(0) - before) <= 50.0 * 0.002
+    assert squeezes(slip, 2000, start=1)[-1] == pytest.approx(20.0)
+
+
+def test_a_lower_limit_takes_hold_at_the_falling_rate_or_at_once():
+    slip = regulator(grasp_force=10.0)
+    slip.step(0)
+    slip.request(30.0)
+    squeezes(slip, 1000, start=1)
+    slip.configure(SlipRegulatorConfig(maximum=15.0))
+    assert squeezes(slip, 2000, start=1001)[-1] == pytest.approx(15.0)
+
+
+def test_reset_goes_back_to_the_configured_squeeze():
+    slip = regulator(grasp_force=8.0)
+    slip.step(0)
+    slip.request(20.0)
+    squeezes(slip, 100, start=1)
+    slip.reset()
+    np.testing.assert_array_equal(squeezes(slip, 10), 8.0)
+
+
+def test_a_start_outside_the_limits_is_refused():
+    with pytest.raises(ConfigurationError, match="grasp_force = 50.0 N is outside"):
+        SlipRegulatorConfig().changed({"grasp_force": 50.0})
+    with pytest.raises(ConfigurationError, match="outside minimum = 12.0 N"):
+        SlipRegulatorConfig().changed({"minimum": 12.0})
+
+
+def test_touch_does_not_change_what_the_user_asked_for():
+    """In the mode `user` a regulator that feels a heavy load still gives what was asked."""
+    from support.plants import plant
+
+    contacts = plant().state.contacts
+    slip = regulator(grasp_force=6.0)
+    forces = np.array([[3.0, 4.0, 3.0]] * 3)
+    assert [slip.step(i * TICK, contacts, forces) for i in range(50)] == [6.0] * 50

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated skin: what is true when nothing is wrong, and each way in which it errs."""
+
+import numpy as np
+import pytest
+from support.grasps import HALF
+
+from tactile_hand_ros.core.contact import contact_frame
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.core.tactile import TactileReading, TactileSensor, TactileSensorConfig
+
+RADII = np.array([0.06, 0.06, 0.06])
+TICK = 2_000_000
+
+
+def truth(time=0.0, missing=()):
+    """Return true contacts that move slowly, and forces that say when they were measured."""
+    points = HALF * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    positions = points + [0.0, 0.0, 0.01 * time]
+    quaternions = quaternion_from_rotation([contact_frame(-p / HALF) for p in points])
+    forces = np.array([[0.1, 5.0, -0.2]] * 3) + [0.0, time, 0.0]
+    for finger in missing:
+        positions[finger] = quaternions[finger] = np.nan
+        forces[finger] = 0.0
+    return TactileReading(positions, quaternions, forces)
+
+
+def sensor(**values):
+    return TactileSensor(TactileSensorConfig(**values), RADII)
+
+
+def readings(skin, ticks, missing=()):
+    """Return what the skin publishes at each of the ticks."""
+    return [skin.step(i * TICK, truth(1e-9 * i * TICK, missing)) for i in range(ticks)]
+
+
+def same(one, two):
+    for name in ("positions", "quaternions", "forces"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_a_perfect_skin_reports_the_truth_to_the_bit():
+    for i, reading in enumerate(readings(sensor(), 5)):
+        same(reading, truth(1e-9 * i * TICK))
+
+
+def test_what_is_published_does_not_change_with_the_truth():
+    true = truth()
+    reading = sensor().step(0, true)
+    before = reading.positions.copy()
+    true.positions[:] = 0.0
+    np.testing.assert_array_equal(reading.positions, before)
+
+
+def test_force_noise_has_the_asked_deviation_and_no_bias():
+    forces = np.array([r.forces for r in readings(sensor(force_noise=0.05, seed=3), 4000)])
+    errors = forces - [truth(0.002 * i).forces for i in range(4000)]
+    # Bounds of five standard errors of mean and deviation over 36000 draws.
+    assert abs(errors.mean()) < 5 * 0.05 / 190
+    assert errors.std() == pytest.approx(0.05, rel=5 / 268)
+    correlation = np.corrcoef(errors.reshape(4000, 9).T) - np.eye(9)
+    assert np.abs(correlation).max() < 0.1
+    assert abs(np.corrcoef(errors[:-1].ravel(), errors[1:].ravel())[0, 1]) < 0.03
+
+
+def test_location_noise_moves_the_contact_over_the_tip_only():
+    """Whatever the noise, point and normal stay those of a sphere around the true centre (A2)."""
+    normals = truth().contacts.normals
+    errors = []
+    for i, reading in enumerate(readings(sensor(location_noise=0.002), 1000)):
+        centres = truth(0.002 * i).positions - 0.06 * normals
+        arms = reading.positions - centres
+        np.testing.assert_allclose(np.linalg.norm(arms, axis=1), 0.06, atol=1e-12)
+        seen = reading.contacts.rotations
+        np.testing.assert_allclose(seen[:, :, 1], arms / 0.06, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(seen), 1.0)
+        along = (arms * normals).sum(axis=1)[:, None] * normals
+        errors.append(arms - along)
+    spread = np.array(errors)[:, 0, 1:]  # the tangential directions of finger 1
+    assert spread.std() == pytest.approx(0.002, rel=0.15)
+    np.testing.assert_array_equal(reading.forces, truth(0.002 * 999).forces)
+
+
+def test_one_seed_gives_the_same_noise_and_another_gives_other():
+    noisy = {"force_noise": 0.1, "location_noise": 0.001, "dropout": 0.3}
+    first, again, other = (readings(sensor(**noisy, seed=seed), 50) for seed in (5, 5, 6))
+    for one, two in zip(first, again, strict=True):
+        same(one, two)
+    assert np.abs(first[0].forces - other[0].forces).max() > 1e-3
+    skin = sensor(**noisy, seed=5)
+    readings(skin, 20)
+    skin.reset()
+    for one, two in zip(first, readings(skin, 50), strict=True):
+        same(one, two)
+
+
+def test_a_repeated_tick_repeats_the_reading():
+    skin = sensor(force_noise=0.1)
+    skin.step(0, truth())
+    once = skin.step(TICK, truth())
+    same(skin.step(TICK, truth()), once)
+
+
+def test_one_finger_without_contact_leaves_the_others_noise_alone():
+    whole = readings(sensor(force_noise=0.1, location_noise=0.001), 20)
+    part = readings(sensor(force_noise=0.1, location_noise=0.001), 20, missing=[1])
+    for one, two in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
+        np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
+
+
+def test_no_contact_is_nan_without_force_however_noisy():
+    noisy = {"force_noise": 0.5, "location_noise": 0.01, "location_resolution": 0.003}
+    for reading in readings(sensor(**noisy), 10, missing=[0, 2]):
+        assert np.isnan(reading.positions[[0, 2]]).all()
+        assert np.isnan(reading.quaternions[[0, 2]]).all()
+        assert not reading.forces[[0, 2]].any()
+        np.testing.assert_array_equal(reading.contacts.touching, [False, True, False])
+
+
+def test_forces_come_in_steps():
+    for reading in readings(sensor(force_noise=0.3, force_resolution=0.25), 20):
+        np.testing.assert_array_equal(reading.forces, 0.25 * np.rint(reading.forces / 0.25))
+    reading = sensor(force_resolution=0.25).step(0, truth())
+    np.testing.assert_allclose(reading.forces[0], [0.0, 5.0, -0.25])
+
+
+def test_locations_come_in_steps_no_farther_than_a_taxel():
+    skin = sensor(location_resolution=0.004)
+    seen = set()
+    for i in range(200):
+        angle = 1e-3 * i
+        normal = np.array([-np.cos(angle), -np.sin(angle), 0.0])
+        positions = np.tile(0.06 * normal, (3, 1))
+        quaternions = np.tile(quaternion_from_rotation(contact_frame(normal)), (3, 1))
+        reading = skin.step(i * TICK, TactileReading(positions, quaternions, np.zeros((3, 3))))
+        assert np.linalg.norm(reading.positions - positions, axis=1).max() < 0.004
+        seen.add(tuple(reading.positions[0].round(9)))
+    assert 3 <= len(seen) <= 12
+
+
+def test_a_reading_is_as_old_as_the_latency():
+    skin = sensor(latency=0.01)
+    for i, reading in enumerate(readings(skin, 20)):
+        expected = max(0.0, 0.002 * i - 0.01)
+        assert reading.forces[0, 1] == pytest.approx(5.0 + expected, abs=1e-12)
+
+
+def test_a_slow_skin_repeats_its_last_sample():
+    forces = [r.forces[0, 1] - 5.0 for r in readings(sensor(rate=100.0), 20)]
+    np.testing.assert_allclose(forces, 0.01 * (np.arange(20) // 5), atol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 3000.0])
+def test_a_skin_as_fast_as_the_ticks_misses_none(rate):
+    forces = [r.forces[0, 1] - 5.0 for r in readings(sensor(rate=rate), 2000)]
+    np.testing.assert_allclose(forces, 0.002 * np.arange(2000), atol=1e-9)
+
+
+def test_a_lost_sample_repeats_the_finger_s_last():
+    got = readings(sensor(dropout=0.3, seed=2), 3000)
+    new = np.array([r.forces[:, 1] for r in got]) - 5.0
+    times = 0.002 * np.arange(3000)
+    lost = ~np.isclose(new, times[:, None], atol=1e-12)
+    assert not lost[0].any()
+    # Each finger loses its own samples, three in ten of them.
+    np.testing.assert_allclose(lost.mean(axis=0), 0.3, atol=5 * (0.21 / 3000) ** 0.5)
+    assert np.abs(np.corrcoef(lost.T) - np.eye(3)).max() < 0.1
+    for tick in range(1, 3000):
+        for finger in np.flatnonzero(lost[tick]):
+            assert new[tick, finger] == new[tick - 1, finger]
+            np.testing.assert_array_equal(
+                got[tick].positions[finger], got[tick - 1].positions[finger]
+            )
+
+
+def test_with_everything_lost_the_first_sample_stays():
+    for reading in readings(sensor(dropout=1.0), 5):
+        same(reading, truth())
+
+
+def test_noise_may_change_while_running():
+    skin = sensor()
+    skin.step(0, truth())
+    skin.configure(TactileSensorConfig(force_noise=0.1))
+    assert np.abs(skin.step(TICK, truth()).forces - truth().forces).max() > 1e-3
+    skin.configure(TactileSensorConfig())
+    np.testing.assert_array_equal(skin.step(2 * TICK, truth()).forces, truth().forces)
