@@ -162,7 +162,8 @@ def law_figure(records: Mapping[str, Record]) -> Figure:
             label_panel(axes, "abc"[i], titles[i])
             axes.set_ylabel(labels[i])
             axes.set_xlabel("time [s]")
-            axes.set_yscale("linear" if i == 2 else "log")
+            if i < 2 and _any_positive(axes):
+                axes.set_yscale("log")
         panels[2].set_ylim(bottom=0.0)
         longest = max(records.values(), key=len)
         if len(longest) > 1:
@@ -173,6 +174,11 @@ def law_figure(records: Mapping[str, Record]) -> Figure:
         ]
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
+
+
+def _any_positive(axes: Axes) -> bool:
+    """Return whether a logarithmic axis has something to show."""
+    return any((np.asarray(line.get_ydata(), dtype=float) > 0.0).any() for line in axes.lines)
 
 
 _LAW_LINES: tuple[LineStyle, ...] = ("-", (0, (3, 2)), "-")

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: what is printed, what is refused, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.recorded import random_record, write_record
+
+from tactile_hand_ros.cli import main
+from tactile_hand_ros.core.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.ros.testing import ProcessUnderTest, wait_until
+
+COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Return the folder of a recorded run."""
+    write_record(tmp_path / "run" / "bag", random_record())
+    (tmp_path / "run" / "scenario.yaml").write_text(resolved(load_scenario("paper")))
+    return tmp_path / "run"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Run a command that must be refused and return its one sentence."""
+    assert main([str(a) for a in arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and "Traceback" not in printed.err
+    return printed.err
+
+
+def test_help_lists_the_commands() -> None:
+    done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0
+    for command in ("reproduce", "figures", "summary", "scenarios", "show", "bench"):
+        assert command in done.stdout
+
+
+def test_help_loads_nothing_heavy() -> None:
+    """Help must be there at once."""
+    code = "import sys, tactile_hand_ros.cli as c; c.main(['--help']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    loaded = set(done.stdout.split())
+    assert "typer" in loaded
+    assert not loaded & {"numpy", "matplotlib", "pinocchio", "rclpy", "joblib", "rosbags"}
+
+
+def test_scenarios(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenarios"]) == 0
+    printed = capsys.readouterr().out
+    for name in scenario_names():
+        assert name in printed and load_scenario(name).description in printed
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_show_gives_a_file_with_the_same_meaning(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["show", name]) == 0
+    file = tmp_path / "shown.yaml"
+    file.write_text(capsys.readouterr().out)
+    assert load_scenario(str(file)) == load_scenario(name)
+
+
+def test_summary(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["summary", str(run)]) == 0
+    printed = capsys.readouterr().out
+    for text in ("paper", "20 ticks", "f_n of finger_2", "not reached", "complete"):
+        assert text in printed
+
+
+def test_summary_as_json(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["summary", str(run), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["metrics"]["ticks"] == 20 and printed["bag"]["complete"] is True
+
+
+def test_figures(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["figures", str(run), "--format", "png"]) == 0
+    printed = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert printed == [run / "figures" / f"fig{n}.png" for n in (2, 3, 4)]
+    assert all(file.is_file() for file in printed)
+
+
+def test_figures_of_a_bare_bag(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "scenario.yaml").unlink()
+    assert main(["figures", str(run / "bag"), "--out", str(run / "here")]) == 0
+    assert "Fig. 2 (hand and object in space) was left out" in capsys.readouterr().out
+    names = sorted(file.name for file in (run / "here").iterdir())
+    assert names == ["fig3.png", "fig3.svg", "fig4.png", "fig4.svg"]
+
+
+@pytest.mark.parametrize("command", ["summary", "figures"])
+def test_missing_run(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "nowhere does not exist" in refused(capsys, command, tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("command", ["summary", "figures"])
+def test_cut_bag(command: str, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = run / "bag" / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:3000])
+    assert "tactile-hand recover" in refused(capsys, command, run)
+
+
+def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "did you mean 'paper'" in refused(capsys, "show", "papr")
+    assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
+    assert "expected png, svg or pdf" in refused(capsys, "figures", run, "--format", "gif")
+    assert "no layout 'fist'" in refused(
+        capsys, "reproduce", "--layout=fist", "--jobs=1", f"--out={run / 'x'}"
+    )
+
+
+def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
+    assert "--ticks" in refused(capsys, "bench", "--ticks", "1")
+    assert "Missing argument" in refused(capsys, "show")
+
+
+def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "file").write_text("")
+    text = refused(capsys, "figures", run, "--out", run / "file" / "figures")
+    assert "Nothing can be written to" in text
+
+
+def test_bench_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "results" / "bench.json"
+    assert main(["bench", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
+    assert "closed loop" in capsys.readouterr().out
+    assert json.loads(out.read_text())["results"]
+
+
+def test_reproduce_writes_figures_and_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tenth of a second is no experiment, and the verdict says so."""
+    arguments = ["--layout", "pinch", "--duration", "0.1", "--jobs", "1", "--format", "png"]
+    assert main(["reproduce", "--out", str(tmp_path), *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "does not hold" in printed and "layout pinch" in printed
+    names = {file.name for file in tmp_path.iterdir()}
+    figures = {f"{name}_pinch.png" for name in ("fig2", "fig3", "fig4", "laws")}
+    assert names == figures | {"reproduction.md", "reproduction.json"}
+    report = (tmp_path / "reproduction.md").read_text()
+    assert all(name in report for name in figures)
+    data = json.loads((tmp_path / "reproduction.json").read_text())
+    assert data["pinch"]["claims"][0]["verdict"] == "does not hold"
+    assert data["pinch"]["metrics"]["optimal"]["ticks"] == 51
+
+
+def test_interrupted_reproduction_leaves_nothing(tmp_path: Path) -> None:
+    """Ctrl-C reaches the whole group; neither a process nor a traceback remains."""
+    command = [*COMMAND, "reproduce", "--out", str(tmp_path / "out")]
+    with ProcessUnderTest(command) as process:
+        workers = f"/proc/{process.pid}/task/{process.pid}/children"
+        wait_until(lambda: len(Path(workers).read_text().split()) >= 2, 60.0, "workers to start")
+        children = [int(pid) for pid in Path(workers).read_text().split()]
+        process.interrupt()
+        # Python turns an interrupt in the middle of some imports into death by that very signal.
+        assert process.wait(30.0) in (130, -signal.SIGINT)
+        wait_until(lambda: not any(is_alive(pid) for pid in children), 20.0, "workers to end")
+        assert "Traceback" not in process.stderr
+
+
+def is_alive(pid: int) -> bool:
+    """Return whether a process runs; one that waits for its parent's last look does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
+    except OSError:
+        return False
