@@ -35,6 +35,8 @@ class PlantRun:
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self.held = 0
+        # The first step of a process loads compiled code; that shall not make the first tick late.
+        self.plant.advance(np.zeros(self.plant.hand.joints))
         self.reset()
 
     def reset(self) -> None:
@@ -44,6 +46,11 @@ class PlantRun:
         self.commanded = False
         self._torque = np.zeros(self.plant.hand.joints)
         self._hold.release()
+
+    def configure(self, config: PlantConfig) -> None:
+        """Take another friction, for now and for after a reset."""
+        self.plant.config = config
+        self.plant.friction[:] = config.object.friction
 
     @property
     def is_last(self) -> bool:

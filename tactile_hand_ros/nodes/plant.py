@@ -65,7 +65,7 @@ class PlantNode(TactileNode[PlantConfig]):
 
     def on_config(self, config: PlantConfig) -> None:
         """Take another friction."""
-        self._run.plant.friction[:] = config.object.friction
+        self._run.configure(config)
 
     def on_report(self) -> None:
         """Report mode, time, silence and the margins of contact."""

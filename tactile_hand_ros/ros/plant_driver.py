@@ -57,7 +57,10 @@ class PlantDriver:
         return "holding" if self._run.holding else "running"
 
     def begin(self) -> None:
-        """Publish the present tick and wait for its command; in real time let the clock run."""
+        """Publish the present tick and wait for its command; in real time let the clock run.
+
+        What changes the mode is told at once, not when the next diagnostics are due.
+        """
         self._run.release()
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
@@ -65,6 +68,7 @@ class PlantDriver:
         self._let_time_pass(self._is_on and not self._is_lockstep)
         if self._is_on:
             self._publish()
+        self._node.publish_diagnostics()
 
     def switch(self, is_on: bool) -> bool:
         """Go on or pause; return whether that was possible."""
@@ -106,8 +110,10 @@ class PlantDriver:
 
     def _advance(self, ticks: int) -> None:
         """Move ahead and publish the newest tick."""
-        for _ in range(ticks):
+        for done in range(ticks):
             if self._run.is_last:
+                if done:
+                    self._publish()
                 self._finish()
                 return
             self._run.advance()

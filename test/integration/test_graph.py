@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The five nodes as processes over real DDS give the numbers of function calls, to the bit."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+from std_srvs.srv import SetBool
+from support.graph import Graph
+
+from tactile_hand_ros.analysis.run import Run
+from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.testing import isolated_domain, start_executable
+
+NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
+P_D = load_scenario("paper").targets[0].position
+PER_FINGER = (interfaces.wrench, interfaces.optimal_force, interfaces.true_wrench)
+TICK_TOPICS = [
+    interfaces.JOINT_STATES,
+    interfaces.JOINT_COMMAND,
+    interfaces.CONTACTS,
+    interfaces.GRASP_FORCE,
+    interfaces.AUXILIARY_POSE,
+    interfaces.OBJECT_POSE,
+    interfaces.TRUE_CONTACTS,
+    interfaces.CLOCK,
+    *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
+]
+RECORDED = [
+    "stamps",
+    "theta",
+    "rates",
+    "torque",
+    "command",
+    "contact_positions",
+    "contact_quaternions",
+    "forces",
+    "optimal_forces",
+    "grasp_force",
+    "auxiliary_position",
+    "auxiliary_quaternion",
+    "desired_position",
+    "desired_quaternion",
+    "object_position",
+    "object_quaternion",
+    "true_positions",
+    "true_quaternions",
+    "true_forces",
+]
+
+
+def short(name: str = "paper", **changes: object) -> Scenario:
+    """Return a scenario of a second that waits for its start."""
+    return load_scenario(name, {"duration": 1.0, "plant.autostart": False, **changes})
+
+
+def noisy(amount: dict[str, float]) -> Scenario:
+    return short(**{f"tactile_sensor.{key}": value for key, value in amount.items()})
+
+
+def record(graph: Graph, output: Path) -> Path:
+    """Run from the start to the end with a recorder."""
+    wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, interfaces.DESIRED_POSE]]
+    options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
+    flags = [word for option in options for word in ("-p", option)]
+    graph.wait_for_readers()
+    with start_executable("recorder", "--ros-args", *flags) as recorder:
+        graph.wait_for_readers(recorders=1)
+        graph.wait(lambda: graph.poses.get_subscription_count() == 2, "the recorder's reader")
+        graph.begin(P_D)
+        graph.finish()
+        recorder.send(signal.SIGINT)
+        assert recorder.wait() == 0, recorder.stderr
+    return output
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Start the paper's scenario with noisy touch."""
+    folder = tmp_path_factory.mktemp("graph")
+    with isolated_domain() as domain, Graph(noisy(NOISE), domain, folder) as started:
+        yield started
+        assert set(started.end(signal.SIGTERM).values()) == {0}
+
+
+@pytest.fixture(scope="module")
+def bags(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Record two runs with noise and a third one without, all of the same processes."""
+    folder = tmp_path_factory.mktemp("bags")
+    recorded = {name: record(graph, folder / name) for name in ("first", "second")}
+    for key in NOISE:
+        assert graph.set_parameter("tactile_sensor", key, 0.0).successful
+    recorded["quiet"] = record(graph, folder / "quiet")
+    return recorded
+
+
+def payloads(bag: Path) -> dict[str, list[bytes]]:
+    """Return the bytes of every topic, a tick that was sent again counted once."""
+    found: dict[str, list[bytes]] = {}
+    for message in read_raw(bag, [f"/{topic}" for topic in TICK_TOPICS]):
+        found.setdefault(message.topic, []).append(message.data)
+    return {topic: [data for data, _ in groupby(sent)] for topic, sent in found.items()}
+
+
+def assert_same(recorded: Record, expected: Record) -> None:
+    """Compare, to the bit, everything that travels on topics."""
+    assert recorded.finger_names == expected.finger_names
+    assert recorded.joint_names == expected.joint_names
+    for name in RECORDED:
+        ours, theirs = getattr(recorded, name), getattr(expected, name)
+        np.testing.assert_array_equal(ours, theirs, err_msg=name)
+
+
+def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(graph: Graph) -> None:
+    assert graph.says("plant", "mode", "paused") and graph.says("plant", "ticks", "0")
+    graph.run()
+    graph.finish()
+    assert graph.call(SetBool, "plant/run", SetBool.Request(data=False)).message == "finished"
+    refused = graph.call(SetBool, "plant/run", SetBool.Request(data=True))
+    assert not refused.success and refused.message == "finished"
+    graph.begin()
+    graph.finish()
+
+
+@pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("first", NOISE), ("second", NOISE)])
+def test_the_graph_gives_the_numbers_of_function_calls(
+    bags: dict[str, Path], name: str, noise: dict[str, float]
+) -> None:
+    assert_same(Run(bags[name]).record, ClosedLoop(noisy(noise)).run())
+
+
+def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> None:
+    first, second = payloads(bags["first"]), payloads(bags["second"])
+    assert set(first) == {f"/{topic}" for topic in TICK_TOPICS}
+    assert {topic: len(sent) for topic, sent in first.items()} == dict.fromkeys(first, 501)
+    assert first == second
+    assert first != payloads(bags["quiet"])
+
+
+def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> None:
+    """Another layout, target and rate; each ends where its own function calls end."""
+    (tmp_path / "left").mkdir()
+    (tmp_path / "right").mkdir()
+    left = short(duration=0.3)
+    right = short("pinch", **{"duration": 0.4, "plant.rate": 250.0})
+    with (
+        isolated_domain() as domain,
+        Graph(left, domain, tmp_path / "left", "/left") as one,
+        Graph(right, domain, tmp_path / "right", "/right") as other,
+    ):
+        for graph in (one, other):
+            graph.begin(P_D)
+        for graph in (one, other):
+            assert graph.finish().message == f"finished at {graph.scenario.duration:g} s"
+            expected = ClosedLoop(graph.scenario).run()
+            joints = graph.newest(interfaces.JOINT_STATES)
+            np.testing.assert_array_equal(joints.position, expected.theta[-1])
+            assert graph.node.count_publishers(graph.full("clock")) == 1
+        assert one.node.count_publishers("/clock") == 0
+
+
+def test_real_time_runs_at_the_pace_of_the_wall_clock(tmp_path: Path) -> None:
+    """Time passes without waiting for anybody, and what came too late is counted."""
+    scenario = short(**{"plant.pacing": "realtime", "plant.rate": 200.0})
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        began = graph.node.get_clock().now().nanoseconds
+        graph.begin(P_D)
+        values = graph.finish().values
+        assert 1e-9 * (graph.node.get_clock().now().nanoseconds - began) > 0.9
+        graph.wait(lambda: graph.time == 1.0, "the last tick")
+        assert float(values["jitter_p99_us"]) > 0.0
+        assert int(values["ticks"]) <= scenario.ticks
+        assert int(values["ticks"]) + int(values["missed_ticks"]) >= scenario.ticks
+        assert int(values["late_commands"]) <= int(values["ticks"])
+        assert np.any(graph.newest(interfaces.JOINT_STATES).effort)  # some command has acted
+        assert set(graph.end(signal.SIGINT).values()) == {0}

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever is sent or dies, the object stays in the hand, the nodes say so, and the run goes on."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray, WrenchStamped
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+from support.graph import Graph
+
+from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.diagnostics import ERROR, WARN
+from tactile_hand_ros.ros.testing import isolated_domain
+
+P_D = np.array(load_scenario("paper").targets[0].position)
+SHORTER = {
+    "duration": 86400.0,
+    "plant.autostart": False,
+    "plant.rate": 250.0,
+    "plant.command_timeout": 0.4,
+    "manipulation_controller.input_timeout": 0.2,
+}
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Run the paper's scenario without end; time-outs are short so that tests are."""
+    folder = tmp_path_factory.mktemp("graph")
+    scenario = load_scenario("paper", SHORTER)
+    with isolated_domain() as domain, Graph(scenario, domain, folder) as started:
+        yield started
+        assert set(started.end(signal.SIGINT).values()) == {0}
+
+
+@pytest.fixture(autouse=True)
+def moving(graph: Graph) -> None:
+    """Begin anew: the hand is on its way to p_d."""
+    graph.begin(P_D)
+    graph.wait(lambda: graph.time > 0.1, "the first ticks")
+
+
+def distance(graph: Graph) -> float:
+    """Return how far the hand believes to be from p_d [m]."""
+    return float(np.linalg.norm(graph.position(interfaces.AUXILIARY_POSE) - P_D))
+
+
+def pass_time(graph: Graph, seconds: float) -> None:
+    """Wait until simulated time has passed."""
+    until = graph.time + seconds
+    graph.wait(lambda: graph.time >= until, f"t = {until:g} s")
+
+
+def wait_for_rest(graph: Graph) -> None:
+    """Wait until nothing moves any more."""
+
+    def rests() -> bool:
+        at = graph.position()
+        pass_time(graph, 0.1)
+        return bool(np.linalg.norm(graph.position() - at) < 2e-4)
+
+    graph.wait(rests, "the end of the motion")
+
+
+def wait_for_grasp_force(graph: Graph, wanted: float) -> None:
+    graph.wait(lambda: abs(graph.grasp_force - wanted) < 1e-3, f"k_f = {wanted} N")
+
+
+def assert_held(graph: Graph) -> None:
+    """All fingers touch, none lets go and none crushes."""
+    assert np.isfinite(graph.contacts).all()
+    normal = graph.forces[:, 1]
+    assert (normal > 0.5).all() and (normal < 20.0).all()
+
+
+def says(graph: Graph, name: str, level: bytes, text: str) -> bool:
+    health = graph.health.get(f"/{name}")
+    return health is not None and health.level == level and text in health.message
+
+
+def stranger(graph: Graph, kind: Any, topic: str) -> Publisher:
+    """Return a publisher that should not be there, connected with all that listen."""
+    listeners = graph.node.count_subscribers(topic)
+    publisher = graph.node.create_publisher(kind, topic, 10)
+    graph.wait(lambda: publisher.get_subscription_count() >= listeners, f"readers of {topic}")
+    return publisher
+
+
+def effort(graph: Graph, **changes: Any) -> JointState:
+    """Return a command for the newest tick, as wrong as asked for."""
+    state = graph.newest(interfaces.JOINT_STATES)
+    message = JointState(name=list(state.name), effort=[1.0] * len(state.name))
+    message.header.stamp = state.header.stamp
+    for field, value in changes.items():
+        setattr(message, field, value)
+    return message
+
+
+def wrong_commands(graph: Graph) -> list[JointState]:
+    names = list(graph.newest(interfaces.JOINT_STATES).name)
+    return [
+        effort(graph, name=[*names[:-1], "thumb_9"]),
+        effort(graph, name=names[:-1], effort=[1.0] * (len(names) - 1)),
+        effort(graph, effort=[math.nan] * len(names)),
+        effort(graph, effort=[1.0]),
+    ]
+
+
+def test_wrong_desired_poses_are_counted_and_the_old_one_is_kept(graph: Graph) -> None:
+    before = graph.rejected("manipulation_controller", "desired_pose")
+    graph.desire([math.nan, 0.2, 0.4])
+    graph.desire(P_D, frame="world")
+    graph.desire([1.0, 1.0, 1.0])
+    graph.desire(P_D, stamp=10**18)
+    graph.wait(
+        lambda: graph.rejected("manipulation_controller", "desired_pose") == before + 4,
+        "four rejections",
+    )
+    near = 0.8 * distance(graph)
+    graph.wait(lambda: distance(graph) < near, "the way to the first desired pose")
+    assert_held(graph)
+
+
+def test_wrong_commands_are_counted_beside_good_ones(graph: Graph) -> None:
+    before = graph.rejected("plant", "joint_command")
+    publisher = stranger(graph, JointState, interfaces.JOINT_COMMAND)
+    for message in wrong_commands(graph):
+        publisher.publish(message)
+    graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 4, "four rejections")
+    graph.node.destroy_publisher(publisher)
+    pass_time(graph, 0.2)
+    assert_held(graph)
+
+
+def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
+    nodes = ("force_optimizer", "slip_regulator", "manipulation_controller")
+    force = interfaces.wrench("finger_1")
+    before = {name: graph.rejected(name, interfaces.CONTACTS) for name in nodes}
+    felt = graph.rejected("slip_regulator", force)
+    contacts = stranger(graph, PoseArray, interfaces.CONTACTS)
+    wrench = stranger(graph, WrenchStamped, force)
+    broken = graph.newest(interfaces.TRUE_CONTACTS)
+    broken.header.stamp = graph.newest(interfaces.JOINT_STATES).header.stamp
+    broken.poses[1].position.y = math.nan
+    contacts.publish(broken)
+    numb = WrenchStamped()
+    numb.header.frame_id = "finger_1_contact"
+    numb.wrench.force.x = math.nan
+    wrench.publish(numb)
+    for name in nodes:
+        graph.wait(
+            lambda n=name: graph.rejected(n, interfaces.CONTACTS) == before[n] + 1,
+            f"a rejection by {name}",
+        )
+    graph.wait(lambda: graph.rejected("slip_regulator", force) == felt + 1, "a rejected force")
+    graph.node.destroy_publisher(contacts)
+    graph.node.destroy_publisher(wrench)
+    pass_time(graph, 0.2)
+    assert_held(graph)
+
+
+def test_impossible_grasp_forces_are_counted_and_a_possible_one_is_taken(graph: Graph) -> None:
+    before = graph.rejected("slip_regulator", "user_grasp_force")
+    for wish in (math.nan, 1000.0, -1.0):
+        graph.grasp_forces.publish(Float64(data=wish))
+    graph.wait(
+        lambda: graph.rejected("slip_regulator", "user_grasp_force") == before + 3,
+        "three rejections",
+    )
+    assert graph.grasp_force == 10.0
+    graph.grasp_forces.publish(Float64(data=12.0))
+    wait_for_grasp_force(graph, 12.0)
+    pass_time(graph, 0.5)
+    np.testing.assert_allclose(graph.forces[:, 1].sum(), 12.0, rtol=0.05)
+    assert graph.call(Trigger, "slip_regulator/reset", Trigger.Request()).message == "k_f = 10 N"
+    wait_for_grasp_force(graph, 10.0)
+
+
+MISSED = {
+    "tactile_sensor": "no tactile/contacts",
+    "slip_regulator": "no grasp_force",
+    "force_optimizer": "no optimal_force/finger_1, optimal_force/finger_2",
+}
+
+
+@pytest.mark.parametrize("victim", MISSED)
+def test_the_hand_holds_without_a_node_and_moves_on_when_it_is_back(
+    graph: Graph, victim: str
+) -> None:
+    graph.kill(victim)
+    at = graph.position()
+    graph.wait(
+        lambda: says(graph, "manipulation_controller", ERROR, MISSED[victim]), "a controller's word"
+    )
+    pass_time(graph, 1.0)
+    assert_held(graph)
+    assert np.linalg.norm(graph.position() - at) < 0.005
+    assert graph.says("manipulation_controller", "mode", "hold")
+    far = distance(graph)
+    graph.start(victim)
+    graph.wait(lambda: graph.says("manipulation_controller", "mode", "drive"), "the motion")
+    graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
+    assert_held(graph)
+
+
+def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph) -> None:
+    """Commands that cannot be used do not count as a controller."""
+    graph.kill("manipulation_controller")
+    at = graph.position()
+    publisher = stranger(graph, JointState, interfaces.JOINT_COMMAND)
+    before = graph.rejected("plant", "joint_command")
+    graph.wait(lambda: says(graph, "plant", ERROR, "no usable joint_command"), "the plant's word")
+    assert graph.says("plant", "mode", "holding")
+    for message in wrong_commands(graph):
+        publisher.publish(message)
+    graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 4, "four rejections")
+    graph.node.destroy_publisher(publisher)
+    pass_time(graph, 1.0)
+    assert_held(graph)
+    assert np.linalg.norm(graph.position() - at) < 0.005
+    graph.start("manipulation_controller")
+    graph.wait(lambda: graph.says("plant", "mode", "running"), "commands")
+    assert np.linalg.norm(graph.position() - at) < 0.005
+    graph.wait(lambda: graph.hears("manipulation_controller", "desired_pose"), "its readiness")
+    graph.desire(P_D)
+    graph.wait(lambda: np.linalg.norm(graph.position() - at) > 0.02, "the motion")
+    assert_held(graph)
+
+
+def test_a_live_parameter_acts_and_others_are_refused_with_the_reason(graph: Graph) -> None:
+    graph.grasp_forces.publish(Float64(data=20.0))
+    wait_for_grasp_force(graph, 20.0)
+    assert graph.set_parameter("slip_regulator", "maximum", 15.0).successful
+    wait_for_grasp_force(graph, 15.0)
+    pass_time(graph, 0.5)
+    np.testing.assert_allclose(graph.forces[:, 1].sum(), 15.0, rtol=0.05)
+    refused = [
+        ("slip_regulator", "maximum", 5.0, "grasp_force = 10.0 N is outside"),
+        ("plant", "rate", 100.0, "read-only"),
+        ("manipulation_controller", "law.name", "contact", "read-only"),
+        ("manipulation_controller", "law.k_p", -1.0, "law.k_p"),
+        ("force_optimizer", "weights", [1.0, 1.0, 1.0, 1.0], "3 or 9 positive numbers"),
+    ]
+    for name, parameter, value, reason in refused:
+        verdict = graph.set_parameter(name, parameter, value)
+        assert not verdict.successful and reason in verdict.reason
+    assert graph.set_parameter("slip_regulator", "maximum", 40.0).successful
+
+
+def test_a_gain_of_zero_stops_the_motion_on_the_way(graph: Graph) -> None:
+    gains = {"law.k_p": 3.0, "law.k_o": 0.5}
+    for gain in gains:
+        assert graph.set_parameter("manipulation_controller", gain, 0.0).successful
+    wait_for_rest(graph)
+    assert distance(graph) > 0.05
+    for gain, value in gains.items():
+        assert graph.set_parameter("manipulation_controller", gain, value).successful
+    far = distance(graph)
+    graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
+
+
+def test_a_disabled_controller_only_damps_and_says_so(graph: Graph) -> None:
+    off = SetBool.Request(data=False)
+    assert graph.call(SetBool, "manipulation_controller/enable", off).message == "damping only"
+    graph.wait(
+        lambda: says(graph, "manipulation_controller", WARN, "disabled by the user"), "its word"
+    )
+    state = graph.newest(interfaces.JOINT_STATES)
+    damping = graph.scenario.manipulation_controller.law.damping
+    np.testing.assert_allclose(state.effort, -damping * np.array(state.velocity), atol=0.01)
+    assert graph.call(SetBool, "manipulation_controller/enable", SetBool.Request(data=True)).success
+
+
+def test_a_reset_controller_keeps_the_grasp_where_it_is(graph: Graph) -> None:
+    assert graph.call(Trigger, "manipulation_controller/reset", Trigger.Request()).success
+    wait_for_rest(graph)
+    assert distance(graph) > 0.1
+    assert_held(graph)

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The five nodes as processes in a domain of their own, and a node that steers and watches them."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from rclpy.parameter import Parameter as ParameterValue
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.scenario import NODES, Scenario
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.conversions import (
+    Array,
+    contacts_from_ros,
+    force_from_ros,
+    pose_to_ros,
+    stamp_to_ns,
+)
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
+from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    private_context,
+    spinning,
+    start_executable,
+    wait_until,
+)
+
+PATIENCE = 120.0
+"""Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
+
+
+class Health(NamedTuple):
+    """The last diagnostics of a node."""
+
+    level: bytes
+    message: str
+    values: dict[str, str]
+
+
+class Graph:
+    """The five nodes of one scenario, started together, none of which outlives the block."""
+
+    def __init__(self, scenario: Scenario, domain: int, folder: Path, namespace: str = "") -> None:
+        """Prepare the parameter files; entering the block starts the processes."""
+        self.scenario = scenario
+        self.namespace = namespace
+        self.fingers = load_hand_config(scenario.hand).finger_names
+        self.health: dict[str, Health] = {}
+        self.processes: dict[str, ProcessUnderTest] = {}
+        self._domain, self._folder = domain, folder
+        self._stack = ExitStack()
+        self._newest: dict[str, bytes] = {}
+        self._types: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+
+    def __enter__(self) -> Graph:
+        """Start everything and wait until all have found each other."""
+        try:
+            for name in NODES:
+                self.start(name)
+            context = self._stack.enter_context(private_context(self._domain))
+            self.node = Node("watcher", context=context, namespace=self.namespace)
+            self._stack.callback(self.node.destroy_node)
+            self._talk()
+            self._stack.enter_context(spinning(self.node))
+            self.wait_until_matched()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End all processes."""
+        self._stack.close()
+
+    def start(self, name: str) -> ProcessUnderTest:
+        """Start a node, or start it again, with the parameters of the scenario."""
+        file = self._folder / f"{name}.yaml"
+        file.write_text(to_params_yaml(self.scenario.node_config(name), name))
+        place = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
+        process = start_executable(name, "--ros-args", "--params-file", str(file), *place)
+        self.processes[name] = self._stack.enter_context(process)
+        return process
+
+    def kill(self, name: str) -> None:
+        """End a node as a crash would."""
+        self.processes[name].send(signal.SIGKILL)
+        self.processes[name].wait()
+        self.health.pop(self.full(name), None)
+
+    def full(self, name: str) -> str:
+        """Return the full name of a node or topic of this hand."""
+        return f"{self.namespace}/{name}"
+
+    def _talk(self) -> None:
+        make, qos = self.node.create_publisher, interfaces.user_qos()
+        self.poses = make(PoseStamped, interfaces.DESIRED_POSE, qos)
+        self.grasp_forces = make(Float64, interfaces.USER_GRASP_FORCE, qos)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
+        self._watch(JointState, interfaces.JOINT_STATES)
+        self._watch(PoseStamped, interfaces.OBJECT_POSE)
+        self._watch(PoseStamped, interfaces.AUXILIARY_POSE)
+        self._watch(WrenchStamped, interfaces.GRASP_FORCE)
+        self._watch(PoseArray, interfaces.TRUE_CONTACTS)
+        for name in self.fingers:
+            self._watch(WrenchStamped, interfaces.true_wrench(name))
+
+    def _watch(self, kind: Any, topic: str) -> None:
+        """Keep the newest message; raw, so that watching costs the graph next to nothing."""
+        self._types[topic] = kind
+
+        def keep(data: bytes) -> None:
+            self._newest[topic] = data
+
+        self.node.create_subscription(kind, topic, keep, interfaces.tick_qos(), raw=True)
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            self.health[status.name] = Health(status.level, status.message, values)
+
+    def wait_until_matched(self) -> None:
+        """Wait until every node of the graph, and this one, is connected with all its peers."""
+        self.wait_for_readers()
+        for name in NODES:
+            self.wait(lambda n=name: self._has_writers(n), f"all that {name} listens to")
+
+    def wait_for_readers(self, recorders: int = 0) -> None:
+        """Wait until every topic that carries ticks has just the readers that it should have."""
+        for name, topics in self._readers().items():
+            for topic, count in topics.items():
+                count += recorders
+                self.wait(
+                    lambda n=name, t=topic, k=count: self._peers(n, PUBLICATIONS, t) == k,
+                    f"{count} readers of {topic}",
+                )
+
+    def _readers(self) -> dict[str, dict[str, int]]:
+        """Return how many readers each topic of each node has, this test's among them."""
+        t, fingers = interfaces, self.fingers
+        return {
+            "plant": {t.JOINT_STATES: 2, t.TRUE_CONTACTS: 2, t.OBJECT_POSE: 1, t.CLOCK: 0}
+            | {t.true_wrench(name): 2 for name in fingers},
+            "tactile_sensor": {t.CONTACTS: 3} | {t.wrench(name): 1 for name in fingers},
+            "slip_regulator": {t.GRASP_FORCE: 2},
+            "force_optimizer": {t.optimal_force(name): 1 for name in fingers},
+            "manipulation_controller": {t.JOINT_COMMAND: 1, t.AUXILIARY_POSE: 1},
+        }
+
+    def _peers(self, name: str, key: str, topic: str) -> int:
+        health = self.health.get(self.full(name))
+        return parse_peers(health.values.get(key, "")).get(self.full(topic), 0) if health else 0
+
+    def hears(self, name: str, topic: str) -> bool:
+        """Return whether a node knows of a publisher of what it listens to."""
+        return self._peers(name, SUBSCRIPTIONS, topic) >= 1
+
+    def _has_writers(self, name: str) -> bool:
+        health = self.health.get(self.full(name))
+        heard = parse_peers(health.values.get(SUBSCRIPTIONS, "")) if health else {}
+        return bool(heard) and min(heard.values()) >= 1
+
+    def wait(self, condition: Callable[[], Any], what: str) -> Any:
+        """Wait for a condition; all processes must be alive meanwhile unless they were killed."""
+
+        def holds() -> Any:
+            for name, process in self.processes.items():
+                assert process.returncode in (None, -signal.SIGKILL), (name, process.stderr)
+            return condition()
+
+        try:
+            return wait_until(holds, PATIENCE, what)
+        except TimeoutError as error:
+            raise TimeoutError(f"{error}; {self.health}") from None
+
+    def newest(self, topic: str) -> Any:
+        """Return the newest message of a watched topic."""
+        data = self.wait(lambda: self._newest.get(topic), f"a message on {topic}")
+        return deserialize_message(data, self._types[topic])
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the newest tick [s]."""
+        return 1e-9 * stamp_to_ns(self.newest(interfaces.JOINT_STATES).header.stamp)
+
+    def position(self, topic: str = interfaces.OBJECT_POSE) -> Array:
+        """Return the position in the newest pose on a topic, shape (3,), m."""
+        point = self.newest(topic).pose.position
+        return np.array([point.x, point.y, point.z])
+
+    @property
+    def contacts(self) -> Array:
+        """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
+        return contacts_from_ros(self.newest(interfaces.TRUE_CONTACTS), len(self.fingers)).positions
+
+    @property
+    def forces(self) -> Array:
+        """True contact forces, shape (k, 3), N."""
+        topics = [interfaces.true_wrench(name) for name in self.fingers]
+        return np.array([force_from_ros(self.newest(topic)) for topic in topics])
+
+    @property
+    def grasp_force(self) -> float:
+        """The newest k_f [N]."""
+        return float(self.newest(interfaces.GRASP_FORCE).wrench.force.y)
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service of the hand and return its response."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+        client = self._clients[service]
+        self.wait(client.service_is_ready, service)
+        future = client.call_async(request)
+        self.wait(future.done, f"an answer of {service}")
+        return future.result()
+
+    def run(self, on: bool = True) -> None:
+        """Let the plant run, or pause it."""
+        assert self.call(SetBool, "plant/run", SetBool.Request(data=on)).success
+
+    def desire(self, position: Any, *, frame: str = "palm", stamp: int = 0) -> None:
+        """Command a desired pose without rotation."""
+        self.poses.publish(pose_to_ros(position, np.eye(3), stamp, frame=frame))
+
+    def begin(self, *positions: Any) -> None:
+        """Begin anew at stamp 0, with desired poses that are known before the first tick."""
+        self.run(False)
+        assert self.call(Trigger, "plant/reset", Trigger.Request()).success
+        self.wait(lambda: self.says("plant", "mode", "paused"), "the plant at its start")
+        for position in positions:
+            self.desire(position)
+        self._newest.clear()
+        self.run()
+
+    def finish(self) -> Health:
+        """Wait for the end of the run and return what the plant says then."""
+        self.wait(lambda: self.says("plant", "mode", "finished"), "the end of the run")
+        return self.health[self.full("plant")]
+
+    def says(self, name: str, key: str, value: str) -> bool:
+        """Return whether the last diagnostics of a node have a value."""
+        health = self.health.get(self.full(name))
+        return health is not None and health.values.get(key) == value
+
+    def rejected(self, name: str, topic: str) -> int:
+        """Return how many messages on a topic a node says it has rejected."""
+        health = self.health.get(self.full(name))
+        return int(health.values.get(f"rejected {topic}", 0)) if health else 0
+
+    def set_parameter(self, name: str, parameter: str, value: Any) -> SetParametersResult:
+        """Set a parameter of a node and return the node's verdict."""
+        given = ParameterValue(parameter, value=value).get_parameter_value()
+        message = Parameter(name=parameter, value=given)
+        request = SetParameters.Request(parameters=[message])
+        return self.call(SetParameters, f"{name}/set_parameters", request).results[0]
+
+    def end(self, number: signal.Signals) -> dict[str, int]:
+        """Send a signal to every node and return the exit codes."""
+        for process in self.processes.values():
+            process.send(number)
+        return {name: process.wait() for name, process in self.processes.items()}
