@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
 
@@ -18,9 +18,11 @@ from tactile_hand_ros.core.config import parse_yaml
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.orchestrator.claim import claim
+from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Plan, Session, first_line, ros_context
+from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
@@ -73,10 +75,15 @@ def orchestrate(
             interactive=interactive,
             startup_timeout=startup_timeout,
         )
-        with ros_context(ros_arguments) as ros:
+        with (
+            ros_context(ros_arguments) as ros,
+            claim(ros.get_domain_id(), plan.namespace) as held,
+            graph_node(ros, plan.namespace) as node,
+        ):
             signals.check()
             directory = RunDirectory.create(out, plan.scenario.name)
-            raise typer.Exit(_run(Session(plan, directory, launcher, signals), ros, quiet=quiet))
+            session = Session(plan, directory, launcher, signals, held)
+            raise typer.Exit(_run(session, node, quiet=quiet))
     except TactileHandError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(EXIT_REFUSED) from None
@@ -126,7 +133,7 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
     return name
 
 
-def _run(session: Session, ros: Context, *, quiet: bool) -> int:
+def _run(session: Session, node: Node, *, quiet: bool) -> int:
     """Run a session, judge it and show what came out."""
     plan, directory = session.plan, session.directory
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
@@ -138,7 +145,7 @@ def _run(session: Session, ros: Context, *, quiet: bool) -> int:
     if plan.interactive:
         tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
     duration = None if plan.interactive else plan.scenario.duration
-    outcome = session.run(ros, make_view(console, duration, quiet=quiet))
+    outcome = session.run(node, make_view(console, duration, quiet=quiet))
     # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
     from tactile_hand_ros.orchestrator.summary import judge, read_results, table, write_summary
 

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
 from tactile_hand_ros.core.errors import MessageError
-from tactile_hand_ros.orchestrator.wiring import Peers
+from tactile_hand_ros.orchestrator.wiring import PLANT, Peers
 from tactile_hand_ros.ros import interfaces as names
 from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.diagnostics import OK, STALE
@@ -27,6 +27,7 @@ from tactile_hand_ros.ros.spinning import take_latest
 
 _HEADER = 4  # bytes of a CDR message before its first field, which is the stamp here
 _LATEST, _ALL = 1, 100
+_SIX_DIGITS = 5e-6  # how far a number in the diagnostics may be off
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class Monitor:
         self._targets: list[tuple[int, Any]] = []
         self._status: dict[str, tuple[bytes, str]] = {}
         self._peers: dict[str, Peers] = {}
+        self._plant_name = f"{node.get_namespace().rstrip('/')}/{PLANT}"
+        self._plant: dict[str, str] = {}
         self.tick = -1
 
     def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
@@ -111,11 +114,22 @@ class Monitor:
         self._take_diagnostics()
         return self._peers
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the plant stands still and its last tick was answered."""
+        self._take_diagnostics()
+        if self._plant.get("mode") not in ("paused", "finished"):
+            return False
+        at = 1e9 * float(self._plant["time_s"])
+        return self.answered() >= at * (1.0 - _SIX_DIGITS)
+
     def _take_diagnostics(self) -> None:
         for message in _take_all(self._diagnostics, DiagnosticArray):
             for status in message.status:
                 self._status[status.name] = (status.level, status.message)
                 told = {pair.key: pair.value for pair in status.values}
+                if status.name == self._plant_name:
+                    self._plant = told
                 if PUBLICATIONS in told and SUBSCRIPTIONS in told:
                     self._peers[status.name] = Peers(
                         parse_peers(told[PUBLICATIONS]), parse_peers(told[SUBSCRIPTIONS])

@@ -7,6 +7,7 @@ import contextlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -152,15 +153,22 @@ class NodeProcess:
 class Processes:
     """The processes of a run and their keeper; nothing is left when the block ends."""
 
-    def __init__(self, launcher: Launcher, in_a_hurry: Callable[[], bool] = lambda: False) -> None:
+    def __init__(
+        self,
+        launcher: Launcher,
+        in_a_hurry: Callable[[], bool] = lambda: False,
+        held: socket.socket | None = None,
+    ) -> None:
         """Prepare.
 
         Args:
             launcher: Says how to start an executable.
             in_a_hurry: Asked while waiting for an end: whether to be less patient.
+            held: A claim that the keeper shares, since it may outlive the orchestrator.
         """
         self._launcher = launcher
         self._in_a_hurry = in_a_hurry
+        self._shared = () if held is None else (held.fileno(),)
         self._mark = uuid.uuid4().hex
         self._started: dict[str, NodeProcess] = {}
         self._keeper: subprocess.Popen[bytes] | None = None
@@ -171,6 +179,7 @@ class Processes:
             [sys.executable, "-I", "-S", keeper.__file__, self._mark],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
+            pass_fds=self._shared,
             start_new_session=True,
         )
         return self

@@ -4,26 +4,22 @@
 from __future__ import annotations
 
 import contextlib
-import os
+import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.core.config import Config
-from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.core.hand_config import load_hand_config
-from tactile_hand_ros.core.paths import config_directory
 from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.orchestrator.monitor import Monitor
-from tactile_hand_ros.orchestrator.processes import Launcher, Processes
+from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import (
@@ -46,7 +42,8 @@ STALL = 15.0
 _LOOK = 0.02  # s between two looks at the newest command
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_REST = 1.0  # s, longest wait for the answers to the last tick
+_LAST_WORDS = 0.02  # s for what a node says right after its answer
 _SHOWN = 6  # missing things that an error lists
 
 
@@ -123,7 +120,12 @@ class Session:
     """
 
     def __init__(
-        self, plan: Plan, directory: RunDirectory, launcher: Launcher, signals: Signals
+        self,
+        plan: Plan,
+        directory: RunDirectory,
+        launcher: Launcher,
+        signals: Signals,
+        held: socket.socket,
     ) -> None:
         """Prepare.
 
@@ -132,27 +134,27 @@ class Session:
             directory: Where everything is written.
             launcher: Says how executables are started.
             signals: Say when to stop.
+            held: The claim, kept as long as a process of the run may be there.
         """
         self.plan = plan
         self.directory = directory
         self.signals = signals
         self.outcome = Outcome()
-        self._processes = Processes(launcher, lambda: signals.count > 1)
+        self.outcome.done("checked")
+        self._processes = Processes(launcher, lambda: signals.count > 1, held)
 
-    def run(self, ros: Context, view: View) -> Outcome:
+    def run(self, node: Node, view: View) -> Outcome:
         """Run to the end, to a signal or to a failure; nothing is left running.
 
         Args:
-            ros: Context for the orchestrator's own node.
+            node: The orchestrator's own node, in the namespace of the run.
             view: Shows the progress.
         """
         outcome = self.outcome
-        outcome.done("scenario_checked")
         with self._processes:
             try:
                 self._start()
-                with graph_node(ros, self.plan.namespace) as node:
-                    self._conduct(node, view)
+                self._conduct(node, view)
             except Interrupted:
                 outcome.interrupted = True
             except TactileHandError as error:
@@ -207,9 +209,18 @@ class Session:
         try:
             self._watch(monitor, view)
         finally:
-            # Between two ticks, so that the last one is whole in the bag.
-            with contextlib.suppress(SteeringError):
-                steering.run(False, timeout=1.0, check=False)
+            self._come_to_rest(steering, monitor)
+
+    def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
+        """Pause and wait for the answers to the last tick, so that it is whole in the bag."""
+        with contextlib.suppress(SteeringError):
+            steering.run(False, timeout=_REST, check=False)
+        end = time.monotonic() + _REST
+        with contextlib.suppress(NodeDiedError):  # it will not answer any more
+            while not monitor.is_at_rest and time.monotonic() < end:
+                self._processes.check()
+                pause(_LOOK)
+        pause(_LAST_WORDS)
 
     def _check(self) -> None:
         self.signals.check()
@@ -297,56 +308,3 @@ def _stall(monitor: Monitor) -> str:
     where = f"t = {1e-9 * monitor.tick:g} s" if monitor.tick >= 0 else "the start"
     faults = "; ".join(monitor.faults()) or "no node reports a fault"
     return f"no tick was answered for {STALL:g} s since {where}: {faults}; look at the logs"
-
-
-def hasten_discovery() -> None:
-    """Let this process and its children announce themselves more often while they start.
-
-    A profile that the user has chosen stays in force.
-    """
-    profile = config_directory() / "middleware" / "fast_dds.xml"
-    if profile.is_file() and not any(name in os.environ for name in _PROFILES):
-        os.environ[_PROFILES[0]] = str(profile)
-
-
-@contextlib.contextmanager
-def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
-    """Provide an rclpy context that leaves signals alone.
-
-    Args:
-        arguments: Command line with ROS arguments, or nothing.
-
-    Raises:
-        ConfigurationError: If the ROS arguments cannot be used.
-    """
-    hasten_discovery()
-    context = Context()
-    try:
-        rclpy.init(
-            context=context,
-            args=list(arguments),
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-    except RuntimeError as error:
-        raise ConfigurationError(f"the ROS arguments cannot be used: {first_line(error)}") from None
-    try:
-        yield context
-    finally:
-        context.try_shutdown()
-
-
-@contextlib.contextmanager
-def graph_node(context: Context, namespace: str) -> Iterator[Node]:
-    """Provide a node of this process in the namespace of the run."""
-    node = Node(
-        "orchestrator", namespace=namespace, context=context, start_parameter_services=False
-    )
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-
-
-def first_line(error: Exception) -> str:
-    """Return what an error of rcl says, without the place in its sources."""
-    return str(error).split(", at ")[0].splitlines()[0]

@@ -44,6 +44,8 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
         finished: Whether all ticks must be there.
     """
     results = Results()
+    if not plan.record:
+        return results
     try:
         run = Run(directory.path, namespace=plan.namespace)
         results.metrics = run.metrics.to_dict()

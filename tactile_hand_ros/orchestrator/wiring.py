@@ -25,6 +25,14 @@ ORCHESTRATOR = "orchestrator"
 class DuplicateNodeError(TactileHandError):
     """A node of the same name runs already."""
 
+    @classmethod
+    def of(cls, name: str) -> DuplicateNodeError:
+        """Build the error for the full name of a node."""
+        return cls(
+            f"a node called '{name}' runs already in this ROS domain; stop the other run, or give"
+            " this one another --namespace or ROS_DOMAIN_ID"
+        )
+
 
 @dataclass(frozen=True)
 class Link:
@@ -176,10 +184,7 @@ class Wiring:
     def _publishes(self, name: str, topic: str) -> bool:
         count = self._own(self._node.get_publishers_info_by_topic(topic)).count(name)
         if count > 1:
-            raise DuplicateNodeError(
-                f"two nodes are called '{self._full(name)}' in this ROS domain; stop the other run,"
-                " or give this one another --namespace or ROS_DOMAIN_ID"
-            )
+            raise DuplicateNodeError.of(self._full(name))
         return count == 1
 
     def _own(self, endpoints: Sequence[TopicEndpointInfo]) -> list[str]:

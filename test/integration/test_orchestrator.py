@@ -113,7 +113,7 @@ def wait_until_running(tmp_path: Path, orchestrator: ProcessUnderTest) -> None:
 
     def well_under_way() -> bool:
         assert orchestrator.returncode is None, orchestrator.stdout + orchestrator.stderr
-        return bag.exists() and bag.stat().st_size > 100_000
+        return bag.exists() and bag.stat().st_size > 200_000
 
     wait_until(well_under_way, PATIENCE, "a bag that grows")
 
@@ -227,7 +227,7 @@ def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_pa
     assert_gone(processes)
     run = Run(latest(tmp_path))
     assert run.bag_metrics.complete
-    assert len(run.record) > 100
+    assert len(run.record) > 50
     summary = summary_of(tmp_path)
     assert summary["outcome"] == "interrupted"
     assert summary["reasons"] == []
@@ -246,7 +246,7 @@ def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path)
     summary = summary_of(tmp_path)
     assert summary["outcome"] == "failed"
     assert summary["metrics"] == Run(latest(tmp_path)).metrics.to_dict()
-    assert summary["metrics"]["ticks"] > 100
+    assert summary["metrics"]["ticks"] > 50
 
 
 def test_nothing_outlives_a_killed_orchestrator(start: Start, tmp_path: Path) -> None:
@@ -258,7 +258,7 @@ def test_nothing_outlives_a_killed_orchestrator(start: Start, tmp_path: Path) ->
     orchestrator.send(signal.SIGKILL)
     assert orchestrator.wait() == -signal.SIGKILL
     assert_gone(processes)
-    assert Run(latest(tmp_path)).metrics.ticks > 100
+    assert Run(latest(tmp_path)).metrics.ticks > 50
 
 
 def broken_prefix(folder: Path, name: str, program: str) -> dict[str, str]:
@@ -314,10 +314,17 @@ def family_when_started(orchestrator: ProcessUnderTest) -> list[psutil.Process]:
 def test_second_terminal_steers_an_interactive_hand(
     start: Start, near: Path, domain: int, tmp_path: Path
 ) -> None:
-    """A pose published by somebody else moves the hand; Ctrl-C is the regular end."""
+    """A pose published by somebody else moves the hand; Ctrl-C is the regular end.
+
+    A second run in the same place is refused meanwhile: the hand would get two masters.
+    """
     orchestrator = start("--scenario", near, "--interactive")
     orchestrator.wait_for_output("ros2 topic pub --once /desired_pose", PATIENCE)
     orchestrator.wait_for_output("t = ", PATIENCE)
+    second = start("--scenario", near)
+    assert end_of(second) == 2
+    assert "a run is in progress" in second.stderr
+    assert len(list((tmp_path / "runs").iterdir())) == 2  # the first run, and the link to it
     heights: list[float] = []
     with private_context(domain) as context:
         node = Node("user", context=context)

@@ -97,6 +97,11 @@ def test_run_without_a_bag_says_so(tmp_path: Path) -> None:
     assert len(found.problems) == 1
 
 
+def test_run_that_was_not_to_be_recorded_has_no_problem_without_a_bag(tmp_path: Path) -> None:
+    plan = Plan(PLAN.scenario, record=False)
+    assert read_results(plan, RunDirectory(tmp_path), finished=True) == Results()
+
+
 def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path) -> None:
     """Numbers of a real record; NaN becomes null and 'unknown'."""
     record = ClosedLoop(PLAN.scenario).run()
