@@ -47,6 +47,7 @@ class ClosedLoop:
         self.controller = Controller(scenario.manipulation_controller)
         self._state = self.plant.state
         self._stamp = 0
+        self._wishes = sorted(scenario.user_forces, key=lambda wish: wish.time)
         for wish in scenario.targets:
             self.controller.command(wish.target(), wish.stamp)
 
@@ -72,6 +73,7 @@ class ClosedLoop:
         """Run one tick and write it into a row of the record."""
         state, stamp = self._state, self._stamp
         true = true_reading(state)
+        self._ask()
         touch = self.sensor.step(stamp, true, sliding_speeds(state))
         contacts = touch.contacts
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
@@ -88,6 +90,11 @@ class ClosedLoop:
         self._write(record, row, true, touch, grasp_force, optimal, command)
         self._state = self.plant.advance(command.torque)
         self._stamp += self.scenario.plant.tick
+
+    def _ask(self) -> None:
+        """Pass on what the user asks for at this tick."""
+        while self._wishes and self._wishes[0].stamp <= self._stamp:
+            self.regulator.request(self._wishes.pop(0).force)
 
     def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
         c = self.optimizer.config

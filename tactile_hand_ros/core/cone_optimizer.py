@@ -4,12 +4,13 @@
 A contact slips however hard one squeezes when f* itself leaves its cone. Here f* is found such that
 the whole force of each contact, squeeze and load, stays inside:
 
-    min f^T W f + rho t^2   s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum,  t >= 0,
+    min f^T W f + rho t + w t^2   s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum,  t >= 0,
     u_j . (f + l)_t <= mu cos(pi / 12) (f + l)_n + t    for twelve directions u_j,
 
 with l the load per unit of squeeze. The pyramid lies inside the cone, so that t = 0 certifies the
-friction. Where no such f* exists, t is the least common violation: the best that touch can do until
-the squeeze is raised.
+friction. Where no such f* exists, t is about the least common violation: the best that can be done
+until the squeeze is raised. The linear penalty is exact: with rho above the price of a cone, t
+stays at zero wherever it can.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ _SIDES = 12
 _ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
 _DIRECTIONS = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]).T
 _INSIDE = math.cos(math.pi / _SIDES)
-_PENALTY = 1e4  # of t^2, relative to the largest weight
-_TOLERANCE = 1e-7
+_PENALTY = 5.0  # rho, relative to the largest weight
+_SCALE = 0.3  # of the cost for its largest weight; conditions the dual variables
+_TOLERANCE = 1e-5  # from which polishing reaches rounding
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ class ConeOptimizer:
         n = len(weights)
         k = n // 3
         self._n, self._k = n, k
-        self._weights = np.append(weights, _PENALTY * weights.max())
+        largest = weights.max()
+        self._weights = np.append(weights, largest) * (_SCALE / largest)
+        self._price = np.append(np.zeros(n), _PENALTY * _SCALE)
         self._fixed = self._fixed_rows()
         m = len(self._fixed)
         self._lower = np.concatenate([np.zeros(6), [1.0], np.full(k, minimum), [0.0]])
@@ -90,7 +94,7 @@ class ConeOptimizer:
         self._solver = osqp.OSQP()
         self._solver.setup(
             sparse.diags(2.0 * self._weights, format="csc"),
-            np.zeros(n + 1),
+            self._price,
             self._pattern.copy(),
             self._lower,
             self._upper,
@@ -99,7 +103,7 @@ class ConeOptimizer:
             eps_rel=_TOLERANCE,
             polishing=True,
             warm_starting=True,
-            max_iter=4000,
+            max_iter=2000,
             check_termination=10,
             adaptive_rho_interval=50,
         )
@@ -143,7 +147,7 @@ class ConeOptimizer:
         x, y = np.asarray(result.x), np.asarray(result.y)
         if not np.isfinite(x).all() or not np.isfinite(y).all():
             return np.full((k, 3), np.nan), np.inf
-        gradient = np.abs(2.0 * self._weights * x + rows.T @ y).max() / self._weights[:n].max()
+        gradient = np.abs(2.0 * self._weights * x + self._price + rows.T @ y).max()
         image = rows @ x
         outside = np.maximum(np.maximum(self._lower - image, image - upper), 0.0).max()
         return x[:n].reshape(k, 3).copy(), float(max(gradient, outside))

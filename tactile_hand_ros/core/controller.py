@@ -15,6 +15,7 @@ from tactile_hand_ros.core.errors import GraspError, PoseError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.manipulation import AuxiliaryPose, LawConfig, ManipulationLaw, Target
 from tactile_hand_ros.core.reach import check_reach
+from tactile_hand_ros.core.reference import SmoothReference
 from tactile_hand_ros.core.safe_hold import HoldConfig, SafeHold
 
 Array = NDArray[np.float64]
@@ -34,6 +35,14 @@ class ControllerConfig(Config):
         False,
         "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
         live=True,
+    )
+    reference_time: float = param(
+        0.0,
+        "time constant with which the hand follows a new desired pose, 0 for at once",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=60.0,
     )
     hold: HoldConfig = HoldConfig()
     input_timeout: float = param(
@@ -82,6 +91,7 @@ class Controller:
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
         self._law = ManipulationLaw(config.law, self.hand.radii)
+        self._reference = SmoothReference()
         self._hold = SafeHold(config.hold)
         self.enabled = True
         self.reset()
@@ -94,6 +104,7 @@ class Controller:
     def reset(self) -> None:
         """Forget grasp, targets and integral."""
         self._law.reset()
+        self._reference.reset()
         self._hold.release()
         self._squeeze = np.zeros(self.hand.joints)
         self._last_torque: Array | None = None
@@ -153,8 +164,9 @@ class Controller:
             self._grasp = (theta, contacts, pose)
             refused = self._take_due_target(stamp, pose)
             assert self.target is not None
+            wanted = self._reference.step(self.target, pose, self.config.reference_time, dt)
             parts = self._law.step(
-                tips, rates, contacts, optimal_forces, grasp_force, self.target, pose, dt, forces
+                tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
         except GraspError as error:
             return self.hold(theta, rates, str(error))
@@ -168,6 +180,7 @@ class Controller:
         """Answer a tick without what the law needs: keep posture and last good squeeze."""
         self._last_torque = None
         self._drove = False
+        self._reference.reset()
         if not self.enabled:
             return self._disabled(theta, rates)
         self._hold.engage(theta, self._squeeze)

@@ -22,7 +22,7 @@ class FrictionConfig(Config):
     least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
     most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     explore: float = param(
-        0.0,
+        0.03,
         "growth of an estimate that no slip has bounded yet, so that the squeeze is lowered until "
         "something slips a little",
         unit="1/s",
@@ -30,7 +30,7 @@ class FrictionConfig(Config):
         ge=0.0,
     )
     forget: float = param(
-        0.0, "growth of an estimate that a slip has bounded", unit="1/s", live=True, ge=0.0
+        0.002, "growth of an estimate that a slip has bounded", unit="1/s", live=True, ge=0.0
     )
     smoothing: float = param(0.01, "time constant of the force ratio", unit="s", live=True, gt=0.0)
     window: float = param(

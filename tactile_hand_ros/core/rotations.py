@@ -113,3 +113,11 @@ def rodrigues(x: float, y: float, z: float) -> NDArray[np.float64]:
             [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
         ]
     )
+
+
+def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation vector of a rotation matrix, of length 0 to pi, shape (3,), rad."""
+    x, y, z, w = quaternion_from_rotation(rotation).tolist()
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 * math.atan2(sine, w) / sine if sine > 1e-12 else 2.0
+    return np.array([scale * x, scale * y, scale * z])

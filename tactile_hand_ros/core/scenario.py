@@ -47,11 +47,26 @@ class TargetConfig(Config):
         return Target(np.array(self.position), rotation_from_vector(self.rotation))
 
 
+class UserForceConfig(Config):
+    """A squeeze that the user asks for, and when."""
+
+    time: float = param(0.0, "simulated time of the request", unit="s", ge=0.0)
+    force: float = param(..., "k_f", unit="N", gt=0.0)
+
+    @property
+    def stamp(self) -> int:
+        """The tick of the request, ns."""
+        return round(self.time * 1e9)
+
+
 class GoalConfig(Config):
     """What counts as having reached the last target."""
 
     position_error: float = param(0.001, "largest final position error", unit="m", gt=0.0)
     rotation_error: float = param(0.01, "largest final orientation error |r_d|", unit="rad", gt=0.0)
+    slip_distance: float = param(
+        1.0, "largest distance that a contact may slide in all", unit="m", gt=0.0
+    )
 
 
 class Scenario(Config):
@@ -64,6 +79,7 @@ class Scenario(Config):
     duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
     seed: int = param(1, "seed of everything random", ge=0)
     targets: list[TargetConfig] = param([], "desired poses over time")
+    user_forces: list[UserForceConfig] = param([], "squeezes that the user asks for over time")
     goal: GoalConfig = GoalConfig()
     plant: PlantConfig = PlantConfig()
     tactile_sensor: TactileSensorConfig = TactileSensorConfig()

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A smooth way to a desired pose: stiff gains need not jerk at the object."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.manipulation import AuxiliaryPose, Target
+from tactile_hand_ros.core.rotations import rotation_from_vector, vector_from_rotation
+
+Array = NDArray[np.float64]
+
+
+class SmoothReference:
+    """Follows desired poses like a critically damped spring, from where the grasp is.
+
+    x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation.
+    """
+
+    def __init__(self) -> None:
+        """Start without a pose."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where the reference is."""
+        self._pose: Target | None = None
+        self._velocity, self._spin = np.zeros(3), np.zeros(3)
+
+    def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
+        """Return the pose to follow at this tick.
+
+        Args:
+            target: Desired pose.
+            now: Pose of the grasp, from which the first step begins.
+            time: T in s; 0 gives the desired pose itself.
+            dt: Time since the last tick, s.
+        """
+        if time <= 0.0:
+            self._pose = None
+            return target
+        if self._pose is None:
+            self._pose = Target(now.position, now.orientation)
+            self._velocity, self._spin = np.zeros(3), np.zeros(3)
+        missing = target.position - self._pose.position
+        turn = vector_from_rotation(target.orientation @ self._pose.orientation.T)
+        self._velocity = self._velocity + dt * (missing / time**2 - 2.0 * self._velocity / time)
+        self._spin = self._spin + dt * (turn / time**2 - 2.0 * self._spin / time)
+        self._pose = Target(
+            self._pose.position + dt * self._velocity,
+            rotation_from_vector(dt * self._spin) @ self._pose.orientation,
+        )
+        return self._pose
