@@ -70,7 +70,7 @@ def test_the_squeeze_does_no_work(layout: str, key: str) -> None:
 def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third() -> None:
     """Fig. 4 in the layout three_faces: the third finger and the grasp as a whole need more."""
     penalised = outcome("optimal").metrics.final_required_friction
-    nominal = outcome("nominal", duration=10.0).metrics.final_required_friction
+    nominal = outcome("nominal", "three_faces", 10.0).metrics.final_required_friction
     assert penalised["finger_1"] < 0.6 * nominal["finger_1"]
     assert penalised["finger_2"] < 0.6 * nominal["finger_2"]
     assert penalised["finger_3"] > 1.5 * nominal["finger_3"]
