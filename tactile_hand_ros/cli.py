@@ -111,7 +111,8 @@ def figures(
         for file in save(figure, folder, name, _formats(formats)):
             print(file)
     if opened.scenario is None:
-        print("No scenario is known, so Fig. 2 (hand and object in space) was left out.")
+        text = "No scenario is known, so Fig. 2 (hand and object in space) was left out."
+        print(text, file=sys.stderr)
 
 
 @app.command()
@@ -199,7 +200,11 @@ def _formats(given: list[str] | None) -> tuple[str, ...]:
 def _open(path: Path, namespace: str | None) -> Run:
     from tactile_hand_ros.analysis import Run
 
-    return Run(path, namespace=namespace)
+    opened = Run(path, namespace=namespace)
+    if opened.scenario_problem:
+        text = f"note: without its scenario, which does not fit: {opened.scenario_problem}"
+        print(text, file=sys.stderr)
+    return opened
 
 
 def _folder_of(run: Run) -> Path:

@@ -49,7 +49,10 @@ class Metrics:
         first_contact_loss_s: When that happened first, simulated time.
         max_object_displacement_in_grasp_m: True object against the virtual frame of the contacts.
         max_object_rotation_in_grasp_rad: The same, its rotation.
-        goal_reached: Whether the final errors are inside the scenario's goal; None without one.
+        max_slip_distance_m: Largest distance that a contact slid in all; NaN where only the
+            simulation knows it.
+        goal_reached: Whether the final errors are inside the scenario's goal, and no contact is
+            known to have slid farther than it allows; None without a scenario.
     """
 
     ticks: int
@@ -71,6 +74,7 @@ class Metrics:
     first_contact_loss_s: float
     max_object_displacement_in_grasp_m: float
     max_object_rotation_in_grasp_rad: float
+    max_slip_distance_m: float
     goal_reached: bool | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -101,6 +105,8 @@ def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
     inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
     lost = np.flatnonzero(derived.contact_lost(record))
     moved, turned = derived.motion_in_grasp(record)
+    slid = _peak(record.true_slid)
+    reached = bool(len(inside) and inside[-1]) and not slid > goal.slip_distance
     return Metrics(
         ticks=len(record),
         simulated_time_s=_span(record.times),
@@ -114,7 +120,8 @@ def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
         first_contact_loss_s=float(record.times[lost[0]]) if len(lost) else math.nan,
         max_object_displacement_in_grasp_m=_peak(moved),
         max_object_rotation_in_grasp_rad=_peak(turned),
-        goal_reached=None if scenario is None else bool(len(inside) and inside[-1]),
+        max_slip_distance_m=slid,
+        goal_reached=None if scenario is None else reached,
     )
 
 

@@ -22,6 +22,7 @@ from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.core.config import parse_yaml, read_yaml, validate
+from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.scenario import Scenario
@@ -93,17 +94,34 @@ class Run:
         """Return the fingers of the scenario's hand, none if the bag is of another hand."""
         if self.scenario is None:
             return []
-        named = load_hand_config(self.scenario.hand).finger_names
+        try:
+            named = load_hand_config(self.scenario.hand).finger_names
+        except TactileHandError:  # the hand's file stayed on the machine of the run
+            return []
         seen = find_fingers(self.summary.types, self._prefix)
         return named if set(seen) <= set(named) else []
 
-    @cached_property
+    @property
     def scenario(self) -> Scenario | None:
-        """The scenario, from the bag or beside it; None if neither has one.
+        """The scenario, from the bag or beside it; None without one that can be used."""
+        return self._scenario[0]
 
-        Raises:
-            ConfigurationError: If it is there and does not fit.
+    @property
+    def scenario_problem(self) -> str:
+        """Why the scenario that is there cannot be used, empty otherwise.
+
+        A bag outlives the version that wrote it: its arrays must not be lost with its scenario.
         """
+        return self._scenario[1]
+
+    @cached_property
+    def _scenario(self) -> tuple[Scenario | None, str]:
+        try:
+            return self._read_scenario(), ""
+        except ConfigurationError as error:
+            return None, str(error)
+
+    def _read_scenario(self) -> Scenario | None:
         text = self.summary.custom_data.get(SCENARIO_KEY)
         if text:
             source = f"scenario in {self.bag}"

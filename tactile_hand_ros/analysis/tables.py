@@ -93,6 +93,8 @@ def metrics_rows(m: Metrics) -> list[list[str]]:
         moved = number(1e3 * m.max_object_displacement_in_grasp_m, "mm")
         turned = number(m.max_object_rotation_in_grasp_rad, "rad")
         rows.append(["largest motion of the object in the grasp", f"{moved}, {turned}"])
+    if not math.isnan(m.max_slip_distance_m):
+        rows.append(["largest slip of a contact", number(1e3 * m.max_slip_distance_m, "mm")])
     if m.goal_reached is not None:
         rows.append(["goal", "reached" if m.goal_reached else "not reached"])
     return rows

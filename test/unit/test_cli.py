@@ -91,9 +91,16 @@ def test_figures(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_figures_of_a_bare_bag(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (run / "scenario.yaml").unlink()
     assert main(["figures", str(run / "bag"), "--out", str(run / "here")]) == 0
-    assert "Fig. 2 (hand and object in space) was left out" in capsys.readouterr().out
+    assert "Fig. 2 (hand and object in space) was left out" in capsys.readouterr().err
     names = sorted(file.name for file in (run / "here").iterdir())
     assert names == ["fig3.png", "fig3.svg", "fig4.png", "fig4.svg"]
+
+
+def test_scenario_that_does_not_fit_is_told(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "scenario.yaml").write_text("duratoin: 3.0\n")
+    assert main(["summary", str(run)]) == 0
+    printed = capsys.readouterr()
+    assert "20 ticks" in printed.out and "unknown key 'duratoin'" in printed.err
 
 
 @pytest.mark.parametrize("command", ["summary", "figures"])

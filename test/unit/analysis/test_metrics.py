@@ -84,6 +84,18 @@ def test_goal(position: float, rotation: float, reached: bool) -> None:
     assert metrics(record, scenario(position, rotation)).goal_reached is reached
 
 
+@pytest.mark.parametrize(("slid", "reached"), [(0.009, True), (0.011, False), (np.nan, True)])
+def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
+    """What nobody knows is not held against the run."""
+    record = still_record()
+    record.true_slid[:] = 0.0
+    record.true_slid[-1, 1] = slid
+    wanted = Scenario(goal={"slip_distance": 0.01})
+    m = metrics(record, wanted)
+    assert m.goal_reached is reached
+    assert m.max_slip_distance_m == pytest.approx(np.nan_to_num(slid))
+
+
 def test_settling_counts_from_the_last_command() -> None:
     """The second command comes at 0.4 s; the error is inside from 0.7 s on, and was at 0.5 s."""
     record = still_record()

@@ -28,7 +28,6 @@ from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.analysis.extras import MissingLibraryError
 from tactile_hand_ros.analysis.run import columns
 from tactile_hand_ros.bag.errors import BagError
-from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.scenario import load_scenario, resolved
 
@@ -197,10 +196,21 @@ class TestFolders:
         run = Run(write_record(tmp_path / "bag", random_record(), custom_data=said))
         assert run.scenario == load_scenario("waypoints")
 
-    def test_broken_scenario(self, folder: Path) -> None:
+    def test_scenario_of_another_version(self, folder: Path) -> None:
+        """What was recorded is there nevertheless."""
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
-        with pytest.raises(ConfigurationError, match="scenario.yaml: unknown key 'duratoin'"):
-            Run(folder)
+        run = Run(folder)
+        assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem
+        assert run.scenario is None and len(run.record) == 20
+        assert run.metrics.goal_reached is None
+
+    def test_hand_of_another_machine(self, folder: Path) -> None:
+        """Topics tell the fingers too."""
+        text = resolved(load_scenario("paper")).replace("hand: paper", "hand: lost/hand.yaml")
+        (folder / "scenario.yaml").write_text(text)
+        run = Run(folder)
+        assert run.scenario is not None and run.scenario_problem == ""
+        assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
 
     def test_nothing_there(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="nowhere does not exist"):
