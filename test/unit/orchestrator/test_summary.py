@@ -20,6 +20,7 @@ from tactile_hand_ros.orchestrator.session import Outcome, Plan
 from tactile_hand_ros.orchestrator.summary import (
     Results,
     Verdict,
+    expected_ticks,
     judge,
     read_results,
     table,
@@ -100,6 +101,12 @@ def test_run_without_a_bag_says_so(tmp_path: Path) -> None:
 def test_run_that_was_not_to_be_recorded_has_no_problem_without_a_bag(tmp_path: Path) -> None:
     plan = Plan(PLAN.scenario, record=False)
     assert read_results(plan, RunDirectory(tmp_path), finished=True) == Results()
+
+
+def test_number_of_ticks_is_known_in_lockstep_only() -> None:
+    assert expected_ticks(PLAN) == 51
+    realtime = load_scenario("paper", {"plant.pacing": "realtime"})
+    assert expected_ticks(Plan(realtime)) is None
 
 
 def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path) -> None:
