@@ -142,6 +142,7 @@ def _run(session: Session, node: Node, *, quiet: bool) -> int:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     tell(f"{plan.scenario.name}: {plan.scenario.description}")
+    tell(f"the nodes start; what they say is in {directory.path / 'logs'}")
     if plan.interactive:
         tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
     duration = None if plan.interactive else plan.scenario.duration
@@ -160,14 +161,13 @@ def _run(session: Session, node: Node, *, quiet: bool) -> int:
     return verdict.exit_code
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the orchestrator and return its exit code.
+def run(args: Sequence[str] | None, signals: Signals) -> int:
+    """Run the command line and return the exit code.
 
     Args:
         args: Command line with program name; None takes ``sys.argv``.
+        signals: Installed already.
     """
-    signals = Signals()
-    signals.install()
     line = list(sys.argv if args is None else args)
     command = typer.main.get_command(app)
     try:

@@ -234,6 +234,15 @@ def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_pa
     assert summary["metrics"] == run.metrics.to_dict()
 
 
+def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:
+    """The signal waits until the import is done; nothing is started."""
+    orchestrator = start("--scenario", "paper")
+    memory = Path(f"/proc/{orchestrator.pid}/maps")
+    wait_until(lambda: "pinocchio" in memory.read_text(), PATIENCE)
+    orchestrator.send(signal.SIGINT)
+    assert end_of(orchestrator) == 130
+
+
 def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path) -> None:
     """Exit code 1; what was recorded is readable and summed up."""
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
