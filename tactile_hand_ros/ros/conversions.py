@@ -230,7 +230,7 @@ def _read_contact(pose: Pose, index: int) -> tuple[tuple[float, ...], tuple[floa
     x, y, z = point.x, point.y, point.z
     if x != x and y != y and z != z:
         return _NAN3, _NAN4
-    if not math.isfinite(x + y + z):
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise MessageError(f"contact {index} is at ({x}, {y}, {z}), expected numbers or all NaN.")
     return (x, y, z), _read_quaternion(pose, f"contact {index}")
 

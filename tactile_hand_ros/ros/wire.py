@@ -136,7 +136,7 @@ class WrenchCodec:
                 return found[0], force
         message = deserialize_message(data, WrenchStamped)
         vector = message.wrench.force
-        if self._nan_allowed and math.isnan(vector.x + vector.y + vector.z):
+        if self._nan_allowed and any(map(math.isnan, (vector.x, vector.y, vector.z))):
             if self._frame is not None:
                 conversions.check_frame(message, self._frame)
             return stamp_to_ns(message.header.stamp), np.full(3, np.nan)

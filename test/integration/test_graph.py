@@ -48,8 +48,6 @@ RECORDED = [
     "grasp_force",
     "auxiliary_position",
     "auxiliary_quaternion",
-    "desired_position",
-    "desired_quaternion",
     "object_position",
     "object_quaternion",
     "true_positions",
@@ -112,7 +110,7 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
 
 
 def assert_same(recorded: Record, expected: Record) -> None:
-    """Compare, to the bit, everything that travels on topics."""
+    """Compare, to the bit, everything that ticks carry."""
     assert recorded.finger_names == expected.finger_names
     assert recorded.joint_names == expected.joint_names
     for name in RECORDED:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever order messages come in, sets are complete, in order and of one stamp."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -94,6 +95,56 @@ def test_a_restarted_sender_is_followed():
     assert matcher.put("b", 900, 0) is None
     assert matcher.put("a", 0, "new") is None
     assert matcher.put("b", 0, "start") == ("new", "start")
+
+
+def test_the_first_tick_restarts_whatever_its_distance():
+    restarts = []
+    matcher = StampMatcher(("a", "b"), on_restart=lambda: restarts.append(matcher.last))
+    for stamp in (0, 1, 2):
+        matcher.put("a", stamp, stamp)
+        matcher.put("b", stamp, stamp)
+    matcher.put("b", 3, "from before")
+    assert matcher.put("a", 0, "new") is None and restarts == []
+    assert matcher.put("b", 0, "start") == ("new", "start")
+    assert restarts == [0] and matcher.pending == 0
+
+
+def test_one_old_message_is_no_restart_and_does_no_harm():
+    restarts = []
+    matcher = StampMatcher(("a", "b"), on_restart=lambda: restarts.append(1))
+    matcher.put("a", 5, 0)
+    matcher.put("b", 5, 0)
+    assert matcher.put("a", 0, "stray") is None
+    matcher.put("a", 6, 1)
+    assert matcher.put("b", 6, 2) == (1, 2) and restarts == []
+
+
+def test_a_restart_is_seen_with_a_full_memory():
+    matcher = StampMatcher(("a", "b"), memory=3)
+    matcher.put("a", 1, 0)
+    matcher.put("b", 1, 0)
+    for stamp in range(2, 9):
+        matcher.put("a", stamp, 0)
+    matcher.put("a", 0, "new")
+    assert matcher.put("b", 0, "start") == ("new", "start")
+
+
+def test_what_is_missing_is_named():
+    matcher = StampMatcher(KEYS)
+    assert matcher.missing() == [] and matcher.missing(7) == []
+    matcher.put("joints", 7, 0)
+    matcher.put("joints", 8, 0)
+    matcher.put("force", 8, 0)
+    assert matcher.missing() == matcher.missing(7) == ["contacts", "force"]
+    assert matcher.missing(8) == ["contacts"]
+
+
+def test_values_are_never_compared():
+    matcher = StampMatcher(("a", "b", "c"))
+    value = np.zeros(3)
+    matcher.put("a", 1, value)
+    matcher.put("b", 1, value)
+    assert matcher.put("c", 1, value) == (value, value, value)
 
 
 def test_reset_forgets_everything():

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Single nodes over real DDS: what they say when (13) has no answer or a finger is silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from numpy.typing import NDArray
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros.core.closed_loop import true_reading
+from tactile_hand_ros.core.plant import Plant
+from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.conversions import (
+    contacts_to_ros,
+    force_to_ros,
+    pose_to_ros,
+    stamp_to_ns,
+)
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
+from tactile_hand_ros.ros.wire import JointCodec
+
+FINGERS = ("finger_1", "finger_2", "finger_3")
+TICK = 2_000_000
+PLANT = Plant(load_scenario("paper").plant)
+TOUCH = true_reading(PLANT.state)
+Array = NDArray[np.float64]
+
+
+class Peer:
+    """Plays everybody else: publishes what it is told and keeps what it hears."""
+
+    def __init__(self, context: Context, node: Node) -> None:
+        self.node = rclpy.create_node("peer", context=context)
+        self.under_test = node
+        self.heard: dict[str, list[Any]] = {}
+        self.health: list[tuple[bytes, str]] = []
+        self._publishers: dict[str, Any] = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        self.health.extend((s.level, s.message) for s in message.status)
+
+    def listen(self, kind: Any, *topics: str) -> None:
+        for topic in topics:
+            self.heard[topic] = []
+            self.node.create_subscription(kind, topic, self.heard[topic].append, 10)
+
+    def speak(self, kind: Any, *topics: str) -> None:
+        for topic in topics:
+            self._publishers[topic] = self.node.create_publisher(kind, topic, 10)
+
+    def connect(self) -> None:
+        """Wait until both sides know of each other."""
+        for publisher in self._publishers.values():
+            wait_until(lambda p=publisher: p.get_subscription_count() == 1)
+        for topic in self.heard:
+            ours = f"/{topic}"
+            sent = {p.topic_name: p for p in self.under_test.publishers}
+            wait_until(lambda o=ours: sent[o].get_subscription_count() == 1)
+
+    def send(self, topic: str, message: Any) -> None:
+        self._publishers[topic].publish(message)
+
+    def answer(self, topic: str, stamp: int) -> Any:
+        """Wait for the message of a tick."""
+
+        def found() -> Any:
+            return [m for m in self.heard[topic] if stamp_to_ns(m.header.stamp) == stamp]
+
+        return wait_until(found, message=f"{topic} at {stamp}")[-1]
+
+    def says(self, level: bytes, text: str = "") -> Any:
+        return wait_until(
+            lambda: [m for got, m in self.health if got == level and text in m], message=text
+        )
+
+
+@pytest.fixture
+def meet() -> Iterator[Callable[..., Peer]]:
+    """Return a function that makes a node and its peer, served in threads of their own."""
+    with isolated_domain() as domain, private_context(domain) as context:
+        met: list[Node] = []
+
+        def _meet(kind: type[Node], **parameters: Any) -> Peer:
+            overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+            peer = Peer(context, kind(context=context, parameter_overrides=overrides))
+            met.extend((peer.node, peer.under_test))
+            return peer
+
+        yield _meet
+        for node in met:
+            node.destroy_node()
+
+
+def contacts(stamp: int, positions: Array = TOUCH.positions) -> PoseArray:
+    quaternions = np.where(np.isfinite(positions[:, :1]), TOUCH.quaternions, np.nan)
+    return contacts_to_ros(positions, quaternions, stamp)
+
+
+def without(finger: int) -> Array:
+    positions = TOUCH.positions.copy()
+    positions[finger] = np.nan
+    return positions
+
+
+def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) -> None:
+    peer = meet(ForceOptimizerNode)
+    topics = [interfaces.optimal_force(name) for name in FINGERS]
+    peer.listen(WrenchStamped, *topics)
+    peer.speak(PoseArray, interfaces.CONTACTS)
+
+    def forces(stamp: int) -> Array:
+        answers = [peer.answer(topic, stamp).wrench.force for topic in topics]
+        return np.array([[f.x, f.y, f.z] for f in answers])
+
+    on_a_line = TOUCH.positions[0] + np.outer([0.0, 0.1, 0.2], [1.0, 0.0, 0.0])
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        for stamp, positions, reason in (
+            (0, without(1), "no contact at finger 2"),
+            (TICK, on_a_line, "one line"),
+        ):
+            peer.send(interfaces.CONTACTS, contacts(stamp, positions))
+            assert np.isnan(forces(stamp)).all()
+            peer.says(ERROR, reason)
+        peer.send(interfaces.CONTACTS, contacts(2 * TICK))
+        assert forces(2 * TICK)[:, 1].sum() == pytest.approx(1.0)
+        peer.health.clear()
+        peer.says(OK)
+        assert peer.answer(topics[0], 2 * TICK).header.frame_id == "finger_1_contact"
+        peer.send(interfaces.CONTACTS, contacts(2 * TICK))  # asked again: the same answer again
+        wait_until(lambda: len(peer.heard[topics[0]]) == 4)
+        assert peer.heard[topics[0]][-1] == peer.heard[topics[0]][-2]
+
+
+def test_the_regulator_is_silent_at_ticks_without_a_finger(meet: Callable[..., Peer]) -> None:
+    peer = meet(SlipRegulatorNode)
+    wrenches = [interfaces.wrench(name) for name in FINGERS]
+    peer.listen(WrenchStamped, interfaces.GRASP_FORCE)
+    peer.speak(PoseArray, interfaces.CONTACTS)
+    peer.speak(WrenchStamped, *wrenches)
+
+    def feel(stamp: int, *forces: Any) -> None:
+        peer.send(interfaces.CONTACTS, contacts(stamp))
+        for topic, name, force in zip(wrenches, FINGERS, forces, strict=True):
+            if force is not None:
+                frame = interfaces.contact_frame(name)
+                peer.send(topic, force_to_ros(force, stamp, frame))
+
+    push = (0.0, 3.0, 0.0)
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        feel(0, push, push, push)
+        assert peer.answer(interfaces.GRASP_FORCE, 0).wrench.force.y == 10.0
+        feel(TICK, push, None, push)
+        feel(2 * TICK, push, push, (0.0, np.nan, 0.0))
+        feel(3 * TICK, push, push, push)
+        assert peer.answer(interfaces.GRASP_FORCE, 3 * TICK).wrench.force.y == 10.0
+    given = [stamp_to_ns(m.header.stamp) for m in peer.heard[interfaces.GRASP_FORCE]]
+    assert given == [0, 3 * TICK]
+
+
+class ControllersWorld:
+    """Everything that a controller hears of a hand that stands still."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self._optimal = [interfaces.optimal_force(name) for name in FINGERS]
+        state, names = PLANT.state, PLANT.hand.joint_names
+        self._codec = JointCodec(names, ("position", "velocity", "effort"))
+        self._joints = (state.theta, state.rates, state.torque)
+        peer.listen(JointState, interfaces.JOINT_COMMAND)
+        peer.listen(PoseStamped, interfaces.AUXILIARY_POSE)
+        peer.speak(PoseArray, interfaces.CONTACTS)
+        peer.speak(PoseStamped, interfaces.DESIRED_POSE)
+        peer.speak(WrenchStamped, interfaces.GRASP_FORCE, *self._optimal)
+        peer.speak(JointState, interfaces.JOINT_STATES)
+
+    def tick(self, stamp: int, share: float) -> JointState:
+        """Let a tick pass, with a normal share f* at each finger, and return the command."""
+        peer = self.peer
+        peer.heard[interfaces.JOINT_COMMAND].clear()
+        peer.send(interfaces.JOINT_STATES, self._codec.encode(stamp, *self._joints))
+        peer.send(interfaces.CONTACTS, contacts(stamp))
+        peer.send(interfaces.GRASP_FORCE, force_to_ros((0.0, 10.0, 0.0), stamp, "palm"))
+        for topic, name in zip(self._optimal, FINGERS, strict=True):
+            frame = interfaces.contact_frame(name)
+            peer.send(topic, force_to_ros((0.0, share, 0.0), stamp, frame))
+        return peer.answer(interfaces.JOINT_COMMAND, stamp)
+
+
+@pytest.mark.parametrize(("law", "drives"), [("kawamura", True), ("optimal", False)])
+def test_only_the_optimal_law_needs_an_optimal_force(
+    meet: Callable[..., Peer], law: str, drives: bool
+) -> None:
+    peer = meet(ManipulationControllerNode, **{"law.name": law})
+    world = ControllersWorld(peer)
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        command = world.tick(0, np.nan)
+        assert command.name == PLANT.hand.joint_names
+        assert bool(np.any(command.effort)) == drives  # no squeeze yet that could be held
+        if not drives:
+            peer.says(ERROR, "no optimal force")
+
+
+def test_ticks_that_begin_anew_forget_all_poses_but_those_sent_meanwhile(
+    meet: Callable[..., Peer],
+) -> None:
+    peer = meet(ManipulationControllerNode)
+    world = ControllersWorld(peer)
+    centre = TOUCH.positions.mean(axis=0)
+    near, far = centre + [0.0, 0.01, 0.0], centre + [0.0, 0.05, 0.0]
+
+    def desire(position: Array) -> None:
+        """Command a pose and wait until it was handled: a wrong one behind it was rejected."""
+        peer.send(interfaces.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0))
+        peer.health.clear()
+        peer.send(interfaces.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0, frame="world"))
+        peer.says(WARN, "frame_id is 'world'")
+
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        still = list(world.tick(0, 1.0 / 3.0).effort)
+        desire(far)
+        pulled = list(world.tick(TICK, 1.0 / 3.0).effort)
+        assert pulled != still
+        assert list(world.tick(0, 1.0 / 3.0).effort) == still
+        assert list(world.tick(TICK, 1.0 / 3.0).effort) == still
+        desire(near)
+        assert list(world.tick(0, 1.0 / 3.0).effort) not in (still, pulled)

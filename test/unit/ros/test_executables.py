@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where there is no ament index at all, the answer is a sentence."""
+
+import pytest
+
+from tactile_hand_ros.ros.executables import ExecutableError, executable_directory, main
+
+
+@pytest.mark.parametrize("prefix", [None, "", "/nowhere"])
+def test_an_index_that_is_not_there_is_named(monkeypatch, capsys, prefix):
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    if prefix is not None:
+        monkeypatch.setenv("AMENT_PREFIX_PATH", prefix)
+    with pytest.raises(ExecutableError, match=f"AMENT_PREFIX_PATH='{prefix or ''}'"):
+        executable_directory()
+    assert main(["plant"]) == 2
+    assert "does not know tactile_hand_ros" in capsys.readouterr().err

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever the timer does, as many ticks come due as time has passed, and delays are counted."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.ros.input_watch import InputWatch
+from tactile_hand_ros.ros.pacing import Pace
+
+TICK = 1_000_000
+
+
+class Hands:
+    """The hands of a clock that a test moves."""
+
+    def __init__(self):
+        self.now = 0
+
+    def __call__(self):
+        return self.now
+
+
+def pace():
+    hands = Hands()
+    return Pace(TICK, hands), hands
+
+
+def test_a_punctual_timer_gives_one_tick_each_time():
+    made, hands = pace()
+    for n in range(1, 6):
+        hands.now = n * TICK
+        assert made.due() == 1
+    assert made.missed == 0
+
+
+@pytest.mark.parametrize(("late", "due"), [(-0.6, 0), (-0.4, 1), (0.6, 1), (1.2, 2), (3.0, 4)])
+def test_early_and_late_calls(late, due):
+    made, hands = pace()
+    hands.now = round((1 + late) * TICK)
+    assert made.due() == due
+    assert made.missed == max(0, due - 1)
+
+
+@given(st.lists(st.integers(0, 20 * TICK), max_size=50))
+def test_no_tick_is_lost_or_invented(steps):
+    made, hands = pace()
+    total = 0
+    for step in steps:
+        hands.now += step
+        total += made.due()
+    assert abs(hands.now / TICK - total) <= 1.0
+
+
+def test_time_that_cannot_be_made_up_for_is_given_up():
+    made, hands = pace()
+    hands.now = 1001 * TICK
+    assert made.due() == 1
+    assert made.lost_ns == 1000 * TICK
+    hands.now += TICK
+    assert made.due() == 1
+
+
+def test_the_report_names_delays_in_microseconds():
+    made, hands = pace()
+    shown = {}
+    made.report(shown.__setitem__)
+    assert shown == {"missed_ticks": 0, "lost_s": 0.0}
+    hands.now = TICK + 300_000
+    made.due()
+    made.report(shown.__setitem__)
+    assert shown["jitter_max_us"] == "300"
+
+
+def test_inputs_are_missing_after_the_time_out_and_not_while_nobody_asks():
+    hands = Hands()
+    watch = InputWatch(0.5, hands)
+    assert not watch.triggered()
+    hands.now = 0.4
+    assert not watch.triggered() and not watch.complete()
+    hands.now = 10.0  # nothing was asked for in the meantime
+    assert not watch.triggered()
+    hands.now = 10.5
+    assert watch.triggered() and watch.blind
+    assert watch.complete() and not watch.blind
+    assert not watch.triggered()
