@@ -33,7 +33,7 @@ unexport VIRTUAL_ENV
 
 # Everything that ends up in the installed package.
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
-	$(shell find tactile_hand_ros config scripts resource -type f ! -name '*.pyc' 2>/dev/null | LC_ALL=C sort)
+	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
 .PHONY: help demo run test lint bench setup clean FORCE
 .DELETE_ON_ERROR:
@@ -109,7 +109,7 @@ $(PREFIX)/.package: $(INSTALLED) $(PREFIX)/.sources $(PREFIX)/.run
 	@rm -rf build/lib build/bdist.* *.egg-info
 	@$(PIP) install -qq --no-deps --no-build-isolation --force-reinstall .
 	@rm -rf build/lib build/bdist.* *.egg-info
-	@$(PY) -m tactile_hand_ros.core.warm_up
+	@cd '$(PREFIX)' && $(PY) -m tactile_hand_ros.core.warm_up
 	@touch '$@'
 
 clean:
