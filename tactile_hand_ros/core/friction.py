@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The friction of each contact, learned from its slips and sticks only."""
+"""The friction of a contact, learned from its slips and sticks only."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+from collections import deque
 
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.slip_detector import Grip
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from tactile_hand_ros.core.slip_detector import Force, Grip
 
 _SAMPLES = 4  # that are averaged against noise and vibration
 
@@ -39,73 +36,70 @@ class FrictionConfig(Config):
 
 
 class FrictionEstimator:
-    """Bounds mu per contact: sticking at a force ratio proves mu above it, slipping shows mu.
+    """Bounds mu of one contact: sticking at a force ratio proves mu above it, slipping shows mu.
 
     Attributes:
-        estimate: mu of each contact, shape (k,).
-        learned: Whether a slip has shown it, shape (k,).
+        estimate: mu.
+        learned: Whether a slip has shown it.
     """
 
-    def __init__(self, config: FrictionConfig, fingers: int) -> None:
+    def __init__(self, config: FrictionConfig) -> None:
         """Start from the prior."""
-        self._k = fingers
         self.config = config
         self.reset()
 
-    def configure(self, config: FrictionConfig) -> None:
-        """Take other parameters; what was learned stays."""
-        self.config = config
-
     def reset(self) -> None:
         """Forget what was learned."""
-        self.estimate = np.full(self._k, self.config.prior)
-        self.learned = np.zeros(self._k, dtype=bool)
-        self._ratio = np.zeros(self._k)
-        self._slid = np.zeros(self._k, dtype=bool)
-        self._recent = np.zeros((_SAMPLES, self._k, 3))
-        self._peak = np.zeros(self._k)
+        self.estimate = self.config.prior
+        self.learned = False
+        self._ratio = self._peak = 0.0
+        self._slid = False
+        self._recent: deque[Force] = deque(maxlen=_SAMPLES)
 
-    def step(self, forces: Array, state: NDArray[np.int_], dt: float) -> Array:
-        """Return the estimates after a tick, shape (k,).
+    def step(self, force: Force | None, state: Grip, dt: float) -> float:
+        """Return the estimate after a tick.
 
         Args:
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            state: `Grip` of each contact, shape (k,).
+            force: Measured force in the contact frame (x, n, z), N; None where there is none.
+            state: What the detector says of the contact.
             dt: Time since the last tick, s.
         """
+        if force is None or state is Grip.UNKNOWN:
+            self._ratio = self._peak = 0.0
+            self._slid = False
+            self._recent.clear()
+            return self.estimate
         c = self.config
-        known = state != Grip.UNKNOWN
-        normal = np.where(known, forces[:, 1], 1.0)
-        ratio = np.where(known, np.hypot(forces[:, 0], forces[:, 2]) / normal, 0.0)
-        share = min(1.0, dt / c.smoothing)
-        self._ratio = np.where(known, self._ratio + share * (ratio - self._ratio), 0.0)
-        self._from_sticks(state == Grip.STICK, dt)
-        self._from_slips(state == Grip.SLIP, np.where(known[:, None], forces, 0.0), dt)
-        self.estimate = np.clip(self.estimate, c.least, c.most)
+        ratio = math.hypot(force[0], force[2]) / force[1]
+        self._ratio += min(1.0, dt / c.smoothing) * (ratio - self._ratio)
+        around = self._ratio_around(force)
+        # The peak fades within the window, so that it tells of the last moments only.
+        self._peak = max(around, (1.0 - min(1.0, dt / c.window)) * self._peak)
+        if state is Grip.SLIP:
+            self._slip(around)
+        else:
+            self._stick(dt)
+        self._slid = state is Grip.SLIP
+        self.estimate = min(max(self.estimate, c.least), c.most)
         return self.estimate
 
-    def _from_sticks(self, sticks: Mask, dt: float) -> None:
-        c = self.config
-        growth = 1.0 + dt * np.where(self.learned, c.forget, c.explore)
-        grown = np.where(sticks, self.estimate * growth, self.estimate)
-        self.estimate = np.where(sticks, np.maximum(grown, self._ratio), grown)
+    def _ratio_around(self, force: Force) -> float:
+        """Return the force ratio of the mean of the last samples, against noise."""
+        self._recent.append(force)
+        normal = sum(f[1] for f in self._recent)
+        if normal <= 0.0:
+            return 0.0
+        return math.hypot(sum(f[0] for f in self._recent), sum(f[2] for f in self._recent)) / normal
 
-    def _from_slips(self, slips: Mask, forces: Array, dt: float) -> None:
+    def _stick(self, dt: float) -> None:
+        growth = self.config.forget if self.learned else self.config.explore
+        self.estimate = max(self.estimate * (1.0 + growth * dt), self._ratio)
+
+    def _slip(self, ratio: float) -> None:
         """Take the largest force ratio around the detection of a slip.
 
         A contact that slides shows mu; one that sticks, before or since, shows less. Detection
         needs some samples, in which the squeeze may already have caught the object.
         """
-        recent = np.concatenate([self._recent[1:], forces[None]])
-        self._recent = recent
-        mean = recent.sum(axis=0)
-        normal = np.where(mean[:, 1] > 0.0, mean[:, 1], np.inf)
-        ratio = np.hypot(mean[:, 0], mean[:, 2]) / normal
-        fading = 1.0 - min(1.0, dt / self.config.window)
-        # The peak fades within the window, so that it tells of the last moments only.
-        self._peak = np.maximum(np.where(np.isfinite(ratio), ratio, 0.0), fading * self._peak)
-        began = slips & ~self._slid
-        self._slid = slips
-        self.estimate = np.where(began, self._peak, self.estimate)
-        self.estimate = np.where(slips, np.maximum(self.estimate, ratio), self.estimate)
-        self.learned = self.learned | slips
+        self.estimate = max(self.estimate, ratio) if self._slid else self._peak
+        self.learned = True

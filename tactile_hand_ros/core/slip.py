@@ -20,6 +20,7 @@ from tactile_hand_ros.core.squeeze import Split, required_squeeze, split
 
 Array = NDArray[np.float64]
 
+_NORMAL = (0.0, 1.0, 0.0)
 _MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
 
 
@@ -94,7 +95,7 @@ class SlipRegulator:
     Attributes:
         grasp_force: k_f, N.
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
-            shape can hold, NaN while unknown.
+            shape can hold, NaN while unknown or not looked at (mode user).
         state: `Grip` of each contact, shape (k,).
         friction: Estimated mu of each contact, shape (k,).
     """
@@ -103,15 +104,15 @@ class SlipRegulator:
         """Start at the configured squeeze for a hand with k fingers."""
         self.config = config
         self._k = fingers
-        self._detector = SlipDetector(config.detector, fingers)
-        self._estimator = FrictionEstimator(config.friction, fingers)
+        self._detectors = [SlipDetector(config.detector) for _ in range(fingers)]
+        self._estimators = [FrictionEstimator(config.friction) for _ in range(fingers)]
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
         """Take other limits, rates and mode; the squeeze moves on from where it is."""
         self.config = config
-        self._detector.configure(config.detector)
-        self._estimator.configure(config.friction)
+        for detector, estimator in zip(self._detectors, self._estimators, strict=True):
+            detector.config, estimator.config = config.detector, config.friction
 
     def reset(self) -> None:
         """Go back to the configured squeeze and forget what was learned."""
@@ -121,23 +122,24 @@ class SlipRegulator:
         self._last_stamp: int | None = None
         self._load: Array | None = None
         self._squeezes: deque[float] = deque(maxlen=_MEMORY)
-        self._detector.reset()
-        self._estimator.reset()
+        for detector, estimator in zip(self._detectors, self._estimators, strict=True):
+            detector.reset()
+            estimator.reset()
 
     @property
     def state(self) -> NDArray[np.int_]:
         """`Grip` of each contact, shape (k,)."""
-        return self._detector.state
+        return np.array([int(detector.state) for detector in self._detectors])
 
     @property
     def slip_likelihood(self) -> Array:
         """Evidence for slip of each contact, 0 to 1, shape (k,)."""
-        return self._detector.likelihood
+        return np.array([detector.likelihood for detector in self._detectors])
 
     @property
     def friction(self) -> Array:
         """Estimated friction of each contact, shape (k,)."""
-        return self._estimator.estimate
+        return np.array([estimator.estimate for estimator in self._estimators])
 
     def request(self, grasp_force: float) -> None:
         """Take the squeeze that the user asks for, in N.
@@ -169,7 +171,7 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            self._feel(contacts, np.where(contacts.touching[:, None], forces, np.nan), dt)
+            self._feel(contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user" and math.isfinite(self._reflex):
@@ -186,14 +188,11 @@ class SlipRegulator:
 
     def _feel(self, contacts: Contacts, forces: Array, dt: float) -> None:
         """Update slip, friction and the needed squeeze from touch."""
+        # The user's squeeze needs no opinion on what would hold.
+        parts = None if self.config.mode == "user" else self._split(contacts, forces)
+        slips = self._watch(contacts, forces, parts, dt)
+        self.needed = self._need(parts, dt)
         c = self.config.reflex
-        parts = self._split(contacts, forces)
-        state = self._detector.step(
-            forces, dt, None if parts is None else parts.squeeze, self._own_change()
-        )
-        friction = self._estimator.step(forces, state, dt)
-        self.needed = self._need(parts, friction / (1.0 + c.margin), dt)
-        slips = bool((state == Grip.SLIP).any())
         goal = self.needed if math.isfinite(self.needed) else self._reflex
         if slips:  # the load is more than friction lets through: grow until it holds
             goal = max(goal, self._reflex * math.exp(dt / c.doubling_time * math.log(2.0)))
@@ -201,11 +200,24 @@ class SlipRegulator:
         low, high = self._reflex - falls * dt, self._reflex + c.rise_rate * dt
         self._reflex = min(max(goal, low), high, self.config.maximum)
 
+    def _watch(self, contacts: Contacts, forces: Array, parts: Split | None, dt: float) -> bool:
+        """Update detectors and friction; return whether a contact slips."""
+        own_change = self._own_change()
+        axes = [_NORMAL] * self._k if parts is None else parts.squeeze.tolist()
+        felt = zip(forces.tolist(), contacts.touching.tolist(), axes, strict=True)
+        slips = False
+        for i, (force, touches, axis) in enumerate(felt):
+            known = tuple(force) if touches and math.isfinite(sum(force)) else None
+            state = self._detectors[i].step(known, axis, own_change, dt)
+            self._estimators[i].step(known, state, dt)
+            slips = slips or state is Grip.SLIP
+        return slips
+
     def _own_change(self) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
         self._squeezes.append(self.grasp_force)
-        bends = np.diff(np.array(self._squeezes), n=2)
-        return float(np.abs(bends).max()) if len(bends) else 0.0
+        s = list(self._squeezes)
+        return max((abs(c - 2.0 * b + a) for a, b, c in zip(s, s[1:], s[2:])), default=0.0)
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
@@ -216,13 +228,17 @@ class SlipRegulator:
         except CollinearContactsError:
             return None
 
-    def _need(self, parts: Split | None, friction: Array, dt: float) -> float:
+    def _need(self, parts: Split | None, dt: float) -> float:
         if parts is None or parts.grasp_force <= 0.0:
             self._load = None
             return math.nan
         load = self._foreseen(parts, dt)
         shape = parts.squeeze / parts.grasp_force
-        return max(required_squeeze(load[i], shape[i], float(friction[i])) for i in range(self._k))
+        share = 1.0 / (1.0 + self.config.reflex.margin)
+        return max(
+            required_squeeze(load[i], shape[i], share * estimator.estimate)
+            for i, estimator in enumerate(self._estimators)
+        )
 
     def _foreseen(self, parts: Split, dt: float) -> Array:
         """Smooth the load and extrapolate it by the lead time."""

@@ -1,22 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether contacts slip, from the micro-vibration that sliding leaves in their forces."""
+"""Whether a contact slips, from the micro-vibration that sliding leaves in their forces."""
 
 from __future__ import annotations
 
 import enum
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_hand_ros.core.config import Config, param
 
-Array = NDArray[np.float64]
-
+Force = tuple[float, float, float]
 
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
-_NORMAL = np.array([0.0, 1.0, 0.0])
 
 
 class SlipDetectorConfig(Config):
@@ -62,7 +57,7 @@ class Grip(enum.IntEnum):
 
 
 class SlipDetector:
-    """Watches the power of fast force changes with Page's cumulative sum test.
+    """Watches the power of fast force changes at one contact with Page's cumulative sum test.
 
     While a contact sticks, the second difference r of its force is noise of variance s^2, since
     loads change slowly against the sampling. Sliding adds vibration. The hand's own changes of the
@@ -76,89 +71,98 @@ class SlipDetector:
     more than h / 4: a push on the object shows in one sample, sliding in many.
 
     Source: Page, Continuous inspection schemes, 1954.
+
+    Attributes:
+        state: What is known of the contact.
+        evidence: The sum, above `threshold` a slip.
     """
 
-    def __init__(self, config: SlipDetectorConfig, fingers: int) -> None:
-        """Watch a number of contacts."""
-        self._k = fingers
+    def __init__(self, config: SlipDetectorConfig) -> None:
+        """Watch one contact."""
         self.config = config
         self.reset()
 
-    def configure(self, config: SlipDetectorConfig) -> None:
-        """Take other parameters; what was learned stays."""
-        self.config = config
-
     def reset(self) -> None:
         """Forget everything."""
-        k = self._k
-        self.evidence = np.zeros(k)
-        self.state = np.full(k, Grip.UNKNOWN)
-        self._variance = np.full(k, _GAIN * self.config.noise**2)
-        self._last = np.full((k, 3), np.nan)
-        self._change = np.full((k, 3), np.nan)
-        self._touched_for = np.zeros(k)
-        self._slipped_for = np.zeros(k)
+        self.state = Grip.UNKNOWN
+        self.evidence = 0.0
+        self._variance = _GAIN * self.config.noise**2
+        self._last: Force | None = None
+        self._change: Force | None = None
+        self._touched_for = self._slipped_for = 0.0
 
     @property
-    def likelihood(self) -> Array:
-        """Evidence for slip against its threshold, 0 to 1, shape (k,)."""
-        return np.minimum(self.evidence / self.config.threshold, 1.0)
+    def likelihood(self) -> float:
+        """Evidence for slip against its threshold, 0 to 1."""
+        return min(self.evidence / self.config.threshold, 1.0)
 
-    def step(
-        self, forces: Array, dt: float, squeeze: Array | None = None, own_change: float = 0.0
-    ) -> NDArray[np.int_]:
-        """Take the forces of a tick and return a `Grip` for each contact, shape (k,).
+    def step(self, force: Force | None, squeeze: Force, own_change: float, dt: float) -> Grip:
+        """Take the force of a tick and return what is known of the contact.
 
         Args:
-            forces: Measured forces in contact frames, shape (k, 3), N; NaN where unknown.
-            dt: Time since the last tick, s.
-            squeeze: Part of the forces that the hand's squeeze makes, shape (k, 3), N; the normal
-                forces by default.
+            force: Measured force in the contact frame (x, n, z), N; None where there is none.
+            squeeze: Direction in which the hand's squeeze acts here, of any length.
             own_change: How much the hand itself has just bent its squeeze, N; some of that shows
                 across the squeeze too.
+            dt: Time since the last tick, s.
         """
-        c = self.config
-        change, before = forces - self._last, self._change
-        self._last, self._change = forces.copy(), change
-        bend = across(change - before, forces * _NORMAL if squeeze is None else squeeze)
-        known = np.isfinite(bend[:, 0]) & (forces[:, 1] > c.least_force)
-        self._touched_for = np.where(known, self._touched_for + dt, 0.0)
-        power = np.where(known, (bend * bend).sum(axis=1), 0.0)
-        ready = known & (self._touched_for > c.settling_time)
+        bend = self._bend(force)
+        if force is None or bend is None or force[1] <= self.config.least_force:
+            self._touched_for = self.evidence = 0.0
+            self.state = Grip.UNKNOWN
+            return self.state
+        self._touched_for += dt
+        power = _power_across(bend, squeeze)
+        if self._touched_for <= self.config.settling_time:
+            self._learn(power, dt)
+            self.evidence = 0.0
+            self.state = Grip.UNKNOWN
+            return self.state
         # A sensor that is slower than the loop repeats its sample, which tells nothing.
-        fresh = ready & (power > 0.0)
-        least = c.least_noise**2 + np.where(known, c.relative_noise * forces[:, 1], 0.0) ** 2
-        floor = np.maximum(self._variance, _GAIN * least)
-        self._collect(power / (floor + (_LEAK * own_change) ** 2), fresh)
-        self.evidence[~ready] = 0.0
-        slipping = np.where(
-            self.state == Grip.SLIP,
-            self.evidence > 0.75 * c.threshold,
-            self.evidence > c.threshold,
-        )
-        self._slipped_for = np.where(slipping, self._slipped_for + dt, 0.0)
-        plain = ~slipping | (self._slipped_for > c.patience)
-        self._learn(power, known & plain & (power > 0.0), dt)
-        self.state = np.where(ready, np.where(slipping, Grip.SLIP, Grip.STICK), Grip.UNKNOWN)
+        if power > 0.0:
+            self._collect(power, force[1], own_change)
+        self._decide(dt)
+        if power > 0.0 and (self.state is Grip.STICK or self._slipped_for > self.config.patience):
+            self._learn(power, dt)
         return self.state
 
-    def _collect(self, relative: Array, fresh: NDArray[np.bool_]) -> None:
-        c = self.config
-        gain = 0.5 * ((1.0 - 1.0 / c.ratio) * relative - 2.0 * math.log(c.ratio))
-        total = np.maximum(self.evidence + np.minimum(gain, 0.25 * c.threshold), 0.0)
-        self.evidence = np.where(fresh, np.minimum(total, 1.2 * c.threshold), self.evidence)
+    def _bend(self, force: Force | None) -> Force | None:
+        """Return the second difference of the force, None until there are three samples."""
+        last, before = self._last, self._change
+        self._last = force
+        if force is None or last is None:
+            self._change = None
+            return None
+        change = (force[0] - last[0], force[1] - last[1], force[2] - last[2])
+        self._change = change
+        if before is None:
+            return None
+        return change[0] - before[0], change[1] - before[1], change[2] - before[2]
 
-    def _learn(self, power: Array, sticking: NDArray[np.bool_], dt: float) -> None:
+    def _collect(self, power: float, normal: float, own_change: float) -> None:
+        c = self.config
+        least = _GAIN * (c.least_noise**2 + (c.relative_noise * normal) ** 2)
+        variance = max(self._variance, least) + (_LEAK * own_change) ** 2
+        gain = 0.5 * ((1.0 - 1.0 / c.ratio) * power / variance - 2.0 * math.log(c.ratio))
+        total = max(0.0, self.evidence + min(gain, 0.25 * c.threshold))
+        self.evidence = min(total, 1.2 * c.threshold)
+
+    def _decide(self, dt: float) -> None:
+        slips = self.evidence > (0.75 if self.state is Grip.SLIP else 1.0) * self.config.threshold
+        self._slipped_for = self._slipped_for + dt if slips else 0.0
+        self.state = Grip.SLIP if slips else Grip.STICK
+
+    def _learn(self, power: float, dt: float) -> None:
         """Follow the noise, quickly after touching; a push counts for no more than its noise."""
-        c = self.config
-        time = np.minimum(c.learning_time, np.maximum(self._touched_for, 1e-9))
-        share = np.where(sticking, np.minimum(dt / np.maximum(time, 10.0 * dt + 1e-12), 1.0), 0.0)
-        bounded = np.minimum(power / 2.0, 3.0 * self._variance)
-        self._variance = self._variance + share * (bounded - self._variance)
+        time = max(min(self.config.learning_time, self._touched_for), 10.0 * dt, 1e-9)
+        bounded = min(0.5 * power, 3.0 * self._variance)
+        self._variance += min(dt / time, 1.0) * (bounded - self._variance)
 
 
-def across(vectors: Array, axes: Array) -> Array:
-    """Return vectors without their parts along axes of any length, both of shape (k, 3)."""
-    length = (axes * axes).sum(axis=1, keepdims=True)
-    along = (vectors * axes).sum(axis=1, keepdims=True) / np.maximum(length, 1e-300)
-    return np.asarray(vectors - along * axes)
+def _power_across(vector: Force, axis: Force) -> float:
+    """Return the square of the part of a vector that is normal to an axis of any length."""
+    x, y, z = vector
+    a, b, c = axis
+    length = a * a + b * b + c * c
+    along = x * a + y * b + z * c
+    return max(0.0, x * x + y * y + z * z - (along * along / length if length > 0.0 else 0.0))
