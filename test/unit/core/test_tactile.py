@@ -186,3 +186,10 @@ def test_noise_may_change_while_running():
     assert np.abs(skin.step(TICK, truth()).forces - truth().forces).max() > 1e-3
     skin.configure(TactileSensorConfig())
     np.testing.assert_array_equal(skin.step(2 * TICK, truth()).forces, truth().forces)
+
+
+def test_a_lost_sample_repeats_the_one_before_it_even_while_that_is_still_on_its_way():
+    """With latency the newest sample is not yet published; it is the one to repeat all the same."""
+    lossy = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4), 200)]
+    late = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4, latency=0.01), 200)]
+    np.testing.assert_array_equal(late[5:], lossy[:-5])
