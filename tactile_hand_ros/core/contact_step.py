@@ -48,6 +48,7 @@ class Body(NamedTuple):
     Attributes:
         position: Centre of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
+        spin: Angular velocity half a step ahead, shape (3,), rad/s.
         mass: Mass, kg.
         inertia: Inertia in the object frame, shape (3, 3), kg m^2.
         wrench: External wrench and weight about the centre of mass, shape (6,), N and N m.
@@ -55,6 +56,7 @@ class Body(NamedTuple):
 
     position: Array
     rotation: Array
+    spin: Array
     mass: float
     inertia: Array
     wrench: Array
@@ -205,7 +207,7 @@ def _response(
     """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
     m, c = len(hand.push), len(rows)
     turning = rotation @ body.inertia @ rotation.T
-    spin = v[m + 3 :]
+    spin = body.spin
     momentum = turning @ spin
     right = np.empty((m + 6, c + 1))
     right[:, :c] = rows.T

@@ -104,7 +104,7 @@ class Plant:
         self.time = 0.0
         self._steps = 0
         self._theta = self._initial_joints.copy()
-        self._v = np.zeros(self.hand.joints + 6)
+        self._v = self._v_before = np.zeros(self.hand.joints + 6)
         self._position = np.array(c.position)
         self._rotation = rotation_from_vector(c.rotation)
         self._close_gaps()
@@ -159,7 +159,9 @@ class Plant:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
-        tips, inertia, bias = self.hand.dynamics(self._theta + 0.5 * h * v[:m], v[:m])
+        # Forces that grow with the square of the rates need them half a step ahead as well.
+        ahead = v + 0.5 * (v - self._v_before)
+        tips, inertia, bias = self.hand.dynamics(self._theta + 0.5 * h * v[:m], ahead[:m])
         hand = HandTerms(
             tips.positions,
             tips.linear,
@@ -169,10 +171,13 @@ class Plant:
             self.hand.radii,
         )
         wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + self._weight
-        body = Body(self._position, self._rotation, self._mass, self._inertia, wrench)
+        body = Body(
+            self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
+        )
         after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses)
         self._theta = self._theta + 0.5 * h * (v[:m] + after.velocities[:m])
-        self._position, self._rotation, self._v = after.position, after.rotation, after.velocities
+        self._position, self._rotation = after.position, after.rotation
+        self._v_before, self._v = v, after.velocities
         self._impulses, self._sliding = after.impulses, after.sliding
         self._slid = self._slid + h * np.hypot(self._sliding[:, 0], self._sliding[:, 1])
         self.contact_residual = after.residual

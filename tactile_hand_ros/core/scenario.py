@@ -26,7 +26,7 @@ Vector = tuple[float, float, float]
 
 _MAX_DEPTH = 8  # of scenarios that extend each other
 # What is said once for the whole scenario and handed to every node that has such a parameter.
-_SHARED = ("hand", "layout", "seed", "duration")
+_SHARED = ("hand", "layout", "gravity", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 
 
@@ -76,6 +76,7 @@ class Scenario(Config):
     description: str = param("", "what happens and why, in a sentence")
     hand: str = param("paper", "hand by name or YAML file")
     layout: str = param("", "layout of the hand's fingers; empty for its default")
+    gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
     seed: int = param(1, "seed of everything random", ge=0)
     targets: list[TargetConfig] = param([], "desired poses over time")

@@ -19,7 +19,7 @@ HIDDEN = {
     "mass": {"plant.object.mass": 0.4},
     "inertia": {"plant.object.inertia": [0.01, 0.02, 0.03]},
     "friction": {"plant.object.friction": 0.05},
-    "weight": {"plant.gravity": [0.0, 0.0, -2.0]},
+    "weight": {"gravity": [0.0, 0.0, -2.0]},
     "size behind the contacts": {"plant.object.size": [0.2604, 0.2604, 0.5]},
     "push": {"plant.disturbances": [{"force": [0.2, 0.0, 0.0]}]},
 }
