@@ -18,6 +18,7 @@ from tactile_hand_ros.core.config import parse_yaml
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.core.warm_up import warm_up
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
 from tactile_hand_ros.orchestrator.processes import Launcher
@@ -93,6 +94,8 @@ def _checked(name: str, changes: dict[str, Any]) -> Scenario:
     """Load a scenario and make sure that it can work."""
     scenario = load_scenario(name, changes)
     check_scenario(scenario)
+    # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
+    warm_up()
     return scenario
 
 
