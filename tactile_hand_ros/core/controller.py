@@ -16,6 +16,7 @@ from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.manipulation import AuxiliaryPose, LawConfig, ManipulationLaw, Target
 from tactile_hand_ros.core.reach import check_reach
 from tactile_hand_ros.core.reference import SmoothReference
+from tactile_hand_ros.core.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.core.safe_hold import HoldConfig, SafeHold
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ class ControllerConfig(Config):
         le=60.0,
     )
     hold: HoldConfig = HoldConfig()
+    regrasp: RegraspConfig = RegraspConfig()
     input_timeout: float = param(
         0.5, "silence of touch, f* or k_f after which the hand holds", unit="s", gt=0.0, le=60.0
     )
@@ -55,6 +57,7 @@ class Mode(enum.Enum):
 
     DRIVE = "drive"
     HOLD = "hold"
+    OPEN = "open"
     DISABLED = "disabled"
 
 
@@ -64,7 +67,7 @@ class Command:
 
     Attributes:
         torque: Joint torques, shape (m,), N m.
-        mode: Drive, hold or disabled.
+        mode: Drive, hold, open or disabled.
         pose: What the hand believes of the object; None when it cannot tell.
         reason: Why it holds, or why a target was refused; empty otherwise.
     """
@@ -93,6 +96,7 @@ class Controller:
         self._law = ManipulationLaw(config.law, self.hand.radii)
         self._reference = SmoothReference()
         self._hold = SafeHold(config.hold)
+        self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.reset()
 
@@ -106,10 +110,12 @@ class Controller:
         self._law.reset()
         self._reference.reset()
         self._hold.release()
+        self._regrasp.finish()
         self._squeeze = np.zeros(self.hand.joints)
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
         self._drove = False
+        self._open_stamp: int | None = None
         self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
         self.target: Target | None = None
         self._queue: list[tuple[int, Target]] = []
@@ -129,6 +135,21 @@ class Controller:
         if stamp <= (self._last_stamp or 0):
             stamp = 0
         self._queue = sorted([*self._queue, (stamp, target)], key=lambda item: item[0])
+
+    def release(self) -> None:
+        """Let go of the object: the fingers open along the normals of the last grasp.
+
+        Raises:
+            GraspError: If there has been no grasp yet.
+        """
+        if self._grasp is None:
+            raise GraspError("there is no grasp to let go of; let all fingers touch first")
+        self._regrasp.leave(self._grasp[0], self._grasp[1])
+
+    def grasp(self) -> None:
+        """Close the fingers until all of them touch, and take what they hold as a new grasp."""
+        if self._regrasp.active:
+            self._regrasp.close()
 
     def step(
         self,
@@ -155,6 +176,8 @@ class Controller:
         self._last_stamp = stamp
         if not self.enabled:
             return self._disabled(theta, rates)
+        if self._regrasp.active and not self._regrasped(contacts):
+            return self._open(theta, rates, contacts, stamp)
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
             return self.hold(theta, rates, problem)
@@ -194,6 +217,27 @@ class Controller:
         self._squeeze = np.zeros(self.hand.joints)
         torque = self._gravity(theta) - self.config.law.damping * rates
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
+
+    def _regrasped(self, contacts: Contacts) -> bool:
+        """Return whether closing fingers have all touched; then a new grasp begins."""
+        if not (self._regrasp.closing and contacts.touching.all()):
+            return False
+        self._regrasp.finish()
+        self._open_stamp = None
+        self._law.reset()
+        self._reference.reset()
+        self.target = None
+        return True
+
+    def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
+        dt = 0.0 if self._open_stamp is None else max(0.0, 1e-9 * (stamp - self._open_stamp))
+        self._open_stamp = stamp
+        self._drove = False
+        self._last_torque = None
+        self._squeeze = np.zeros(self.hand.joints)
+        self._hold.move(self._regrasp.posture(contacts, dt), self._squeeze)
+        torque = self._hold.torque(theta, rates) + self._gravity(theta)
+        return Command(torque, Mode.OPEN, None, "let go by the user")
 
     def _elapsed(self, stamp: int) -> float:
         """Return the time since the last tick in s; nothing is integrated over an interruption."""

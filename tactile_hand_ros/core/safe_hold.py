@@ -47,6 +47,10 @@ class SafeHold:
         if self._posture is None:
             self._posture, self._squeeze = theta.copy(), squeeze.copy()
 
+    def move(self, theta: Array, squeeze: Array) -> None:
+        """Hold another posture with another torque from now on, both of shape (m,)."""
+        self._posture, self._squeeze = theta, squeeze
+
     def release(self) -> None:
         """Let go of the posture."""
         self._posture = None
