@@ -41,6 +41,10 @@ OBJECT_FRAME = "object"
 TICK_DEPTH = 100
 """Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
 
+PUBLISHED_DEPTH = 3000
+"""Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
+In lockstep everybody waits for everybody else, but nobody waits for the recorder."""
+
 
 def wrench(finger: str) -> str:
     """Return the topic of the measured contact force of a finger."""
@@ -75,6 +79,13 @@ def tick_qos() -> QoSProfile:
     )
 
 
+def tick_publisher_qos() -> QoSProfile:
+    """Return the profile with which ticks are published: as `tick_qos`, with a longer memory."""
+    profile = tick_qos()
+    profile.depth = PUBLISHED_DEPTH
+    return profile
+
+
 def latched_qos() -> QoSProfile:
     """Return the profile of values that late subscribers must get: transient local, depth 1."""
     return QoSProfile(
@@ -86,10 +97,10 @@ def latched_qos() -> QoSProfile:
 
 
 def user_qos() -> QoSProfile:
-    """Return the profile of what a user or tool sends and watches: reliable, depth 10."""
+    """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
-        depth=10,
+        depth=100,
         reliability=QoSReliabilityPolicy.RELIABLE,
         durability=QoSDurabilityPolicy.VOLATILE,
     )

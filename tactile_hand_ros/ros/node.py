@@ -114,7 +114,7 @@ class TactileNode(Node, Generic[C]):
 
     def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
         """Create a publisher for something that carries a tick."""
-        return self.create_publisher(message_type, topic, interfaces.tick_qos())
+        return self.create_publisher(message_type, topic, interfaces.tick_publisher_qos())
 
     def subscribe(
         self,
