@@ -110,6 +110,8 @@ class SlipRegulator:
 
     def configure(self, config: SlipRegulatorConfig) -> None:
         """Take other limits, rates and mode; the squeeze moves on from where it is."""
+        if config.mode != self.config.mode:
+            self._asked = self._reflex = self.grasp_force
         self.config = config
         for detector, estimator in zip(self._detectors, self._estimators, strict=True):
             detector.config, estimator.config = config.detector, config.friction
@@ -117,7 +119,8 @@ class SlipRegulator:
     def reset(self) -> None:
         """Go back to the configured squeeze and forget what was learned."""
         start = self.config.grasp_force
-        self.grasp_force = self._asked = self._goal = self._reflex = start
+        self.grasp_force: float = start
+        self._asked = self._goal = self._reflex = start
         self.needed = math.nan
         self._last_stamp: int | None = None
         self._load: Array | None = None

@@ -124,3 +124,27 @@ def test_touch_does_not_change_what_the_user_asked_for():
     slip = regulator(grasp_force=6.0)
     forces = np.array([[3.0, 4.0, 3.0]] * 3)
     assert [slip.step(i * TICK, contacts, forces) for i in range(50)] == [6.0] * 50
+
+
+def test_a_change_of_mode_makes_no_jump():
+    """The squeeze falls to what the user asks for, and rises to it, at the user's rates."""
+    from support.plants import plant
+
+    contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
+    slip = regulator(mode="auto", grasp_force=6.0)
+
+    def change(mode, at, ticks):
+        slip.configure(SlipRegulatorConfig(mode=mode, grasp_force=6.0))
+        before = slip.grasp_force
+        found = [slip.step((at + i) * TICK, contacts, forces) for i in range(ticks)]
+        return np.array([before, *found])
+
+    needed = change("auto", 0, 500)[-1]
+    assert needed > 10.0
+    down = change("user", 500, 1000)
+    assert down[0] == needed and np.diff(down).min() >= -20.0 * 0.002 - 1e-9
+    assert down[-1] == pytest.approx(6.0, abs=1e-6)
+    slip.request(30.0)
+    assert change("auto", 1500, 500)[-1] < needed  # the user's wish does not count there
+    up = change("shared", 2000, 1000)
+    assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
