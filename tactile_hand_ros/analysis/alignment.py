@@ -64,6 +64,7 @@ class _Alignment:
         record = Record.empty(len(self._ticks), list(self._topics.fingers), self._joints)
         record.stamps[:] = self._ticks
         self._write_joints(record)
+        self._write_grip(record)
         self._write_contacts(names.CONTACTS, record.contact_positions, record.contact_quaternions)
         self._write_contacts(names.TRUE_CONTACTS, record.true_positions, record.true_quaternions)
         self._write_forces(names.WRENCH, record.forces)
@@ -96,6 +97,17 @@ class _Alignment:
             (record.command, command, "effort"),
         ):
             array[:] = self._placed(source, source.joints(field, self._joints))
+
+    def _write_grip(self, record: Record) -> None:
+        grip, slip = self._named(names.GRIP_STATE), self._named(names.TRUE_SLIP)
+        for array, source, field in (
+            (record.friction, grip, "position"),
+            (record.slip_evidence, grip, "velocity"),
+            (record.grip, grip, "effort"),
+            (record.true_slid, slip, "position"),
+            (record.true_sliding, slip, "velocity"),
+        ):
+            array[:] = self._placed(source, source.joints(field, record.finger_names))
 
     def _write_contacts(self, name: str, positions: Array, quaternions: Array) -> None:
         series, k = self._named(name), len(self._topics.fingers)

@@ -17,10 +17,12 @@ JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
 CONTACTS = "tactile/contacts"
 GRASP_FORCE = "grasp_force"
+GRIP_STATE = "grip_state"
 DESIRED_POSE = "desired_pose"
 AUXILIARY_POSE = "auxiliary_pose"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
+TRUE_SLIP = "ground_truth/slip"
 WRENCH = "tactile/{}/wrench"
 OPTIMAL_FORCE = "optimal_force/{}"
 TRUE_WRENCH = "ground_truth/{}/wrench"
@@ -33,10 +35,12 @@ _TYPES = {
     JOINT_COMMAND: "sensor_msgs/msg/JointState",
     CONTACTS: "geometry_msgs/msg/PoseArray",
     GRASP_FORCE: "geometry_msgs/msg/WrenchStamped",
+    GRIP_STATE: "sensor_msgs/msg/JointState",
     DESIRED_POSE: "geometry_msgs/msg/PoseStamped",
     AUXILIARY_POSE: "geometry_msgs/msg/PoseStamped",
     OBJECT_POSE: "geometry_msgs/msg/PoseStamped",
     TRUE_CONTACTS: "geometry_msgs/msg/PoseArray",
+    TRUE_SLIP: "sensor_msgs/msg/JointState",
 }
 
 

@@ -48,7 +48,11 @@ class TargetConfig(Config):
 
 
 class UserForceConfig(Config):
-    """A squeeze that the user asks for, and when."""
+    """A squeeze that the user asks for, and when.
+
+    `ClosedLoop` takes it at that very tick. Over ROS it is sent when the orchestrator sees that the
+    time has come, as a user would, and so arrives some ticks later, not always as many.
+    """
 
     time: float = param(0.0, "simulated time of the request", unit="s", ge=0.0)
     force: float = param(..., "k_f", unit="N", gt=0.0)

@@ -3,8 +3,10 @@
 
 Safe state: where (13) has no answer (a contact is missing, the contacts lie on a line, the normals
 cannot balance) it publishes NaN, never an old answer, and says why; the controller then holds the
-hand. Contacts that cannot be used are counted and dropped. When it is silent or dies, the
-controller holds the hand after its `input_timeout`.
+hand. With `cones` it answers only ticks at which the forces of all fingers and the state of their
+grip have come too; where no f* lies inside the learned friction cones it publishes the one that
+leaves them least, and warns. Input that cannot be used is counted and dropped. When it is silent or
+dies, the controller holds the hand after its `input_timeout`.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from geometry_msgs.msg import PoseArray, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 
+from tactile_hand_ros.core.cone_optimizer import Cones
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.force_optimizer import (
     ForceOptimizer,
@@ -23,24 +26,34 @@ from tactile_hand_ros.core.force_optimizer import (
     OptimalForces,
 )
 from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.diagnostics import WARN, Mostly
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.optimizer_inputs import Felt, OptimizerInputs
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.wire import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.wire import WrenchCodec
+
+_OUTSIDE = -1e-5
+"""Cone margin below which f* is outside, and not on the edge by the solver's accuracy."""
 
 
 class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     """Publishes the optimal normalised forces f* of each tick.
 
-    Subscription: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m).
+    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). With `cones` also,
+    of the same stamp: `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`,
+    N) and `grip_state` (sensor_msgs/JointState by finger, of which the learned friction counts);
+    without, they would only cost time.
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
-    Once a second: `/diagnostics` with status, residual, iterations and time of the solver.
+    Once a second: `/diagnostics` with status, residual, iterations and time of the solver, and with
+    `cones` the margin that certifies f* (the least mu f_n - |f_t| per unit of squeeze) and whether
+    the cones have shaped it.
 
-    Parameters: the fields of `ForceOptimizerConfig`; all but `hand` are live. When the stamps jump
-    back, the solver forgets its last answer.
+    Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and `cone_share` are
+    live. When the stamps jump back, the solver forgets its last answer and the load.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -61,9 +74,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._publishers = [
             self.tick_publisher(WrenchStamped, interfaces.optimal_force(name)) for name in fingers
         ]
-        self._contacts = ContactsCodec(self._fingers)
-        self._matcher = StampMatcher((interfaces.CONTACTS,), on_restart=self._optimizer.reset)
-        self.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
+        self._uncertified = Mostly()
+        self._cone_watch = ConeWatch(self.config.load_time)
+        self._inputs = OptimizerInputs(self, fingers, self, cones=self.config.cones)
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
         """Refuse weights that do not fit the hand."""
@@ -82,30 +95,44 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             put("residual", optimal.residual)
             put("solve_time_us", 1e6 * optimal.solve_time)
             put("iterations", optimal.iterations)
+            put("cone_margin", optimal.cone_margin)
+            put("shaped", optimal.shaped)
+            self.diagnostics.judge(
+                "cones",
+                self._uncertified(),
+                f"no f* lies inside the estimated friction cones (margin {optimal.cone_margin:.3g} "
+                "per unit of squeeze); a contact will slip unless the squeeze rises or load goes",
+                WARN,
+            )
 
-    def _on_contacts(self, data: bytes) -> None:
-        stamp, (positions, quaternions) = self._contacts.decode(data)
-        matched = self._matcher.put(interfaces.CONTACTS, stamp, None)
-        if matched is None:
-            return
-        if matched is REPEAT:
-            self._publish()
-            return
+    def on_restart(self) -> None:
+        """Begin anew with the ticks."""
+        self._optimizer.reset()
+        self._cone_watch.reset()
+
+    def on_tick(self, stamp: int, contacts: Contacts, felt: Felt | None) -> None:
+        """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        optimal = self._optimizer.solve(Contacts.from_poses(positions, quaternions))
+        cones: Cones | None = None
+        if felt is not None:
+            usable = self.config.cone_share * felt.friction
+            cones = self._cone_watch.step(stamp, contacts, felt.forces, usable)
+        optimal = self._optimizer.solve(contacts, cones)
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
-        self._publish()
+        self.on_repeat()
         self._judge(optimal)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 
-    def _publish(self) -> None:
+    def on_repeat(self) -> None:
+        """Give the last answer, which may be a new one."""
         for publisher, message in zip(self._publishers, self._sent, strict=True):
             publisher.publish(message)
 
     def _judge(self, optimal: OptimalForces) -> None:
         self._optimal = optimal
+        self._uncertified.note(optimal.cone_margin < _OUTSIDE)  # NaN: not looked at
         self._unanswered += not optimal.ok
         if optimal.reason == self._reason:
             return

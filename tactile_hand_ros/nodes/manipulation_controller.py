@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manipulation controller: joint torques that hold the object and bring it where it shall be.
 
-Safe state: posture and last good squeeze are held when a contact, f* or k_f is missing or NaN, and,
-with the names of the missing inputs in `/diagnostics`, when joint states come without them for
-`input_timeout`. The hold ends by itself when all inputs of a tick are there again. A desired pose
-that is NaN, in another frame or out of reach is counted and dropped, and the old one stays. Without
-joint states it says nothing; then, and when it dies, the plant (or the drivers of a real hand) must
-hold the joints. Disabled by the user it only damps.
+Safe state: posture and last good squeeze are held when a contact, f*, k_f or, where the load is
+observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
+when joint states come without them for `input_timeout`. The hold ends by itself when all inputs of
+a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
+dropped, and the old one stays. Without joint states it says nothing; then, and when it dies, the
+plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
+from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.manipulation import Target
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
@@ -38,8 +39,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
     (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
-    without unit), all of one stamp; `desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m;
-    holds from the tick in its stamp on, at once when that is past or 0).
+    without unit), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
+    (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all of one stamp; `desired_pose`
+    (geometry_msgs/PoseStamped, frame `palm`, m; holds from the tick in its stamp on, at once when
+    that is past or 0).
 
     Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
@@ -48,7 +51,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
     the stamps does; `~/enable` (std_srvs/SetBool) switches between the law and mere damping.
 
-    Parameters: the fields of `ControllerConfig`; gains are live, the law is not.
+    Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
+    was started with `law.observer.time` 0 refuses another value: it does not hear any forces.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -70,9 +74,20 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         # First, so that of a pose and a tick that wait together the pose is handled first.
         qos = interfaces.user_qos()
         self.subscribe(PoseStamped, interfaces.DESIRED_POSE, self._on_desired, qos=qos)
-        self._inputs = ControllerInputs(self, hand, self.config.input_timeout, self)
+        self._feels = self.config.law.observer.time > 0.0
+        timeout = self.config.input_timeout
+        self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
         self.create_service(SetBool, interfaces.ENABLE, self._on_enable)
+
+    def check_config(self, config: ControllerConfig) -> None:
+        """Refuse to observe a load without forces."""
+        if config.law.observer.time > 0.0 and not self._feels:
+            raise ConfigurationError(
+                f"law.observer.time = {config.law.observer.time}: the controller was started with "
+                "0 and does not listen to forces; start it anew with this value",
+                place="law.observer.time",
+            )
 
     def on_config(self, config: ControllerConfig) -> None:
         """Take other gains."""

@@ -34,7 +34,8 @@ class PlantNode(TactileNode[PlantConfig]):
     Publications, all with the tick as stamp: `joint_states` (sensor_msgs/JointState, rad, rad/s and
     the torque that acted, N m), `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
-    `ground_truth/object_pose` (geometry_msgs/PoseStamped, palm frame, m), `clock`
+    `ground_truth/slip` (sensor_msgs/JointState by finger: distance slid, m, and sliding speed,
+    m/s), `ground_truth/object_pose` (geometry_msgs/PoseStamped, palm frame, m), `clock`
     (rosgraph_msgs/Clock; `/clock` outside of namespaces). Once: `robot_description`
     (std_msgs/String, URDF). Once a second: `/diagnostics`.
 

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip regulator: how hard the hand squeezes.
 
-Safe state: it gives k_f only for ticks at which contacts and every finger's force have come; a
-finger that is silent or says NaN leaves the tick without k_f, and the controller holds the hand. A
-request of the user outside the limits is counted and dropped, and the squeeze stays. When it dies,
-the controller holds the last squeeze; a new one starts at the configured k_f.
+Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
+every mode; a finger that is silent or says NaN leaves the tick without k_f, and the controller
+holds the hand. Where a finger has no contact nothing is known of the object's need, and the reflex
+keeps its squeeze. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
+help, is a warning in `/diagnostics`. A request of the user outside the limits is counted and
+dropped, and the squeeze stays. When it dies, the controller holds the last squeeze; a new one
+starts at the configured k_f and has to learn the friction again.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
-from sensor_msgs.msg import JoyFeedbackArray
+from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
@@ -28,28 +31,33 @@ from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.conversions import feedback_to_ros, number_from_ros
 from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.regulator_report import RegulatorReport
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.wire import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.wire import ContactsCodec, GripCodec, WrenchCodec
 
 HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
 
 
 class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
-    """Publishes the squeeze k_f at each tick.
+    """Publishes the squeeze k_f, and how well each finger grips, at each tick.
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
     stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N).
 
-    Publications: `grasp_force` (geometry_msgs/WrenchStamped, k_f in force.y, N; stamp of the
-    input), `haptic_feedback` (sensor_msgs/JoyFeedbackArray, 50 Hz: id 0 grip as share of the
-    maximum, id 1 slip, 0 to 1). Once a second: `/diagnostics`.
+    Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
+    0 to 1, `Grip`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
+    id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
+    0 to 1). Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs, and
+    friction, grip and number of slips of each finger.
 
-    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f, as a jump back of the
-    stamps does.
+    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
+    learned, as a jump back of the stamps does.
 
-    Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live.
+    Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live. The
+    mode may change at any time: the squeeze moves on from where it is.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -61,19 +69,22 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
+        self._report = RegulatorReport(self.diagnostics, fingers)
+        self._grips = GripCodec(fingers)
+        self._grip_publisher = self.tick_publisher(JointState, interfaces.GRIP_STATE)
         self._codec = WrenchCodec(interfaces.PALM_FRAME)
         self._publisher = self.tick_publisher(WrenchStamped, interfaces.GRASP_FORCE)
         self._haptic_publisher = self.create_publisher(
             JoyFeedbackArray, interfaces.HAPTIC_FEEDBACK, interfaces.user_qos()
         )
         self._haptic = feedback_to_ros((0.0, 0.0))
-        self._sent = b""
-        self._felt = -1
+        self._sent = self._grip_sent = b""
+        self._felt, self._strongest = -1, 0.0
         qos = interfaces.user_qos()
         self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
         topics = [interfaces.wrench(name) for name in fingers]
         keys = (interfaces.CONTACTS, *topics)
-        self._matcher = StampMatcher(keys, on_restart=self._regulator.reset)
+        self._matcher = StampMatcher(keys, on_restart=self._restart)
         self._contacts = ContactsCodec(len(fingers))
         self.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
         for name, topic in zip(fingers, topics, strict=True):
@@ -82,22 +93,22 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
-        """Take other limits and rates."""
+        """Take another mode, other limits and rates."""
         self._regulator.configure(config)
 
     def on_report(self) -> None:
-        """Report the squeeze and what was learned of friction."""
-        put, regulator = self.diagnostics.value, self._regulator
-        put("grasp_force_n", regulator.grasp_force)
-        put("needed_force_n", regulator.needed)
-        put("slip_likelihood", float(regulator.slip_likelihood.max()))
-        put("friction", " ".join(f"{mu:.3g}" for mu in regulator.friction))
+        """Report the squeeze and what was learned of the contacts."""
+        self._report.report(self._regulator)
+
+    def _restart(self) -> None:
+        self._regulator.reset()
+        self._report.reset()
 
     def _on_user_force(self, message: Float64) -> None:
         self._regulator.request(number_from_ros(message))
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._regulator.reset()
+        self._restart()
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
@@ -114,19 +125,34 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         if matched is None:
             return
         if matched is REPEAT:
-            self._publisher.publish(self._sent)
+            self._publish()
             return
         began = time.perf_counter()
         contacts, *forces = matched
-        grasp_force = self._regulator.step(stamp, contacts, np.array(forces))
+        regulator = self._regulator
+        grasp_force = regulator.step(stamp, contacts, np.array(forces))
+        grip, evidence = regulator.state, regulator.slip_likelihood
+        self._grip_sent = self._grips.encode(
+            stamp, regulator.friction, evidence, grip.astype(float)
+        )
         self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
-        self._publisher.publish(self._sent)
-        if stamp // HAPTIC_PERIOD_NS != self._felt:
-            self._felt = stamp // HAPTIC_PERIOD_NS
-            levels = (grasp_force / self.config.maximum, self._regulator.slip_likelihood.max())
-            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+        self._publish()
+        self._report.note(regulator, grip)
+        self._tell_user(stamp, grasp_force / self.config.maximum, float(evidence.max()))
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _publish(self) -> None:
+        self._grip_publisher.publish(self._grip_sent)  # first: f* may wait for it
+        self._publisher.publish(self._sent)
+
+    def _tell_user(self, stamp: int, grip: float, slip: float) -> None:
+        self._strongest = max(self._strongest, slip)
+        if stamp // HAPTIC_PERIOD_NS != self._felt:
+            self._felt = stamp // HAPTIC_PERIOD_NS
+            levels = (grip, self._strongest)
+            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+            self._strongest = 0.0
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tactile sensor: what a skin would say of the true contacts.
 
-Safe state: without true contacts it says nothing, and the controller holds the hand. Input that
-cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its tick stays
-without an answer. When it dies, whoever waits for touch notices by the silence.
+Safe state: without true contacts, forces and sliding it says nothing, and the controller holds the
+hand. Input that cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its
+tick stays without an answer. Nothing of what it publishes tells slip: that shows in the vibration
+of the forces only. When it dies, whoever waits for touch notices by the silence.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
+from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.tactile import TactileReading, TactileSensor, TactileSensorConfig
@@ -24,21 +26,23 @@ from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.readings import ReadingPublisher
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.wire import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.wire import ContactsCodec, SlipCodec, WrenchCodec
 
 
 class TactileSensorNode(TactileNode[TactileSensorConfig]):
     """Turns true contacts into tactile readings, tick by tick.
 
     Subscriptions: `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
-    `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N).
+    `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
+    `ground_truth/slip` (sensor_msgs/JointState by finger, of which the sliding speed counts, m/s),
+    all of one stamp.
 
     Publications, with the stamps of the input: `tactile/contacts` (geometry_msgs/PoseArray, palm
     frame, m; NaN where a finger does not touch), `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
 
-    Parameters: the fields of `TactileSensorConfig`; noise, resolution and dropout are live. When
-    the stamps jump back, noise starts anew from its seed.
+    Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration and dropout are
+    live. When the stamps jump back, noise starts anew from its seed.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -54,9 +58,11 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._publisher = ReadingPublisher(self, fingers, interfaces.CONTACTS, interfaces.wrench)
         self._contacts = ContactsCodec(len(fingers))
         topics = [interfaces.true_wrench(name) for name in fingers]
-        keys = (interfaces.TRUE_CONTACTS, *topics)
+        keys = (interfaces.TRUE_CONTACTS, interfaces.TRUE_SLIP, *topics)
         self._matcher = StampMatcher(keys, on_restart=self._sensor.reset)
+        self._slip = SlipCodec(fingers)
         self.subscribe(PoseArray, interfaces.TRUE_CONTACTS, self._on_contacts, raw=True)
+        self.subscribe(JointState, interfaces.TRUE_SLIP, self._on_slip, raw=True)
         for name, topic in zip(fingers, topics, strict=True):
             codec = WrenchCodec(interfaces.contact_frame(name))
             self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
@@ -68,6 +74,10 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     def _on_contacts(self, data: bytes) -> None:
         stamp, contacts = self._contacts.decode(data)
         self._take(interfaces.TRUE_CONTACTS, stamp, contacts)
+
+    def _on_slip(self, data: bytes) -> None:
+        stamp, (_, speeds) = self._slip.decode(data)
+        self._take(interfaces.TRUE_SLIP, stamp, speeds)
 
     def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
         stamp, force = codec.decode(data)
@@ -81,9 +91,9 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             self._publisher.repeat()
             return
         began = time.perf_counter()
-        (positions, quaternions), *forces = matched
+        (positions, quaternions), speeds, *forces = matched
         true = TactileReading(positions, quaternions, np.array(forces))
-        self._publisher.publish(self._sensor.step(stamp, true), stamp)
+        self._publisher.publish(self._sensor.step(stamp, true, speeds), stamp)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 

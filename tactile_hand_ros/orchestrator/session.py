@@ -14,13 +14,12 @@ from rclpy.node import Node
 from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.core.config import Config
 from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.orchestrator.monitor import Monitor
 from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
-from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
+from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import (
     CONTROLLER,
@@ -200,14 +199,15 @@ class Session:
     def _conduct(self, node: Node, view: View) -> None:
         steering = Steering(node, self._check)
         monitor = Monitor(node)
-        fingers = load_hand_config(self.plan.scenario.hand).finger_names
-        wiring = Wiring(node, fingers, recorded=self.plan.record)
+        wiring = Wiring(node, self.plan.scenario, recorded=self.plan.record)
         self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
         steering.command(self.plan.scenario.targets)
+        asking = UserForces(self.plan.scenario.user_forces, steering.squeeze)
+        asking.step(0)
         self.outcome.done("targets_sent")
         steering.run(True)
         try:
-            self._watch(monitor, view)
+            self._watch(monitor, view, asking)
         finally:
             self._come_to_rest(steering, monitor)
 
@@ -258,8 +258,8 @@ class Session:
             lines += [f"{name} | {line}" for line in tail] or [f"{name} has not said anything"]
         return "\n".join(lines)
 
-    def _watch(self, monitor: Monitor, view: View) -> None:
-        """Follow the run to its last tick.
+    def _watch(self, monitor: Monitor, view: View, asking: UserForces) -> None:
+        """Follow the run to its last tick, and ask for the squeezes that are due.
 
         Raises:
             Interrupted: After a signal.
@@ -274,6 +274,7 @@ class Session:
                 self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
                 self._processes.check()
                 before, outcome.last_tick = outcome.last_tick, monitor.answered()
+                asking.step(outcome.last_tick)
                 now = time.monotonic()
                 if before < 0 <= outcome.last_tick:
                     outcome.done("first_tick_answered")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the orchestrator says to the graph: desired poses, and go or pause."""
+"""What the orchestrator says to the graph: desired poses, squeezes, and go or pause."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.scenario import TargetConfig
+from tactile_hand_ros.core.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.orchestrator.wiring import Peers
 from tactile_hand_ros.ros import interfaces as names
 from tactile_hand_ros.ros.conversions import pose_to_ros
@@ -27,19 +29,21 @@ class SteeringError(TactileHandError):
 
 
 class Steering:
-    """Publisher of desired poses and client of the plant's ``~/run``."""
+    """Publisher of desired poses and squeezes, and client of the plant's ``~/run``."""
 
     def __init__(self, node: Node, check: Callable[[], None]) -> None:
-        """Create publisher and client.
+        """Create publishers and client.
 
         Args:
             node: A node in the namespace of the run.
             check: Called while waiting; raises to give up.
         """
         self._check = check
-        self._publisher = node.create_publisher(
-            PoseStamped, names.DESIRED_POSE, QoSProfile(depth=1)
-        )
+        # A queue of one is full with each message, and only with a full queue does Fast DDS ask
+        # for the acknowledgement at once; otherwise it asks every 3 s.
+        qos = QoSProfile(depth=1)
+        self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, qos)
+        self._squeezes = node.create_publisher(Float64, names.USER_GRASP_FORCE, qos)
         self._client = node.create_client(SetBool, "plant/run")
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
@@ -52,8 +56,8 @@ class Steering:
     @property
     def peers(self) -> Peers:
         """Whom this process has met."""
-        met = {self._publisher.topic_name: int(self._publisher.get_subscription_count())}
-        return Peers(met, {})
+        ours = (self._poses, self._squeezes)
+        return Peers({p.topic_name: int(p.get_subscription_count()) for p in ours}, {})
 
     def command(self, targets: Sequence[TargetConfig], timeout: float = 5.0) -> None:
         """Send desired poses, each with the tick from which it holds, and wait until they arrived.
@@ -61,19 +65,29 @@ class Steering:
         Raises:
             SteeringError: If a listener does not acknowledge them.
         """
-        end = time.monotonic() + timeout
         for wish in targets:
             target = wish.target()
-            self._publisher.publish(pose_to_ros(target.position, target.orientation, wish.stamp))
-            # A queue of one is full with each message, and only with a full queue does Fast DDS ask
-            # for the acknowledgement at once; otherwise it asks every 3 s.
-            while not self._publisher.wait_for_all_acked(Duration(seconds=_SLICE)):
-                self._check()
-                if time.monotonic() > end:
-                    raise SteeringError(
-                        f"the desired pose for t = {wish.time} s was not received by everybody "
-                        f"within {timeout:g} s; look at the logs of the nodes"
-                    )
+            self._poses.publish(pose_to_ros(target.position, target.orientation, wish.stamp))
+            self._deliver(self._poses, f"the desired pose for t = {wish.time} s", timeout)
+
+    def squeeze(self, wish: UserForceConfig, timeout: float = 5.0) -> None:
+        """Send a squeeze that the user asks for and wait until it arrived.
+
+        Raises:
+            SteeringError: If a listener does not acknowledge it.
+        """
+        self._squeezes.publish(Float64(data=float(wish.force)))
+        self._deliver(self._squeezes, f"the squeeze for t = {wish.time} s", timeout)
+
+    def _deliver(self, publisher: Publisher, what: str, timeout: float) -> None:
+        end = time.monotonic() + timeout
+        while not publisher.wait_for_all_acked(Duration(seconds=_SLICE)):
+            self._check()
+            if time.monotonic() > end:
+                raise SteeringError(
+                    f"{what} was not received by everybody within {timeout:g} s; look at the logs "
+                    "of the nodes"
+                )
 
     def run(self, on: bool, timeout: float = 5.0, check: bool = True) -> None:
         """Let the plant run or pause.
@@ -97,6 +111,28 @@ class Steering:
         answer = future.result()
         if not answer.success:
             raise SteeringError(f"the plant refuses ~/run: {answer.message}")
+
+
+class UserForces:
+    """The squeezes of a scenario, each passed on when simulated time has come to it.
+
+    They carry no stamp, as nothing that a user does by hand: the tick at which one takes effect
+    follows from when it is sent and how long it travels, and may differ from run to run.
+    """
+
+    def __init__(
+        self, wishes: Sequence[UserForceConfig], send: Callable[[UserForceConfig], None]
+    ) -> None:
+        """Say what is asked for and how it is sent."""
+        self._waiting = sorted(wishes, key=lambda wish: wish.time)
+        self._send = send
+
+    def step(self, stamp: int) -> None:
+        """Send what is due at a tick [ns]: the newest, which replaces those before it."""
+        due = [wish for wish in self._waiting if wish.stamp <= stamp]
+        self._waiting = self._waiting[len(due) :]
+        if due:
+            self._send(due[-1])
 
 
 def how_to_steer(namespace: str) -> str:

@@ -11,6 +11,8 @@ from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.ros import interfaces as names
 
 PLANT = "plant"
@@ -61,30 +63,39 @@ class Gap:
     text: str
 
 
-def links(fingers: Sequence[str]) -> list[Link]:
-    """Return the topics between the nodes; an empty publisher means the user."""
+def links(scenario: Scenario) -> list[Link]:
+    """Return the topics between the nodes of a scenario.
+
+    Optimizer and controller listen to forces only where they are told to make use of them.
+    """
+    fingers = load_hand_config(scenario.hand).finger_names
+    observer = scenario.manipulation_controller.law.observer
+    shaping = (OPTIMIZER,) if scenario.force_optimizer.cones else ()
+    feeling = (REGULATOR, *shaping, *((CONTROLLER,) if observer.time > 0.0 else ()))
     per_finger = [
         link
         for finger in fingers
         for link in (
             Link(names.true_wrench(finger), PLANT, (SENSOR,)),
-            Link(names.wrench(finger), SENSOR, (REGULATOR,)),
+            Link(names.wrench(finger), SENSOR, feeling),
             Link(names.optimal_force(finger), OPTIMIZER, (CONTROLLER,)),
         )
     ]
     return [
         Link(names.JOINT_STATES, PLANT, (CONTROLLER,)),
         Link(names.TRUE_CONTACTS, PLANT, (SENSOR,)),
+        Link(names.TRUE_SLIP, PLANT, (SENSOR,)),
         Link(names.OBJECT_POSE, PLANT),
         Link(names.ROBOT_DESCRIPTION, PLANT),
         Link(names.CLOCK, PLANT),
         Link(names.CONTACTS, SENSOR, (OPTIMIZER, CONTROLLER)),
         Link(names.GRASP_FORCE, REGULATOR, (CONTROLLER,)),
+        Link(names.GRIP_STATE, REGULATOR, shaping),
         Link(names.HAPTIC_FEEDBACK, REGULATOR),
         Link(names.JOINT_COMMAND, CONTROLLER, (PLANT,)),
         Link(names.AUXILIARY_POSE, CONTROLLER),
         Link(names.DESIRED_POSE, ORCHESTRATOR, (CONTROLLER,)),
-        Link(names.USER_GRASP_FORCE, "", (REGULATOR,)),
+        Link(names.USER_GRASP_FORCE, ORCHESTRATOR, (REGULATOR,)),
         *per_finger,
     ]
 
@@ -109,19 +120,20 @@ class Wiring:
     starting at that moment.
     """
 
-    def __init__(self, node: Node, fingers: Sequence[str], *, recorded: bool) -> None:
+    def __init__(self, node: Node, scenario: Scenario, *, recorded: bool) -> None:
         """Say what is needed.
 
         Args:
             node: Any node in the namespace of the run.
-            fingers: Names of the hand's fingers.
+            scenario: What is to be run.
             recorded: Whether the recorder takes part.
         """
         self._node = node
         self._namespace = node.get_namespace()
         recorder = (RECORDER,) if recorded else ()
         self._links = [
-            Link(link.topic, link.publisher, link.subscribers + recorder) for link in links(fingers)
+            Link(link.topic, link.publisher, link.subscribers + recorder)
+            for link in links(scenario)
         ]
         self._services = services()
 
@@ -154,7 +166,7 @@ class Wiring:
     def _missing_of(self, link: Link, peers: Mapping[str, Peers]) -> list[Gap]:
         topic = self._full(link.topic)
         gaps = []
-        if link.publisher and not self._publishes(link.publisher, topic):
+        if not self._publishes(link.publisher, topic):
             gaps.append(Gap(link.publisher, f"{link.publisher} does not publish {topic}"))
         present = self._own(self._node.get_subscriptions_info_by_topic(topic))
         gaps += [
@@ -168,8 +180,6 @@ class Wiring:
         self, link: Link, topic: str, subscriptions: int, peers: Mapping[str, Peers]
     ) -> list[Gap]:
         """Return who is there but has not met the other end."""
-        if not link.publisher:
-            return []
         met = peers.get(self._full(link.publisher), _NOBODY).publications.get(topic, 0)
         gaps = [
             Gap(name, f"{name} has not met the publisher of {topic}")

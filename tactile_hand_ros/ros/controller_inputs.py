@@ -35,6 +35,7 @@ class TickInputs(NamedTuple):
     contacts: Contacts
     optimal_forces: Array
     grasp_force: float
+    forces: Array | None
 
 
 class TickListener(Protocol):
@@ -54,14 +55,20 @@ class TickListener(Protocol):
 
 
 class ControllerInputs:
-    """Subscribes to joints, contacts, f* and k_f, and brings those of one stamp together.
+    """Subscribes to joints, contacts, f*, k_f and, if asked, forces; joins those of one stamp.
 
     Where joint states keep coming without the others for a time-out, each of them is passed on
     alone and at once, until a complete set is seen again.
     """
 
     def __init__(
-        self, node: TactileNode[Any], hand: Hand, timeout: float, listener: TickListener
+        self,
+        node: TactileNode[Any],
+        hand: Hand,
+        timeout: float,
+        listener: TickListener,
+        *,
+        feels: bool,
     ) -> None:
         """Create the subscriptions.
 
@@ -70,6 +77,7 @@ class ControllerInputs:
             hand: Names joints and fingers.
             timeout: Time after which inputs count as missing [s].
             listener: Gets the ticks.
+            feels: Whether the measured forces belong to a tick.
         """
         self._diagnostics = node.diagnostics
         self._listener = listener
@@ -84,6 +92,9 @@ class ControllerInputs:
         for name in hand.finger_names:
             frame = interfaces.contact_frame(name)
             codecs[interfaces.optimal_force(name)] = WrenchCodec(frame, nan_allowed=True)
+        self._k = hand.fingers
+        for name in hand.finger_names if feels else ():
+            codecs[interfaces.wrench(name)] = WrenchCodec(interfaces.contact_frame(name))
         keys = (interfaces.JOINT_STATES, interfaces.CONTACTS, *codecs)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
         node.subscribe(JointState, interfaces.JOINT_STATES, self._on_joints, raw=True)
@@ -154,7 +165,7 @@ class ControllerInputs:
             self._diagnostics.clear("inputs")
         if stamp <= self._answered_blindly:
             return
-        (theta, rates), contacts, grasp_force, *optimal = matched
-        forces = np.array(optimal)
-        tick = TickInputs(stamp, theta, rates, contacts, forces, float(grasp_force[1]))
-        self._listener.on_tick(tick)
+        (theta, rates), contacts, grasp_force, *forces = matched
+        optimal, felt = np.array(forces[: self._k]), forces[self._k :]
+        k_f, measured = float(grasp_force[1]), np.array(felt) if felt else None
+        self._listener.on_tick(TickInputs(stamp, theta, rates, contacts, optimal, k_f, measured))

@@ -84,6 +84,13 @@ class Diagnostics:
         """Report a fault until `clear` is called with the same key."""
         self._faults[key] = (message, level)
 
+    def judge(self, key: str, is_fault: bool, message: str, level: bytes = ERROR) -> None:
+        """Report a fault or end it."""
+        if is_fault:
+            self.fault(key, message, level)
+        else:
+            self.clear(key)
+
     def clear(self, key: str) -> None:
         """End a fault; without such a fault nothing happens."""
         self._faults.pop(key, None)
@@ -143,6 +150,30 @@ class Diagnostics:
         marks = np.percentile(self._latencies[:count], (50.0, 99.0, 100.0)) * 1e6
         names = ("latency_p50_us", "latency_p99_us", "latency_max_us")
         return {name: f"{mark:.0f}" for name, mark in zip(names, marks, strict=True)}
+
+
+class Mostly:
+    """Whether something held at most of the ticks since the last question.
+
+    Noise makes a condition blink; a report once a second should tell what lasts.
+    """
+
+    def __init__(self) -> None:
+        """Begin with no."""
+        self._held = self._ticks = 0
+        self._answer = False
+
+    def note(self, holds: bool) -> None:
+        """Note a tick."""
+        self._held += holds
+        self._ticks += 1
+
+    def __call__(self) -> bool:
+        """Answer for the ticks since the last call; without any, as before."""
+        if self._ticks:
+            self._answer = 2 * self._held > self._ticks
+            self._held = self._ticks = 0
+        return self._answer
 
 
 def _text(value: Any) -> str:

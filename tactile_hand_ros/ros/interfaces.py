@@ -5,6 +5,15 @@ All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand.
 clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
 domain have two times, and two senders on `/clock` would make time jump to and fro for everybody.
 Remap `clock:=/clock` on the one plant whose time shall rule.
+
+Two topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
+the tick as stamp, since ROS has no message for numbers by finger:
+
+- `ground_truth/slip`, from the plant to tactile_sensor and recorder: `position` is the distance
+  that the contact has slid since the start [m], `velocity` the sliding speed [m/s].
+- `grip_state`, from slip_regulator to force_optimizer and recorder: `position` is the learned
+  friction [1], `velocity` the evidence for slip [0 to 1], `effort` the `Grip`: 0 unknown, 1 stick,
+  2 slip.
 """
 
 from __future__ import annotations
@@ -20,12 +29,14 @@ JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
 CONTACTS = "tactile/contacts"
 GRASP_FORCE = "grasp_force"
+GRIP_STATE = "grip_state"
 DESIRED_POSE = "desired_pose"
 AUXILIARY_POSE = "auxiliary_pose"
 USER_GRASP_FORCE = "user_grasp_force"
 HAPTIC_FEEDBACK = "haptic_feedback"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
+TRUE_SLIP = "ground_truth/slip"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"

@@ -10,14 +10,14 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from tactile_hand_ros.core.closed_loop import true_reading
+from tactile_hand_ros.core.closed_loop import sliding_speeds, true_reading
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant import PlantState
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.readings import ReadingPublisher
-from tactile_hand_ros.ros.wire import JointCodec, PoseCodec, clock_bytes
+from tactile_hand_ros.ros.wire import JointCodec, PoseCodec, SlipCodec, clock_bytes
 
 
 class PlantTopics:
@@ -28,18 +28,22 @@ class PlantTopics:
         self._truth = ReadingPublisher(
             node, hand.finger_names, interfaces.TRUE_CONTACTS, interfaces.true_wrench
         )
+        self._slip = SlipCodec(hand.finger_names)
+        self._slip_publisher = node.tick_publisher(JointState, interfaces.TRUE_SLIP)
         self._joints = JointCodec(hand.joint_names, ("position", "velocity", "effort"))
         self._joints_publisher = node.tick_publisher(JointState, interfaces.JOINT_STATES)
         self._pose = PoseCodec()
         self._pose_publisher = node.tick_publisher(PoseStamped, interfaces.OBJECT_POSE)
         self._clock_publisher = node.tick_publisher(Clock, interfaces.CLOCK)
-        self._joints_sent = b""
+        self._joints_sent = self._slip_sent = b""
         latched = interfaces.latched_qos()
         self._description = node.create_publisher(String, interfaces.ROBOT_DESCRIPTION, latched)
         self._description.publish(String(data=hand.description))
 
     def publish(self, state: PlantState, stamp_ns: int) -> None:
         """Publish a tick [ns], first what others wait for."""
+        self._slip_sent = self._slip.encode(stamp_ns, state.slid, sliding_speeds(state))
+        self._slip_publisher.publish(self._slip_sent)
         self._truth.publish(true_reading(state), stamp_ns)
         self._joints_sent = self._joints.encode(stamp_ns, state.theta, state.rates, state.torque)
         self._joints_publisher.publish(self._joints_sent)
@@ -49,5 +53,6 @@ class PlantTopics:
 
     def repeat(self) -> None:
         """Publish what others wait for once more, byte by byte."""
+        self._slip_publisher.publish(self._slip_sent)
         self._truth.repeat()
         self._joints_publisher.publish(self._joints_sent)

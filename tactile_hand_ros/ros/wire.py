@@ -240,6 +240,22 @@ class PoseCodec:
         return self._template.encode(stamp_ns, self._row)
 
 
+class SlipCodec(JointCodec):
+    """JointState with the true sliding of the contacts by finger: distance [m], speed [m/s]."""
+
+    def __init__(self, fingers: Sequence[str]) -> None:
+        """Fix the fingers."""
+        super().__init__(fingers, ("position", "velocity"))
+
+
+class GripCodec(JointCodec):
+    """JointState with what is known of each finger's grip: friction, evidence for slip, `Grip`."""
+
+    def __init__(self, fingers: Sequence[str]) -> None:
+        """Fix the fingers."""
+        super().__init__(fingers, ("position", "velocity", "effort"))
+
+
 def clock_bytes(stamp_ns: int) -> bytes:
     """Return a Clock message."""
     return _LITTLE_ENDIAN + _STAMP.pack(*divmod(stamp_ns, _SECOND))

@@ -18,6 +18,7 @@ from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.core.slip_detector import Grip
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable
 
@@ -29,9 +30,11 @@ TICK_TOPICS = [
     interfaces.JOINT_COMMAND,
     interfaces.CONTACTS,
     interfaces.GRASP_FORCE,
+    interfaces.GRIP_STATE,
     interfaces.AUXILIARY_POSE,
     interfaces.OBJECT_POSE,
     interfaces.TRUE_CONTACTS,
+    interfaces.TRUE_SLIP,
     interfaces.CLOCK,
     *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
 ]
@@ -53,6 +56,11 @@ RECORDED = [
     "true_positions",
     "true_quaternions",
     "true_forces",
+    "true_sliding",
+    "true_slid",
+    "friction",
+    "slip_evidence",
+    "grip",
 ]
 
 
@@ -74,7 +82,7 @@ def record(graph: Graph, output: Path) -> Path:
     with start_executable("recorder", "--ros-args", *flags) as recorder:
         graph.wait_for_readers(recorders=1)
         graph.wait(lambda: graph.poses.get_subscription_count() == 2, "the recorder's reader")
-        graph.begin(P_D)
+        graph.begin(*[wish.position for wish in graph.scenario.targets])
         graph.finish()
         recorder.send(signal.SIGINT)
         assert recorder.wait() == 0, recorder.stderr
@@ -134,6 +142,20 @@ def test_the_graph_gives_the_numbers_of_function_calls(
     bags: dict[str, Path], name: str, noise: dict[str, float]
 ) -> None:
     assert_same(Run(bags[name]).record, ClosedLoop(noisy(noise)).run())
+
+
+def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
+    """Weight, a noisy skin, a sudden pull: slip, friction, k_f and reshaped f* are the same."""
+    pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -10.0]}
+    slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.3}
+    scenario = short("pull", **{"duration": 0.6, **slippery})
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        recorded = Run(record(graph, tmp_path / "bag")).record
+    expected = ClosedLoop(scenario).run()
+    assert_same(recorded, expected)
+    assert (expected.grip == Grip.SLIP).any(axis=0).all()
+    assert (expected.true_slid[-1] > 1e-5).all() and (expected.friction[-1] < 0.35).all()
+    assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
 def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> None:

@@ -160,11 +160,15 @@ class Graph:
     def _readers(self) -> dict[str, dict[str, int]]:
         """Return how many readers each topic of each node has, this test's among them."""
         t, fingers = interfaces, self.fingers
+        shapes = int(self.scenario.force_optimizer.cones)
+        observes = int(self.scenario.manipulation_controller.law.observer.time > 0.0)
         return {
             "plant": {t.JOINT_STATES: 2, t.TRUE_CONTACTS: 2, t.OBJECT_POSE: 1, t.CLOCK: 0}
-            | {t.true_wrench(name): 2 for name in fingers},
-            "tactile_sensor": {t.CONTACTS: 3} | {t.wrench(name): 1 for name in fingers},
-            "slip_regulator": {t.GRASP_FORCE: 2},
+            | {t.true_wrench(name): 2 for name in fingers}
+            | {t.TRUE_SLIP: 1},
+            "tactile_sensor": {t.CONTACTS: 3}
+            | {t.wrench(name): 1 + shapes + observes for name in fingers},
+            "slip_regulator": {t.GRASP_FORCE: 2, t.GRIP_STATE: shapes},
             "force_optimizer": {t.optimal_force(name): 1 for name in fingers},
             "manipulation_controller": {t.JOINT_COMMAND: 1, t.AUXILIARY_POSE: 1},
         }

@@ -22,8 +22,9 @@ ON_TOPICS = (
     *("auxiliary_position", "auxiliary_quaternion", "desired_position", "desired_quaternion"),
     *("object_position", "object_quaternion"),
     *("true_positions", "true_quaternions", "true_forces"),
+    *("true_sliding", "true_slid", "friction", "slip_evidence", "grip"),
 )
-"""Arrays of a record that a bag can tell; others only the simulation knows."""
+"""Arrays of a record, all of which a bag can tell."""
 LATENCY = 1_000_000  # from a tick to its command, ns
 
 
@@ -120,6 +121,12 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
             bag.write(prefix + name, wrench(stamp, forces[row, i], f"{finger}_contact"), at)
     squeeze = (0.0, record.grasp_force[row], 0.0)
     bag.write(f"{prefix}grasp_force", wrench(stamp, squeeze), at)
+    known = {"position": record.friction, "velocity": record.slip_evidence, "effort": record.grip}
+    slid = {"position": record.true_slid, "velocity": record.true_sliding}
+    for name, arrays in (("grip_state", known), ("ground_truth/slip", slid)):
+        if truth or not name.startswith("ground_truth"):
+            values = {field: array[row] for field, array in arrays.items()}
+            bag.write(prefix + name, joints(stamp, record.finger_names, **values), at)
     for name, position, quaternion in (
         ("auxiliary_pose", record.auxiliary_position, record.auxiliary_quaternion),
         ("ground_truth/object_pose", record.object_position, record.object_quaternion),
@@ -164,6 +171,8 @@ def random_record(ticks: int = 20, seed: int = 1, truth: bool = True) -> Record:
         for name in ("object_position", "object_quaternion"):
             getattr(record, name)[:] = np.nan
         for name in ("true_positions", "true_quaternions", "true_forces"):
+            getattr(record, name)[:] = np.nan
+        for name in ("true_sliding", "true_slid"):
             getattr(record, name)[:] = np.nan
     return record
 

@@ -110,6 +110,23 @@ class TestRecord:
         record = Run(tmp_path / "bag").record
         np.testing.assert_array_equal(record.command, [[10.0, 20.0], [np.nan, np.nan]])
 
+    def test_fingers_may_be_named_in_any_order(self, tmp_path: Path) -> None:
+        order = ["finger_2", "finger_1"]
+        values = {"position": [0.2, 0.1], "velocity": [0.4, 0.3], "effort": [2.0, 1.0]}
+        with RunWriter(tmp_path / "bag") as bag:
+            for tick in range(2):
+                tick_only(bag, tick, 2 * tick)
+            bag.write("/grip_state", joints(1, order, **values), 3)
+            slip = {"position": [2e-3, 1e-3], "velocity": [0.2, 0.1]}
+            bag.write("/ground_truth/slip", joints(1, order, **slip), 3)
+        record = Run(tmp_path / "bag", fingers=["finger_1", "finger_2"]).record
+        unknown = [np.nan, np.nan]
+        np.testing.assert_array_equal(record.friction, [unknown, [0.1, 0.2]])
+        np.testing.assert_array_equal(record.slip_evidence, [unknown, [0.3, 0.4]])
+        np.testing.assert_array_equal(record.grip, [unknown, [1.0, 2.0]])
+        np.testing.assert_array_equal(record.true_slid, [unknown, [1e-3, 2e-3]])
+        np.testing.assert_array_equal(record.true_sliding, [unknown, [0.1, 0.2]])
+
     def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path: Path) -> None:
         record = random_record()
         with RunWriter(tmp_path / "bag") as bag:
@@ -273,7 +290,7 @@ def test_bag_metrics(tmp_path: Path) -> None:
                 answer = joints(stamp, record.joint_names, effort=effort)
                 bag.write("/joint_command", answer, at + 5 * LATENCY)
     m = Run(tmp_path / "bag").bag_metrics
-    assert m.messages == 18 * 16 + 3
+    assert m.messages == 18 * 18 + 3
     assert m.topics["/joint_states"].complete and not m.complete and m.absent == []
     assert (m.topics["/joint_command"].ticks, m.topics["/grasp_force"].ticks) == (19, 18)
     assert m.topics["/auxiliary_pose"].complete is None
@@ -292,6 +309,7 @@ def test_absent_topics_are_named(tmp_path: Path) -> None:
         "/joint_command",
         "/tactile/contacts",
         "/grasp_force",
+        "/grip_state",
         "/tactile/thumb/wrench",
         "/optimal_force/thumb",
     ]
