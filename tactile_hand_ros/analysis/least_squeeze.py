@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least squeeze that holds, by linear programming: a yardstick that shares nothing with (13)."""
+"""The least squeeze that holds, by linear programming: a yardstick apart from (13)."""
 
 from __future__ import annotations
 
