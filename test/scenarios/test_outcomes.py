@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What slip prevention is for: each scenario of weight and disturbance, with it and without."""
+
+import numpy as np
+import pytest
+from joblib import Parallel, delayed
+
+from support.outcomes import run_scenario
+from tactile_hand_ros.core.scenario import load_scenario
+
+# Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
+WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}
+SCENARIOS = "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity".split()
+COMPARED = "lift slippery pull shake heavy crush_limit user_grip gravity".split()
+
+
+@pytest.fixture(scope="session")
+def records():
+    """Every scenario with slip prevention and some without, on all cores."""
+    cases = [(name, {}) for name in SCENARIOS] + [(name, WITHOUT) for name in COMPARED]
+    done = Parallel(n_jobs=-1)(delayed(run_scenario)(*case) for case in cases)
+    keys = [(name, not changes) for name, changes in cases]
+    return dict(zip(keys, done, strict=True))
+
+
+def slip(record):
+    return record.true_slid[-1].max()
+
+
+def dropped(record):
+    """Whether the object has left the hand by the end."""
+    return bool(np.isnan(record.true_positions[-1]).any())
+
+
+def final_error(record):
+    return np.linalg.norm(record.desired_position[-1] - record.auxiliary_position[-1])
+
+
+@pytest.mark.parametrize("name", [s for s in SCENARIOS if s not in ("crush_limit", "lost_contact")])
+def test_the_goal_is_reached(records, name):
+    record, goal = records[name, True], load_scenario(name).goal
+    assert not np.isnan(record.true_positions).any()
+    assert slip(record) < goal.slip_distance
+    assert final_error(record) < goal.position_error
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_squeeze_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
+    record, limit = records[name, True], load_scenario(name).slip_regulator.maximum
+    assert record.grasp_force.max() <= limit
+    assert not dropped(record)
+
+
+@pytest.mark.parametrize("name", ["lift", "slippery", "pull", "heavy", "user_grip"])
+def test_without_slip_prevention_the_object_is_dropped(records, name):
+    assert dropped(records[name, False])
+
+
+def test_without_reshaping_the_third_finger_slips_when_shaken(records):
+    assert slip(records["shake", False]) > 5e-3
+    assert slip(records["shake", True]) < 1e-4
+
+
+def test_at_the_crush_limit_it_slips_less_than_without(records):
+    assert slip(records["crush_limit", True]) < 0.5 * slip(records["crush_limit", False])
+
+
+def test_what_sticks_does_not_creep(records):
+    """Half a minute under weight and sensor noise."""
+    record = records["hold", True]
+    assert slip(record) < 1e-6
+
+
+def test_with_slip_prevention_it_is_held_more_gently(records):
+    """Where the user's squeeze is more than enough, the object needs a fraction of it."""
+    with_, without = records["gravity", True], records["gravity", False]
+    assert with_.grasp_force[-1] < 0.7 * without.grasp_force[-1]
+
+
+def test_a_lost_contact_is_held_safely_and_comes_back(records):
+    record = records["lost_contact", True]
+    lost = np.isnan(record.true_positions[:, 2, 0])
+    assert lost.any() and not lost[-1000:].any()
+    # While it is lost the controller holds, and says nothing of the object's pose.
+    assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
+    assert final_error(record) < 0.01
+
+
+def test_the_reflex_stays_above_a_user_who_asks_for_too_little(records):
+    record = records["user_grip", True]
+    asked_too_little = (record.times > 4.5) & (record.times < 6.0)
+    assert record.grasp_force[asked_too_little].min() > 3.5
+    assert record.grasp_force[-1] == pytest.approx(30.0)
+
+
+def test_friction_is_learned_from_a_slip(records):
+    record = records["slippery", True]
+    slipped = record.true_slid[-1] > 1e-4
+    assert slipped.any()
+    assert record.friction[-1].min() == pytest.approx(0.15, abs=0.05)
