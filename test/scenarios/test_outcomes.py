@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 from joblib import Parallel, delayed
-
 from support.outcomes import run_scenario
+
 from tactile_hand_ros.core.scenario import load_scenario
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
