@@ -42,7 +42,7 @@ _LOOK = 0.02  # s between two looks at the newest command
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
-_LAST_WORDS = 0.02  # s for what a node says right after its answer
+_LAST_WORDS = 0.3  # s, three heartbeats: the recorder asks for what got lost on the way to it
 _SHOWN = 6  # missing things that an error lists
 
 

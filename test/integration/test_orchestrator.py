@@ -236,6 +236,26 @@ def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_pa
     assert summary["metrics"] == run.metrics.to_dict()
 
 
+def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) -> None:
+    """Nobody waits for it, but what it missed is kept for it for some seconds."""
+    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
+    wait_until_running(tmp_path, orchestrator)
+    processes = family(orchestrator)
+    plant, recorder = member(processes, "plant"), member(processes, "recorder")
+    busy = plant.cpu_times().user
+    recorder.suspend()
+    wait_until(lambda: plant.cpu_times().user > busy + 0.1, PATIENCE, "some hundred ticks")
+    recorder.resume()
+    bag = latest(tmp_path) / "bag" / "bag_0.mcap"
+    size = bag.stat().st_size
+    wait_until(lambda: bag.stat().st_size > size + 400_000, PATIENCE, "a recorder that caught up")
+    orchestrator.send(signal.SIGINT)
+    assert end_of(orchestrator) == 130
+    assert summary_of(tmp_path)["reasons"] == []
+    record = Run(latest(tmp_path)).record
+    assert np.array_equal(record.stamps, 2_000_000 * np.arange(len(record)))
+
+
 def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:
     """The signal waits until the import is done; nothing is started."""
     orchestrator = start("--scenario", "paper")
