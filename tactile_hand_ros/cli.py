@@ -35,6 +35,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+study_app = typer.Typer(help="Many runs on all cores, ending in figures and a table.")
+app.add_typer(study_app, name="study", no_args_is_help=True)
+
 RunArgument = Annotated[
     Path, typer.Argument(help="Folder of a run, or a bag; runs/latest by default.")
 ]
@@ -183,6 +186,49 @@ def bench(
     if out is not None:
         out.write_text(json.dumps(b.to_json(results), indent=2) + "\n", encoding="utf-8")
         print(out)
+
+
+@study_app.callback()
+def study() -> None:
+    """Many runs on all cores, ending in figures and a table."""
+
+
+@study_app.command()
+def slip(
+    out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
+    runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    roc: Annotated[
+        bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
+    ] = False,
+    formats: FormatOption = None,
+) -> None:
+    """Measure how fast slip is found and stopped, and at what squeeze."""
+    from tactile_hand_ros.analysis import slip_roc, study_figures, tables
+    from tactile_hand_ros.analysis import slip_study as s
+    from tactile_hand_ros.analysis.style import save
+
+    _formats(formats)
+    _check_writable(out if out.exists() else out.absolute().parent)
+    with _progress("holding", len(s.tasks_of(runs, seed))) as advance:
+        result = s.run_study(runs, seed, jobs, advance)
+    drawn = study_figures.figures(result)
+    points: list[slip_roc.Point] = []
+    if roc:
+        with _progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
+            points = slip_roc.run_roc(seed=seed, jobs=jobs, progress=advance)
+        drawn["study_roc"] = study_figures.roc_figure(points)
+    files = s.write(result, out)
+    if points:
+        files += slip_roc.write(points, out)
+    for name, figure in drawn.items():
+        files += save(figure, out, name, _formats(formats))
+    _print(tables.rich_table(f"slip, {runs} runs", s.COLUMNS, s.rows(result)))
+    _print(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
+    if points:
+        _print(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
+    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
 
 
 def _formats(given: list[str] | None) -> tuple[str, ...]:
