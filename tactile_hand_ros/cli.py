@@ -127,7 +127,11 @@ def summary(
     """Print what a recorded run achieved, and whether its recording is complete."""
     opened = _open(run, namespace)
     if as_json:
-        results = {"metrics": opened.metrics.to_dict(), "bag": opened.bag_metrics.to_dict()}
+        results = {
+            "metrics": opened.metrics.to_dict(),
+            "assumptions": [line.to_dict() for line in opened.ledger],
+            "bag": opened.bag_metrics.to_dict(),
+        }
         print(json.dumps(results, indent=2))
         return
     from tactile_hand_ros.analysis import tables
@@ -136,6 +140,8 @@ def summary(
     columns = ("", "")
     rows = tables.metrics_rows(opened.metrics)
     _print(tables.rich_table(f"{name}, {opened.path}", columns, rows))
+    if lines := tables.ledger_rows(opened.ledger):
+        _print(tables.rich_table("assumptions", tables.LEDGER_COLUMNS, lines))
     _print(tables.rich_table("recording", columns, tables.bag_rows(opened.bag_metrics)))
 
 

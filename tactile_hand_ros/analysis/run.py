@@ -15,6 +15,7 @@ from tactile_hand_ros.analysis import topics as names
 from tactile_hand_ros.analysis.alignment import align
 from tactile_hand_ros.analysis.bag_metrics import BagMetrics, bag_metrics
 from tactile_hand_ros.analysis.extras import optional
+from tactile_hand_ros.analysis.ledger import Assumption, ledger
 from tactile_hand_ros.analysis.metrics import Metrics, metrics
 from tactile_hand_ros.analysis.series import Series, read_series
 from tactile_hand_ros.analysis.topics import HandTopics, find_fingers, find_prefix
@@ -23,6 +24,7 @@ from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.core.config import parse_yaml, read_yaml, validate
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.scenario import Scenario
@@ -156,6 +158,13 @@ class Run:
     def metrics(self) -> Metrics:
         """What was achieved."""
         return metrics(self.record, self.scenario)
+
+    @cached_property
+    def ledger(self) -> list[Assumption]:
+        """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
+        if self.scenario is None:
+            return []
+        return ledger(self.record, Hand.load(self.scenario.hand, self.scenario.layout))
 
     @cached_property
     def bag_metrics(self) -> BagMetrics:

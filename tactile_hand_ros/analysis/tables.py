@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from tactile_hand_ros.analysis.bag_metrics import BagMetrics
 from tactile_hand_ros.analysis.claims import Claim, LawResult, Verdict
 from tactile_hand_ros.analysis.extras import optional
+from tactile_hand_ros.analysis.ledger import Assumption
 from tactile_hand_ros.analysis.metrics import Metrics
 
 if TYPE_CHECKING:
@@ -98,6 +99,29 @@ def metrics_rows(m: Metrics) -> list[list[str]]:
     if m.goal_reached is not None:
         rows.append(["goal", "reached" if m.goal_reached else "not reached"])
     return rows
+
+
+LEDGER_COLUMNS = ("", "assumption", "margin", "worst", "limit", "held")
+
+
+def ledger_rows(lines: Sequence[Assumption]) -> list[list[str]]:
+    """Return the assumption ledger as text."""
+    return [[a.name, a.meaning, a.margin, number(a.worst), _limit(a), _held(a)] for a in lines]
+
+
+def _limit(a: Assumption) -> str:
+    return "none known" if math.isnan(a.limit) else f"{'<' if a.below else '>'} {a.limit:g}"
+
+
+def _held(a: Assumption) -> str:
+    """Say how long an assumption held and when it did not."""
+    if math.isnan(a.held_share):
+        return "not judged"
+    if not a.broken:
+        return "throughout"
+    times = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in a.broken[:3])
+    more = f" and {len(a.broken) - 3} more" if len(a.broken) > 3 else ""
+    return f"{100.0 * a.held_share:.1f} %, not from {times}{more}"
 
 
 def bag_rows(b: BagMetrics) -> list[list[str]]:

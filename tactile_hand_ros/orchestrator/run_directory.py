@@ -9,15 +9,12 @@ import os
 import re
 from pathlib import Path
 
-import yaml
-
 from tactile_hand_ros.core.config import Config
 from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.scenario import NODES, Scenario
+from tactile_hand_ros.core.scenario import Scenario, resolved
 from tactile_hand_ros.ros.parameters import to_params_yaml
 
 LATEST = "latest"
-_SHARED = ("hand", "layout", "seed", "duration")
 
 
 class RunDirectory:
@@ -78,16 +75,6 @@ class RunDirectory:
         path = self.path / "parameters" / f"{node}.yaml"
         path.write_text(to_params_yaml(config, node), encoding="utf-8")
         return path
-
-
-def resolved(scenario: Scenario) -> str:
-    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
-    data = scenario.model_dump(mode="json")
-    for node in NODES:
-        for name in _SHARED:  # said once at the top
-            data[node].pop(name, None)
-    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-    return text
 
 
 def _new_folder(root: Path, stem: str) -> Path:

@@ -28,11 +28,13 @@ class Results:
         metrics: `Run.metrics` as plain data, empty without a bag or a tick.
         recording: Message counts against ticks, empty without a bag or a tick.
         problems: A sentence for each thing that is wrong with the bag.
+        assumptions: `Run.ledger` as plain data.
     """
 
     metrics: dict[str, Any] = field(default_factory=dict)
     recording: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    assumptions: list[dict[str, Any]] = field(default_factory=list)
 
 
 def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Results:
@@ -50,6 +52,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
         run = Run(directory.path, namespace=plan.namespace)
         results.metrics = run.metrics.to_dict()
         results.recording = run.bag_metrics.to_dict()
+        results.assumptions = [line.to_dict() for line in run.ledger]
     except TactileHandError as error:
         results.problems.append(str(error))
         return results
@@ -129,12 +132,15 @@ def _missed(plan: Plan, outcome: Outcome, results: Results) -> list[str]:
     """Say by how much the goal was missed; without a bag, by the last pose that was seen."""
     goal, metrics = plan.scenario.goal, results.metrics
     position = metrics.get("final_position_error_m") if metrics else outcome.position_error
-    checks = [("position", position, goal.position_error, "m")]
+    checks = [("final position error", position, goal.position_error, "m")]
     if metrics:
         rotation = metrics["final_rotation_error_rad"]
-        checks.append(("rotation", rotation, goal.rotation_error, "rad"))
+        checks.append(("final rotation error", rotation, goal.rotation_error, "rad"))
+        slid = metrics.get("max_slip_distance_m")
+        if slid is not None:  # unknown for a real hand
+            checks.append(("longest slip", slid, goal.slip_distance, "m"))
     return [
-        f"the final {name} error is {_number(value)} {unit}, the goal is {limit:g} {unit}"
+        f"the {name} is {_number(value)} {unit}, the goal is {limit:g} {unit}"
         for name, value, limit, unit in checks
         if value is None or not value <= limit
     ]
@@ -153,8 +159,10 @@ def write_summary(
         "goal": {
             "position_error_m": scenario.goal.position_error,
             "rotation_error_rad": scenario.goal.rotation_error,
+            "slip_distance_m": scenario.goal.slip_distance,
         },
         "metrics": results.metrics,
+        "assumptions": results.assumptions,
         "recording": results.recording,
         "startup_s": outcome.startup,
         "seed": scenario.seed,
