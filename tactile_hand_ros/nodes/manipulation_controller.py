@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.errors import ConfigurationError, GraspError
 from tactile_hand_ros.core.manipulation import Target
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
@@ -79,6 +79,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
         self.create_service(SetBool, interfaces.ENABLE, self._on_enable)
+        self.create_service(SetBool, interfaces.GRASP, self._on_grasp)
 
     def check_config(self, config: ControllerConfig) -> None:
         """Refuse to observe a load without forces."""
@@ -147,6 +148,18 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._controller.enabled = request.data
         response.success, response.message = True, "enabled" if request.data else "damping only"
+        return response
+
+    def _on_grasp(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            if request.data:
+                self._controller.grasp()
+            else:
+                self._controller.release()
+        except GraspError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.success, response.message = True, "closing" if request.data else "opening"
         return response
 
 

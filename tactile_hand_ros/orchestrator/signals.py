@@ -30,9 +30,13 @@ class Signals:
         self._came = threading.Event()
 
     def install(self) -> None:
-        """Take over the handlers, except of a signal that is ignored, as under ``nohup``."""
+        """Take over the handlers; a SIGHUP that is ignored stays so, as ``nohup`` means it.
+
+        Shells without job control start what runs in the background with SIGINT ignored. As the
+        nodes of rclpy do, it is taken over all the same: it is how a run is ended.
+        """
         for number in _WATCHED:
-            if signal.getsignal(number) is not signal.SIG_IGN:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._note)
 
     def _note(self, number: int, frame: FrameType | None) -> None:

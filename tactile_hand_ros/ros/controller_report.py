@@ -34,7 +34,7 @@ class ControllerReport:
         if command.mode is Mode.HOLD:
             if contacts is not None:  # that inputs are missing is reported already
                 diagnostics.fault("hold", command.reason)
-        elif command.mode is Mode.DISABLED:
+        elif command.mode in (Mode.DISABLED, Mode.OPEN):
             diagnostics.fault("hold", command.reason, WARN)
         else:
             diagnostics.clear("hold")

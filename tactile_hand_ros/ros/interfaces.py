@@ -44,6 +44,7 @@ TF = "/tf"
 
 RESET = "~/reset"
 ENABLE = "~/enable"
+GRASP = "~/grasp"
 RUN = "~/run"
 
 PALM_FRAME = "palm"

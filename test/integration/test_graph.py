@@ -79,8 +79,11 @@ def record(graph: Graph, output: Path) -> Path:
     options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
     flags = [word for option in options for word in ("-p", option)]
     graph.wait_for_readers()
+    graph.health.pop("/recorder", None)
     with start_executable("recorder", "--ros-args", *flags) as recorder:
         graph.wait_for_readers(recorders=1)
+        for topic in TICK_TOPICS:
+            graph.wait(lambda t=topic: graph.hears("recorder", t), f"the recorder on {topic}")
         graph.wait(lambda: graph.poses.get_subscription_count() == 2, "the recorder's reader")
         graph.begin(*[wish.position for wish in graph.scenario.targets])
         graph.finish()
