@@ -6,8 +6,8 @@ Source: ``rosbag2_storage`` (Jazzy), ``BagMetadata`` and its YAML conversion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactile_hand_ros.bag.qos import OfferedQos
@@ -82,7 +82,7 @@ class BagMetadata:
     @property
     def start(self) -> int:
         """Log time of the first message in ns, `NO_START` without messages."""
-        return min(file.start for file in self.files)
+        return min((file.start for file in self.files), default=NO_START)
 
     @property
     def duration(self) -> int:
@@ -114,3 +114,13 @@ class BagMetadata:
     def record(self) -> dict[str, str]:
         """Return the content of the MCAP metadata record named `RECORD_NAME`."""
         return {RECORD_KEY: dump(self.as_tree())}
+
+
+def merge_topics(topics: Iterable[TopicMetadata]) -> list[TopicMetadata]:
+    """Return topics in order of their names, those of one name with the sum of their messages."""
+    found: dict[str, TopicMetadata] = {}
+    for topic in topics:
+        if (before := found.get(topic.name)) is not None:
+            topic = replace(before, message_count=before.message_count + topic.message_count)
+        found[topic.name] = topic
+    return [found[name] for name in sorted(found)]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 from pathlib import Path
@@ -14,6 +15,9 @@ class ChunkStream:
 
     The MCAP writer collects whole chunks itself, so a buffer would only delay them. It can also be
     cut back to a whole record after a write that failed half-way, which a buffered file cannot.
+
+    The file is locked while it is open, so that nobody takes it for one that was cut off; the lock
+    ends with the process, however that dies.
     """
 
     def __init__(self, path: Path) -> None:
@@ -24,6 +28,8 @@ class ChunkStream:
         """
         self._file = io.FileIO(path, "x")
         self._position = 0
+        with contextlib.suppress(OSError):  # a file system without locks can still be written
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     @property
     def closed(self) -> bool:
@@ -61,3 +67,15 @@ class ChunkStream:
                 os.ftruncate(self._file.fileno(), size)
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def is_being_written(path: Path) -> bool:
+    """Return whether a living process has the file open as a `ChunkStream`."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # no locks here, so none is held
+            return False
+    return False
