@@ -17,7 +17,10 @@ class RecorderConfig(Config):
     """What is recorded, where to, and how often it reaches the disk."""
 
     output: str = param(
-        ..., "rosbag2 folder to create; it must not exist, its parents may", min_length=1
+        ...,
+        "rosbag2 folder to create; it must not exist, its parents may; a broken bag that a recorder"
+        " left there is recovered and continued",
+        min_length=1,
     )
     topics: list[str] = param(
         [".*"], "regular expressions; a topic is recorded if one matches its whole name"
@@ -32,6 +35,23 @@ class RecorderConfig(Config):
     )
     flush_period: float = param(
         0.1, "longest time a message waits in memory before it is written", unit="s", ge=0.01, le=60
+    )
+    split_size: int = param(
+        0, "size of a file on the disk at which the next one is begun, 0 for never", unit="B", ge=0
+    )
+    split_duration: float = param(
+        0.0,
+        "recorded time in a file after which the next one is begun, 0 for never",
+        unit="s",
+        ge=0.0,
+    )
+    snapshot_duration: float = param(
+        0.0,
+        "keep only this much in memory and write it when the service ~/snapshot is called, 0 to "
+        "record everything",
+        unit="s",
+        ge=0.0,
+        le=3600.0,
     )
     drain_period: float = param(
         0.01, "time between two visits to the subscriptions' queues", unit="s", ge=0.001, le=0.1

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import yaml
+
 from tactile_hand_ros.bag.yaml_text import dump
 
 INFINITE = 2**63 - 1  # ns, what the middleware reports for "no limit"
@@ -64,3 +66,38 @@ def qos_text(offers: Sequence[OfferedQos]) -> str:
 def _duration(nanoseconds: int) -> dict[str, int]:
     seconds, rest = divmod(nanoseconds, 10**9)
     return {"sec": seconds, "nsec": rest}
+
+
+def parse_qos(text: str) -> tuple[OfferedQos, ...]:
+    """Read a channel's ``offered_qos_profiles``; empty where there are none that can be read.
+
+    Bags of older versions name the policies by the numbers of rmw.
+    """
+    try:
+        profiles = yaml.safe_load(text) if text.strip() else []
+        return tuple(_offer(profile) for profile in profiles)
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
+        return ()
+
+
+_POLICIES = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+}
+
+
+def _offer(profile: dict[str, Any]) -> OfferedQos:
+    policies: dict[str, Any] = {
+        name: names[value] if isinstance(value := profile[name], int) else str(value)
+        for name, names in _POLICIES.items()
+    }
+    times: dict[str, Any] = {
+        name: profile[name]["sec"] * 10**9 + profile[name]["nsec"]
+        for name in ("deadline", "lifespan", "liveliness_lease_duration")
+    }
+    plain = bool(profile.get("avoid_ros_namespace_conventions", False))
+    return OfferedQos(
+        depth=int(profile["depth"]), avoid_ros_namespace_conventions=plain, **policies, **times
+    )

@@ -125,6 +125,11 @@ class RawTopic:
         self._sequence = SequenceTracker(len(publishers))
 
     @property
+    def latched(self) -> bool:
+        """Whether late subscribers get the last message of the topic."""
+        return bool(self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+    @property
     def lost(self) -> int:
         """Number of messages that were published after the first received one and never came."""
         return self._sequence.lost

@@ -16,8 +16,10 @@ from tactile_hand_ros.bag.metadata import BagMetadata
 from tactile_hand_ros.bag.provenance import RECORD_NAME, provenance
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.raw_topic import DirectTakeGroup, RawTopic
+from tactile_hand_ros.bag.recover import continue_bag
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.selection import TopicSelection
+from tactile_hand_ros.bag.snapshot import SnapshotBuffer
 from tactile_hand_ros.bag.writer import BagWriter
 
 QUIET = 0.05  # s without a message after which nothing more is on its way
@@ -37,7 +39,7 @@ class RecordingStatus:
 
 
 class Recording:
-    """Writes all messages of the chosen topics to a new bag.
+    """Writes all messages of the chosen topics to a new bag, or to one that was cut off.
 
     Call `step` every few milliseconds and `close` at the end, while the context is still valid: a
     topic's first message needs the graph for what its publishers offer.
@@ -64,15 +66,29 @@ class Recording:
         self._refused: set[str] = set()
         self._next_discovery = 0.0
         self._next_flush = 0.0
+        keeps = config.snapshot_duration
+        self._buffer = SnapshotBuffer(keeps) if keeps > 0.0 else None
+        self._writer = self._begin(config)
+
+    def _begin(self, config: RecorderConfig) -> BagWriter:
+        """Create the bag, or continue the broken one that a killed recorder left."""
+        broken = continue_bag(Path(config.output))
+        if broken is not None:
+            self._node.get_logger().warning(f"going on after a recorder died: {broken.sentence}")
         origin = provenance(config.scenario)
         # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
-        self._writer = BagWriter(
+        writer = BagWriter(
             Path(config.output),
             compression=config.compression,
             chunk_size=config.chunk_size,
-            custom_data=dict(origin),
+            custom_data={**(broken.metadata.custom_data if broken else {}), **origin},
+            max_size=config.split_size,
+            max_duration=round(config.split_duration * 1e9),
+            earlier=broken.metadata if broken else None,
+            lazy=self._buffer is not None,
         )
-        self._writer.add_metadata(RECORD_NAME, origin)
+        writer.add_metadata(RECORD_NAME, origin)
+        return writer
 
     @property
     def folder(self) -> Path:
@@ -113,6 +129,24 @@ class Recording:
             self._writer.flush()
         return count
 
+    def snapshot(self) -> int:
+        """Write what was kept in memory, as a whole file of a whole bag.
+
+        Returns:
+            Number of messages written.
+
+        Raises:
+            BagError: If the disk refuses the data.
+        """
+        assert self._buffer is not None
+        self._drain()
+        kept = self._buffer.take()
+        for message in kept:
+            self._put(*message)
+        if kept:
+            self._writer.checkpoint()
+        return len(kept)
+
     def close(self) -> BagMetadata:
         """Write what is still on its way, then index and metadata.
 
@@ -145,6 +179,12 @@ class Recording:
         return sum(topic.drain(self._write) for topic in self._topics.values())
 
     def _write(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
+        if self._buffer is None:
+            self._put(topic, data, received, sent)
+        else:
+            self._buffer.add(topic, data, received, sent)
+
+    def _put(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
         channel = topic.channel or self._open_channel(topic)
         self._writer.write(channel, data, received, sent)
 

@@ -13,8 +13,10 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
 from tactile_hand_ros.bag.config import RecorderConfig
+from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
 from tactile_hand_ros.bag.recording import Recording
 from tactile_hand_ros.ros.diagnostics import WARN
@@ -30,6 +32,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
     Publications: `/diagnostics` (diagnostic_msgs/DiagnosticArray), 1 Hz: messages and bytes
     recorded, number of topics, messages lost on the way, topics whose type is not installed.
+
+    Service: with `snapshot_duration` > 0, `~/snapshot` (std_srvs/Trigger) writes the last seconds.
 
     Parameters: the fields of `RecorderConfig`; `output` is required.
     """
@@ -50,6 +54,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._recording = Recording(self, self.config)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self.create_timer(self.config.drain_period, self._step, clock=steady)
+        if self.config.snapshot_duration > 0.0:
+            self.create_service(Trigger, "~/snapshot", self._on_snapshot)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -84,6 +90,16 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.context.try_shutdown()
         elif self._recording.step():
             self.diagnostics.tick()
+
+    def _on_snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            count = self._recording.snapshot()
+        except BagError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.success = True
+        response.message = f"{count} messages were written to {self._recording.folder}"
+        return response
 
 
 def _node_that_ends_with_a_signal() -> RecorderNode:

@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recovery of bags that were cut off: every message that can still be read, in a whole bag."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
+
+from tactile_hand_ros.bag.bag_file import LIBRARY, BagFile
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.metadata import (
+    FILE_NAME,
+    RECORD_KEY,
+    RECORD_NAME,
+    BagMetadata,
+    FileMetadata,
+    TopicMetadata,
+    merge_topics,
+)
+from tactile_hand_ros.bag.qos import parse_qos
+from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
+from tactile_hand_ros.bag.stream import is_being_written
+from tactile_hand_ros.bag.writer import write_whole
+
+BROKEN = ".broken"
+_CHUNK_SIZE = 2**20
+_SUFFIX = "_recovered"
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What came of a recovery.
+
+    Attributes:
+        source: The broken bag.
+        target: The whole one; the same path if it was repaired in place.
+        metadata: Files and topics of the whole bag.
+        left: Bytes of messages that were cut off or damaged.
+        kept: Where the broken files are now, if they were renamed.
+    """
+
+    source: Path
+    target: Path
+    metadata: BagMetadata
+    left: int
+    kept: tuple[Path, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        """Number of messages that were recovered."""
+        return self.metadata.message_count
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        topics = sum(1 for topic in self.metadata.topics if topic.message_count)
+        lost = f"{self.left} bytes could not be used" if self.left else "nothing was left behind"
+        where = (
+            f"the broken file is kept as {', '.join(map(str, self.kept))}"
+            if self.kept
+            else f"{self.source} was not touched"
+        )
+        return (
+            f"recovered {self.messages} messages on {topics} topics to {self.target}; {lost}; "
+            f"{where}"
+        )
+
+
+def recover(bag: Path | str, out: Path | str | None = None, *, in_place: bool = False) -> Recovery:
+    """Make a whole bag of one that was cut off or damaged, whoever wrote it.
+
+    Args:
+        bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
+        out: Folder to create; by default beside the bag, with ``_recovered`` after its name.
+        in_place: Repair the bag's folder itself; broken files are kept there as ``*.broken``.
+
+    Raises:
+        BagError: If there is no MCAP bag, it is still being recorded, the output exists, or the
+            disk refuses the data.
+    """
+    source = find_bag(Path(bag))
+    files = _files_of(source)
+    if in_place:
+        if not source.is_dir():
+            raise BagError(f"{source} is a file, expected a folder to repair; give --out instead.")
+        return repair(source)
+    plain = source if source.is_dir() else source.with_suffix("")
+    target = Path(out) if out is not None else plain.with_name(plain.resolve().name + _SUFFIX)
+    _create(target)
+    name = target.resolve().name
+    copies = []
+    for number, file in enumerate(files):
+        copies.append(_copy(file, target / f"{name}_{number}.mcap"))
+    return _finish(source, target, copies)
+
+
+def is_whole(bag: Path) -> bool:
+    """Return whether a bag has everything that its writer gives it in the end."""
+    ends = all(_has_end(file) for file in _files_of(bag))
+    return ends and (not bag.is_dir() or (bag / FILE_NAME).exists())
+
+
+def repair(folder: Path) -> Recovery:
+    """Make the files in a bag folder whole, and its metadata anew.
+
+    At every moment there is a file under each name, the broken or the whole one.
+
+    Raises:
+        BagError: As `recover`.
+    """
+    copies, kept = [], []
+    for file in _files_of(folder):
+        draft = file.with_name(f".{file.name}")
+        draft.unlink(missing_ok=True)  # of a repair that was interrupted
+        copy = _copy(file, draft)
+        if copy.tally.whole:
+            draft.unlink()
+        else:
+            kept.append(_keep(file))
+            draft.replace(file)
+        copies.append(copy)
+    return _finish(folder, folder, copies, tuple(kept))
+
+
+def continue_bag(folder: Path) -> Recovery | None:
+    """Repair a broken bag that a recorder of this package left, so that it can be continued.
+
+    Args:
+        folder: What is to be recorded to.
+
+    Returns:
+        None if there is nothing to continue: no folder, or one that holds something else.
+
+    Raises:
+        BagError: If the bag is still being recorded, or somebody else's.
+    """
+    if not folder.is_dir() or (folder / FILE_NAME).exists() or not any(folder.glob("*.mcap")):
+        return None
+    for file in _files_of(folder):
+        header = next(iter(salvage(file, Tally())), None)
+        if isinstance(header, Header) and header.library != LIBRARY:
+            raise BagError(
+                f"The output {folder} holds a broken bag of '{header.library}', which is not "
+                f"continued; run `tactile-hand recover {folder}` and record to another folder."
+            )
+    return repair(folder)
+
+
+def find_bag(path: Path) -> Path:
+    """Return the bag that a path means: itself, or ``bag/`` in the folder of a run.
+
+    Raises:
+        BagError: If it does not exist.
+    """
+    if not path.exists():
+        raise BagError(f"The bag {path} does not exist; check the path.")
+    return path / "bag" if (path / "bag").is_dir() else path
+
+
+def _files_of(bag: Path) -> list[Path]:
+    files = [bag] if bag.is_file() else sorted(bag.glob("*.mcap"), key=_natural)
+    files = [file for file in files if not file.name.startswith(".")]
+    if not files:
+        raise BagError(f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered.")
+    for file in files:
+        if is_being_written(file):
+            raise BagError(
+                f"The bag {bag} is being recorded at this moment; stop the recorder, which "
+                "finishes it."
+            )
+    return files
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    parts = re.findall(r"\d+|\D+", path.name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+
+
+def _has_end(file: Path) -> bool:
+    with file.open("rb") as stream:
+        size = file.stat().st_size
+        stream.seek(max(0, size - len(MAGIC)))
+        return size > 2 * len(MAGIC) and stream.read() == MAGIC
+
+
+@dataclass
+class _Copy:
+    """A file that was written anew, and what it says about the bag."""
+
+    tally: Tally
+    file: FileMetadata
+    topics: list[TopicMetadata]
+    told: dict[str, Any] = field(default_factory=dict)
+
+
+def _copy(source: Path, target: Path) -> _Copy:
+    """Write everything that can be read from a file to a new one."""
+    with contextlib.closing(_Copier(source, target)) as copier:
+        return copier.run()
+
+
+class _Copier:
+    """Copies records, with the numbers of schemas and channels that the new file gives."""
+
+    def __init__(self, source: Path, target: Path) -> None:
+        self._source, self._target = source, target
+        self._tally = Tally()
+        self._schemas: dict[int, int] = {0: 0}
+        self._types: dict[int, str] = {0: ""}
+        self._channels: dict[int, int] = {}
+        self._topics: dict[int, Channel] = {}
+        self._counts: dict[int, int] = {}
+        self._told: dict[str, Any] = {}
+        self._file: BagFile | None = None
+
+    def run(self) -> _Copy:
+        try:
+            self._file = self._open()
+            for record in salvage(self._source, self._tally):
+                self._put(self._file, record)
+            topics = self._metadata_of_topics()
+            bag = _bag_metadata([self._file.metadata], topics, [self._told])
+            self._file.flush()
+            self._file.add_metadata(RECORD_NAME, bag.record())
+            self._file.finish()
+        except OSError as error:
+            raise BagError(
+                f"{self._target} cannot be written: {error.strerror or error}; free some space or "
+                "choose another folder with --out."
+            ) from error
+        return _Copy(self._tally, self._file.metadata, topics, self._told)
+
+    def close(self) -> None:
+        """Close the file if it is still open after a failure."""
+        if self._file is not None:
+            self._file.abandon()
+
+    def _open(self) -> BagFile:
+        """Create the file, compressed as the broken one."""
+        tally, header = Tally(), Header(profile="ros2", library=LIBRARY)
+        for record in salvage(self._source, tally):
+            if isinstance(record, Header):
+                header = record
+            if isinstance(record, Message):
+                break
+        compression = tally.compression or ("none" if tally.messages else "zstd")
+        return BagFile(self._target, compression, _CHUNK_SIZE, header.profile, LIBRARY)
+
+    def _put(self, file: BagFile, record: McapRecord) -> None:
+        if isinstance(record, Message):
+            file.write(
+                self._channels[record.channel_id],
+                record.data,
+                record.log_time,
+                record.publish_time,
+                record.sequence,
+            )
+            self._counts[record.channel_id] += 1
+        elif isinstance(record, Schema):
+            number = file.add_schema(record.name, record.encoding, record.data)
+            self._schemas[record.id], self._types[record.id] = number, record.name
+        elif isinstance(record, Channel):
+            self._put_channel(file, record)
+        elif isinstance(record, Metadata):
+            file.add_metadata(record.name, record.metadata)
+            if record.name == RECORD_NAME:
+                self._told.update(_told(record.metadata))
+        elif isinstance(record, Attachment):
+            file.add_attachment(record)
+
+    def _put_channel(self, file: BagFile, record: Channel) -> None:
+        if record.id in self._channels:
+            return
+        schema = self._schemas[record.schema_id]
+        number = file.add_channel(record.topic, record.message_encoding, schema, record.metadata)
+        self._channels[record.id], self._topics[record.id] = number, record
+        self._counts[record.id] = 0
+
+    def _metadata_of_topics(self) -> list[TopicMetadata]:
+        return [
+            TopicMetadata(
+                name=channel.topic,
+                type=self._types[channel.schema_id],
+                offered_qos_profiles=parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+                type_description_hash=channel.metadata.get("topic_type_hash", ""),
+                message_count=self._counts[number],
+                serialization_format=channel.message_encoding,
+            )
+            for number, channel in self._topics.items()
+        ]
+
+
+def _told(record: Mapping[str, str]) -> dict[str, Any]:
+    """Return what the writer's own metadata says that messages do not."""
+    try:
+        tree = yaml.safe_load(record[RECORD_KEY])
+        return {key: tree[key] for key in ("custom_data", "ros_distro") if tree.get(key)}
+    except (yaml.YAMLError, KeyError, AttributeError, TypeError):
+        return {}
+
+
+def _bag_metadata(
+    files: Sequence[FileMetadata],
+    topics: Iterable[TopicMetadata],
+    told: Iterable[Mapping[str, Any]],
+    more: Mapping[str, str] | None = None,
+) -> BagMetadata:
+    custom: dict[str, str] = {}
+    distro = os.environ.get("ROS_DISTRO") or "jazzy"
+    for tree in told:
+        custom |= {str(key): str(value) for key, value in tree.get("custom_data", {}).items()}
+        distro = tree.get("ros_distro", distro)
+    return BagMetadata(files, merge_topics(topics), custom | dict(more or {}), distro)
+
+
+def _finish(
+    source: Path, target: Path, copies: Sequence[_Copy], kept: tuple[Path, ...] = ()
+) -> Recovery:
+    """Write the metadata of all files."""
+    left = sum(copy.tally.left for copy in copies)
+    metadata = _bag_metadata(
+        [copy.file if copy.file.path[0] != "." else _renamed(copy.file) for copy in copies],
+        [topic for copy in copies for topic in copy.topics],
+        [copy.told for copy in copies],
+        {"recovered_bytes_left": str(left)},
+    )
+    try:
+        write_whole(target / FILE_NAME, metadata.file_text())
+    except OSError as error:
+        raise BagError(
+            f"{target / FILE_NAME} cannot be written: {error.strerror}; free some space."
+        ) from error
+    return Recovery(source, target, metadata, left, kept)
+
+
+def _renamed(file: FileMetadata) -> FileMetadata:
+    return FileMetadata(file.path[1:], file.start, file.duration, file.message_count)
+
+
+def _keep(file: Path) -> Path:
+    """Give a broken file a second name that is not taken."""
+    number = 0
+    while (kept := file.with_name(f"{file.name}{BROKEN}{number or ''}")).exists():
+        number += 1
+    try:
+        os.link(file, kept)
+    except OSError:  # a file system without links
+        shutil.copy2(file, kept)
+    return kept
+
+
+def _create(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise BagError(
+            f"The output {folder} exists already, expected a new folder; remove it or choose "
+            "another one with --out."
+        ) from None
+    except OSError as error:
+        raise BagError(
+            f"The output {folder} cannot be created: {error.strerror}; choose another one with "
+            "--out."
+        ) from None

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kill recorders at random moments and recover what they wrote: ``python -m support.kills 200``."""
+
+from __future__ import annotations
+
+import random
+import signal
+import struct
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Int64
+
+from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    start_executable,
+    wait_until,
+)
+
+TOPICS = ("/left/number", "/right/number")
+RATE = 500.0  # Hz on each topic
+_ENTRY = struct.Struct("<qq")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one kill.
+
+    Attributes:
+        recovered: Number of messages in the recovered bag.
+        lost: Time between the last recovered message of a topic and the kill, s; the longest.
+        unsaved: Messages that were sent until `bound` s before the kill and are not in the bag.
+        gaps: Missing numbers between the first and the last recovered one.
+    """
+
+    recovered: int
+    lost: float
+    unsaved: int
+    gaps: int
+
+
+def talk(diary: Path) -> None:
+    """Publish 0, 1, 2, ... until killed, and write down number and time of each."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = Node("talker", context=context)
+    publishers = [node.create_publisher(Int64, topic, QoSProfile(depth=2000)) for topic in TOPICS]
+    period = 1.0 / RATE
+    begin = time.monotonic()
+    number = 0
+    with diary.open("wb", buffering=0) as file:
+        while True:
+            data = serialize_message(Int64(data=number))
+            for publisher in publishers:
+                publisher.publish(data)
+            file.write(_ENTRY.pack(number, time.time_ns()))
+            number += 1
+            signal.sigtimedwait([], max(0.0, begin + number * period - time.monotonic()))
+
+
+@contextmanager
+def talker(diary: Path) -> Iterator[None]:
+    """Have somebody talk in a process of its own."""
+    process = ProcessUnderTest([sys.executable, "-m", "support.kills", "talk", diary])
+    with process:
+        wait_until(lambda: diary.exists() and diary.stat().st_size > 0, 30.0)
+        yield
+
+
+def kill(folder: Path, diary: Path, delay: float, bound: float) -> Outcome:
+    """Record, kill the recorder some time after its first message, and recover.
+
+    Args:
+        folder: For the bag.
+        diary: What the talker writes.
+        delay: Time from the first recorded chunk to the kill, s.
+        bound: What may be lost, s.
+    """
+    bag = folder / "bag"
+    flags = ("-p", f"output:={bag}", "-p", "topics:=['/(left|right)/number']")
+    with start_executable("recorder", "--ros-args", *flags) as recorder:
+        wait_until(lambda: recorder.returncode is not None or _size(bag) > 2500, 30.0)
+        assert recorder.returncode is None, recorder.stderr
+        signal.sigtimedwait([], delay)
+        killed = time.time_ns()
+        recorder.send(signal.SIGKILL)
+        assert recorder.wait() == -signal.SIGKILL
+    return _outcome(bag, diary, killed, bound)
+
+
+def _size(bag: Path) -> int:
+    return sum(file.stat().st_size for file in bag.glob("*.mcap"))
+
+
+def _outcome(bag: Path, diary: Path, killed: int, bound: float) -> Outcome:
+    before = {file: file.read_bytes() for file in bag.iterdir()}
+    target = recover(bag).target
+    assert before == {file: file.read_bytes() for file in bag.iterdir()}, "the original changed"
+    entries = np.frombuffer(diary.read_bytes()[: 16 * (diary.stat().st_size // 16)], dtype="<i8")
+    numbers, times = entries.reshape(-1, 2).T
+    numbers, times = numbers[times <= killed], times[times <= killed]
+    recovered, lost, unsaved, gaps = 0, 0.0, 0, 0
+    for topic in TOPICS:
+        got = np.array([number_in(m.data) for m in read_raw(target, [topic])], dtype=np.int64)
+        assert len(got), f"nothing of {topic} was recovered"
+        recovered += len(got)
+        gaps += int((np.diff(got) - 1).sum())
+        later = times[numbers > got[-1]]
+        lost = max(lost, 1e-9 * float(killed - later[0]) if len(later) else 0.0)
+        unsaved += int((later < killed - bound * 1e9).sum())
+    assert summarize(target).message_count == recovered
+    return Outcome(recovered, lost, unsaved, gaps)
+
+
+def number_in(data: bytes) -> int:
+    """Return the number in the CDR of an Int64."""
+    return int.from_bytes(data[4:12], "little", signed=True)
+
+
+def main(count: int, seed: int = 1) -> int:
+    """Kill `count` recorders and print what was lost; 0 if never more than 0.2 s."""
+    rng = random.Random(seed)
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as name, isolated_domain():
+        diary = Path(name) / "diary"
+        with talker(diary):
+            for run in range(count):
+                folder = Path(name) / str(run)
+                outcomes.append(kill(folder, diary, rng.uniform(0.0, 2.0), 0.2))
+                print(run, outcomes[-1], flush=True)
+    lost = np.array([outcome.lost for outcome in outcomes])
+    print(
+        f"{count} kills, {count} recoveries, {sum(o.recovered for o in outcomes)} messages; lost "
+        f"before a kill: median {np.median(lost):.3f} s, p99 {np.percentile(lost, 99):.3f} s, "
+        f"largest {lost.max():.3f} s; gaps {sum(o.gaps for o in outcomes)}, kills that lost more "
+        f"than 0.2 s: {int((lost > 0.2).sum())}"
+    )
+    return int(any(o.unsaved or o.gaps for o in outcomes))
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "talk":
+        talk(Path(sys.argv[2]))
+    sys.exit(main(int(sys.argv[1])))
