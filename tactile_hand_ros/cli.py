@@ -17,6 +17,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
+from tactile_hand_ros.cli_bags import COMMANDS as BAG_COMMANDS
 from tactile_hand_ros.core.errors import TactileHandError
 
 if TYPE_CHECKING:
@@ -192,6 +193,10 @@ def bench(
     if out is not None:
         out.write_text(json.dumps(b.to_json(results), indent=2) + "\n", encoding="utf-8")
         print(out)
+
+
+for _command in BAG_COMMANDS:
+    app.command()(_command)
 
 
 @study_app.callback()

@@ -34,7 +34,11 @@ class RecorderConfig(Config):
         65536, "size at which a chunk is closed and written", unit="B", ge=1024, le=2**26
     )
     flush_period: float = param(
-        0.1, "longest time a message waits in memory before it is written", unit="s", ge=0.01, le=60
+        0.05,
+        "longest time a message waits in memory before it is written",
+        unit="s",
+        ge=0.01,
+        le=60,
     )
     split_size: int = param(
         0, "size of a file on the disk at which the next one is begun, 0 for never", unit="B", ge=0

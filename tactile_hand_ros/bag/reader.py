@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -127,7 +127,29 @@ def _messages(
     reader: AnyReader, topics: Collection[str] | None, start: int | None, stop: int | None
 ) -> Iterator[tuple[Connection, int, bytes]]:
     wanted = [c for c in reader.connections if topics is None or c.topic in topics]
-    messages = iter(reader.messages(wanted, start=start, stop=stop)) if wanted else iter(())
+    return iterate(reader, wanted, start=start, stop=stop)
+
+
+def iterate(
+    reader: AnyReader,
+    connections: Sequence[Connection],
+    *,
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield connection, log time and data of an open bag's messages in order of log time.
+
+    Args:
+        reader: From `open_bag`.
+        connections: Which messages; none if empty.
+        start: Earliest log time in ns, inclusive.
+        stop: Latest log time in ns, exclusive.
+
+    Raises:
+        BagError: If the bag is damaged.
+    """
+    found = reader.messages(connections, start=start, stop=stop)
+    messages = iter(found) if connections else iter(())
     while True:
         try:
             item = next(messages, None)

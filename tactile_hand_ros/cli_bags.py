@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand recover`, `replay` and `audit`: what is done to and with bags."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_hand_ros.core.errors import TactileHandError
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.bag.replay import Replay
+    from tactile_hand_ros.bag.replay_options import Progress, ReplayOptions
+
+EXIT_DIFFERS = 1
+
+BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
+NamespaceOption = Annotated[
+    str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
+]
+
+
+def recover(
+    bag: BagArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to create; by default beside the bag.")
+    ] = None,
+    in_place: Annotated[
+        bool,
+        typer.Option("--in-place", help="Repair the folder itself; keeps broken files as *.broken"),
+    ] = False,
+) -> None:
+    """Make a whole bag of one that was cut off, whoever recorded it."""
+    from tactile_hand_ros.bag import recover as r
+
+    if in_place and out is not None:
+        raise TactileHandError("--in-place and --out were given, expected one of them.")
+    found = r.find_bag(bag)
+    if out is None and r.is_whole(found):
+        print(f"{found} is whole, there is nothing to recover")
+        return
+    print(r.recover(found, out, in_place=in_place).sentence)
+
+
+def replay(
+    bag: BagArgument = Path("runs/latest"),
+    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0,
+    start_offset: Annotated[
+        float, typer.Option(min=0.0, help="Where to begin [s after the first message].")
+    ] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(help="Only topics whose whole name matches; may be repeated."),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option(help="Not the topics whose whole name matches; may be repeated."),
+    ] = None,
+    clock: Annotated[
+        bool, typer.Option("--clock", help="Publish the bag's time on /clock, 100 times a second.")
+    ] = False,
+    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = "",
+    paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False,
+    delay: Annotated[float, typer.Option(min=0.0, help="Wait before the first message [s].")] = 0.0,
+) -> None:
+    """Publish a bag as it was recorded. Space pauses, Ctrl-C ends."""
+    from tactile_hand_ros.bag.recover import find_bag
+    from tactile_hand_ros.bag.replay_options import ReplayOptions
+
+    if not 0.0 < rate < float("inf"):
+        raise TactileHandError(f"--rate is {rate}, expected a number above 0.")
+    options = ReplayOptions(
+        rate=rate,
+        start_offset=start_offset,
+        loop=loop,
+        topics=_patterns(topics or [".*"]),
+        exclude=_patterns(exclude or []),
+        clock=100.0 if clock else 0.0,
+        namespace="/" + namespace.strip("/") if namespace.strip("/") else "",
+        paused=paused,
+        delay=delay,
+    )
+    _publish(find_bag(bag), options)
+
+
+def _patterns(given: list[str]) -> list[str]:
+    import re
+
+    for pattern in given:
+        try:
+            re.compile(pattern)
+        except re.error as error:
+            raise TactileHandError(f"'{pattern}' is no regular expression, {error}.") from None
+    return given
+
+
+def _publish(bag: Path, options: ReplayOptions) -> None:
+    try:
+        from tactile_hand_ros.bag.replay_node import replaying
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
+            "install its wheels."
+        ) from None
+
+    with replaying(bag, options) as player, _line(player) as watch, _keyboard(player):
+        for topic, reason in player.skipped.items():
+            print(f"{topic} is not published: {reason}", file=sys.stderr)
+        print(f"publishing {len(player.topics)} topics of {bag}", file=sys.stderr)
+        try:
+            player.run(watch)
+        finally:
+            print(f"published {player.progress.messages} messages", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _line(player: Replay) -> Iterator[Any]:
+    """Show on a terminal where the replay is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    text = TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[state]}")
+    bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
+    task = bar.add_task("replay", total=player.progress.duration, state="")
+
+    def watch(progress: Progress) -> None:
+        state = "paused, space goes on" if progress.paused else f"{progress.messages} messages"
+        bar.update(task, completed=progress.position, state=state)
+
+    with bar:
+        yield watch
+
+
+@contextlib.contextmanager
+def _keyboard(player: Replay) -> Iterator[None]:
+    """Let the space key pause, where there is a terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    import select
+    import termios
+    import threading
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    done = threading.Event()
+
+    def listen() -> None:
+        while not done.is_set():
+            if select.select([sys.stdin], [], [], 0.1)[0] and sys.stdin.read(1) == " ":
+                player.toggle()
+
+    thread = threading.Thread(target=listen, daemon=True)
+    try:
+        tty.setcbreak(sys.stdin)
+        thread.start()
+        yield
+    finally:
+        done.set()
+        thread.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+COMMANDS = (recover, replay)
