@@ -48,7 +48,7 @@ class ForceOptimizerConfig(Config):
         0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
     )
     cone_share: float = param(
-        0.78, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
+        0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )
 
     def weight_vector(self, fingers: int) -> Array:

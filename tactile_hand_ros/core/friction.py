@@ -10,6 +10,13 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.slip_detector import Force, Grip
 
 _SAMPLES = 4  # that are averaged against noise and vibration
+_READINGS = 10  # of a slip that count; later the squeeze may long have caught it
+_LARGEST = 3  # of them that are averaged
+_EXACT = 1e-4  # variance below which no force ratio is known
+_AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
+_SURE = 2.0  # standard deviations by which a force ratio must be proven
+_INERTIA = 2.0  # slips that a well known friction weighs as much as
+_AGREE = 0.15  # relative difference up to which two slips show the same friction
 
 
 class FrictionConfig(Config):
@@ -19,7 +26,7 @@ class FrictionConfig(Config):
     least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
     most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     explore: float = param(
-        0.03,
+        0.05,
         "growth of an estimate that no slip has bounded yet, so that the squeeze is lowered until "
         "something slips a little",
         unit="1/s",
@@ -27,20 +34,29 @@ class FrictionConfig(Config):
         ge=0.0,
     )
     forget: float = param(
-        0.002, "growth of an estimate that a slip has bounded", unit="1/s", live=True, ge=0.0
+        0.002, "growth of an estimate that slips have bounded", unit="1/s", live=True, ge=0.0
     )
-    smoothing: float = param(0.01, "time constant of the force ratio", unit="s", live=True, gt=0.0)
-    window: float = param(
-        0.03, "how long the force ratio before a detection is remembered", unit="s", gt=0.0
+    smoothing: float = param(
+        0.02, "time constant of the forces of a contact that sticks", unit="s", live=True, gt=0.0
+    )
+    trust: float = param(
+        0.05, "uncertainty of a slip's force ratio at which it counts half", live=True, gt=0.0
     )
 
 
 class FrictionEstimator:
     """Bounds mu of one contact: sticking at a force ratio proves mu above it, slipping shows mu.
 
+    A slip is read from its own samples only: those since the detector's sum left zero, which is
+    Page's estimate of when it began. A contact that slides shows mu, one that the squeeze has
+    caught shows less, so that the largest few ratios count. How much they count depends on how well
+    they show: a contact that is hardly pressed tells next to nothing. An estimate grows the more
+    slowly, the better slips have shown it, so that a false alarm is soon forgotten and a surface
+    that slipped twice at the same ratio is not.
+
     Attributes:
         estimate: mu.
-        learned: Whether a slip has shown it.
+        confidence: How well slips have shown it, 0 to 1.
     """
 
     def __init__(self, config: FrictionConfig) -> None:
@@ -51,55 +67,127 @@ class FrictionEstimator:
     def reset(self) -> None:
         """Forget what was learned."""
         self.estimate = self.config.prior
-        self.learned = False
-        self._ratio = self._peak = 0.0
-        self._slid = False
-        self._recent: deque[Force] = deque(maxlen=_SAMPLES)
+        self.confidence = 0.0
+        self._forget_forces()
 
-    def step(self, force: Force | None, state: Grip, dt: float) -> float:
+    def _forget_forces(self) -> None:
+        self._mean: Force | None = None
+        self._variance = self._touched_for = 0.0
+        self._slid: deque[Force] = deque(maxlen=_SAMPLES)
+        self._reading = _Reading()
+        self._before: tuple[float, float] | None = None
+        self._quiet_for = 0.0
+
+    def step(self, force: Force | None, state: Grip, evidence: float, dt: float) -> float:
         """Return the estimate after a tick.
 
         Args:
             force: Measured force in the contact frame (x, n, z), N; None where there is none.
             state: What the detector says of the contact.
+            evidence: Its evidence for slip; zero: nothing slips.
             dt: Time since the last tick, s.
         """
         if force is None or state is Grip.UNKNOWN:
-            self._ratio = self._peak = 0.0
-            self._slid = False
-            self._recent.clear()
+            self._forget_forces()
             return self.estimate
-        c = self.config
-        ratio = math.hypot(force[0], force[2]) / force[1]
-        self._ratio += min(1.0, dt / c.smoothing) * (ratio - self._ratio)
-        around = self._ratio_around(force)
-        # The peak fades within the window, so that it tells of the last moments only.
-        self._peak = max(around, (1.0 - min(1.0, dt / c.window)) * self._peak)
+        self._follow(force, evidence)
         if state is Grip.SLIP:
-            self._slip(around)
+            self._quiet_for = 0.0
+            self._slip()
         else:
-            self._stick(dt)
-        self._slid = state is Grip.SLIP
+            self._quiet_for += dt
+            if self._quiet_for > _AFTERSHOCKS:
+                self._before = None
+            self._stick(force, dt)
+        c = self.config
         self.estimate = min(max(self.estimate, c.least), c.most)
         return self.estimate
 
-    def _ratio_around(self, force: Force) -> float:
-        """Return the force ratio of the mean of the last samples, against noise."""
-        self._recent.append(force)
-        normal = sum(f[1] for f in self._recent)
-        if normal <= 0.0:
-            return 0.0
-        return math.hypot(sum(f[0] for f in self._recent), sum(f[2] for f in self._recent)) / normal
+    def _follow(self, force: Force, evidence: float) -> None:
+        """Read the force ratio since the evidence for a slip began."""
+        if evidence <= 0.0:
+            self._slid.clear()
+            if self._before is None:
+                self._reading = _Reading()
+            return
+        self._slid.append(force)
+        if len(self._slid) == _SAMPLES:
+            self._reading.add(self._slid)
 
-    def _stick(self, dt: float) -> None:
-        growth = self.config.forget if self.learned else self.config.explore
-        self.estimate = max(self.estimate * (1.0 + growth * dt), self._ratio)
+    def _slip(self) -> None:
+        """Take the force ratio of a slip, as far as it can be trusted."""
+        if self._before is None:
+            self._before = self.estimate, self.confidence
+        estimate, confidence = self._before
+        ratio, weight = self._reading.ratio, self._reading.weight(self.config.trust)
+        # What slips have shown before weighs against a single contrary one, maybe a false alarm.
+        gain = weight / (1.0 + _INERTIA * confidence)
+        self.estimate = estimate + gain * (ratio - estimate)
+        agrees = abs(ratio - estimate) < _AGREE * estimate
+        self.confidence = 1.0 - (1.0 - confidence) * (1.0 - weight) if agrees else gain
+        self._mean = None
 
-    def _slip(self, ratio: float) -> None:
-        """Take the largest force ratio around the detection of a slip.
+    def hear(self, other: FrictionEstimator) -> None:
+        """Lower an estimate to what a better known contact with the same object has shown.
 
-        A contact that slides shows mu; one that sticks, before or since, shows less. Detection
-        needs some samples, in which the squeeze may already have caught the object.
+        A finger that hardly presses cannot learn from its own slips. Never the other way round:
+        too low an estimate costs force, too high a one the object.
         """
-        self.estimate = max(self.estimate, ratio) if self._slid else self._peak
-        self.learned = True
+        trust = 0.5 * other.confidence
+        if other.estimate < self.estimate and trust > self.confidence:
+            share = other.confidence * (1.0 - self.confidence)
+            self.estimate += share * (other.estimate - self.estimate)
+            self.confidence = trust
+
+    def _stick(self, force: Force, dt: float) -> None:
+        c = self.config
+        growth = c.explore + self.confidence * (c.forget - c.explore)
+        self.estimate = max(self.estimate * (1.0 + growth * dt), self._proven(force, dt))
+
+    def _proven(self, force: Force, dt: float) -> float:
+        """Return a force ratio that this contact has surely been sticking at."""
+        if self._mean is None:
+            self._mean, self._variance, self._touched_for = force, 0.0, 0.0
+            return 0.0
+        time = self.config.smoothing
+        share = min(1.0, dt / time)
+        off = [f - m for f, m in zip(force, self._mean, strict=True)]
+        x, n, z = (m + share * d for m, d in zip(self._mean, off, strict=True))
+        self._mean = x, n, z
+        self._variance += share * (sum(d * d for d in off) / 3.0 - self._variance)
+        self._touched_for += dt
+        if self._touched_for < 3.0 * time:  # too early for the variance to be known
+            return 0.0
+        doubt = _SURE * math.sqrt(self._variance * share)
+        return max(0.0, math.hypot(x, z) - doubt) / (n + doubt) if n > 0.0 else 0.0
+
+
+class _Reading:
+    """Force ratio of a slip, and how sure it is."""
+
+    def __init__(self) -> None:
+        self._ratios: list[float] = []
+        self._precision = 0.0
+
+    def add(self, forces: deque[Force]) -> None:
+        """Take some successive forces."""
+        n = len(forces)
+        x, normal, z = (sum(part) / n for part in zip(*forces, strict=True))
+        if normal <= 0.0 or len(self._ratios) == _READINGS:
+            return
+        squares = sum((f[0] - x) ** 2 + (f[1] - normal) ** 2 + (f[2] - z) ** 2 for f in forces)
+        variance = squares / (3.0 * n * (n - 1)) / normal**2 + _EXACT
+        self._ratios.append(math.hypot(x, z) / normal)
+        # Each force is part of n means, which are therefore not independent.
+        self._precision += 1.0 / (n * variance)
+
+    @property
+    def ratio(self) -> float:
+        """Mean of the largest few; 0 where nothing is known."""
+        largest = sorted(self._ratios)[-_LARGEST:]
+        return sum(largest) / len(largest) if largest else 0.0
+
+    def weight(self, trust: float) -> float:
+        """Return how much the ratio counts, 0 to 1; half where it is as uncertain as `trust`."""
+        gain = trust * trust * self._precision
+        return gain / (1.0 + gain)

@@ -15,8 +15,9 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import CollinearContactsError, MessageError
 from tactile_hand_ros.core.friction import FrictionConfig, FrictionEstimator
+from tactile_hand_ros.core.need import Need, NeedConfig
 from tactile_hand_ros.core.slip_detector import Grip, SlipDetector, SlipDetectorConfig
-from tactile_hand_ros.core.squeeze import Split, required_squeeze, split
+from tactile_hand_ros.core.squeeze import Split, split
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ class ReflexConfig(Config):
     """Parameters of the reflex that keeps an object from slipping."""
 
     margin: float = param(
-        0.2, "share by which the squeeze exceeds what the friction needs", live=True, ge=0.0
+        0.15, "share by which the squeeze exceeds what the friction needs", live=True, ge=0.0
     )
     rise_rate: float = param(4000.0, "fastest rise of the squeeze", unit="N/s", live=True, gt=0.0)
     doubling_time: float = param(
@@ -38,17 +39,9 @@ class ReflexConfig(Config):
         1.0, "least fall of the squeeze towards what is needed", unit="N/s", live=True, gt=0.0
     )
     release_time: float = param(
-        1.0, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
+        0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
     )
-    smoothing: float = param(
-        0.005, "time constant of the measured load", unit="s", live=True, gt=0.0
-    )
-    least_trend: float = param(
-        5.0, "rate of a load below which it is noise", unit="N/s", live=True, ge=0.0
-    )
-    lead: float = param(
-        0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
-    )
+    need: NeedConfig = NeedConfig()
 
 
 class SlipRegulatorConfig(Config):
@@ -106,6 +99,7 @@ class SlipRegulator:
         self._k = fingers
         self._detectors = [SlipDetector(config.detector) for _ in range(fingers)]
         self._estimators = [FrictionEstimator(config.friction) for _ in range(fingers)]
+        self._need = Need()
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -123,7 +117,7 @@ class SlipRegulator:
         self._asked = self._goal = self._reflex = start
         self.needed = math.nan
         self._last_stamp: int | None = None
-        self._load: Array | None = None
+        self._need.reset()
         self._squeezes: deque[float] = deque(maxlen=_MEMORY)
         for detector, estimator in zip(self._detectors, self._estimators, strict=True):
             detector.reset()
@@ -194,7 +188,7 @@ class SlipRegulator:
         # The user's squeeze needs no opinion on what would hold.
         parts = None if self.config.mode == "user" else self._split(contacts, forces)
         slips = self._watch(contacts, forces, parts, dt)
-        self.needed = self._need(parts, dt)
+        self.needed = self._needed(parts, dt)
         c = self.config.reflex
         goal = self.needed if math.isfinite(self.needed) else self._reflex
         if slips:  # the load is more than friction lets through: grow until it holds
@@ -212,9 +206,16 @@ class SlipRegulator:
         for i, (force, touches, axis) in enumerate(felt):
             known = tuple(force) if touches and math.isfinite(sum(force)) else None
             state = self._detectors[i].step(known, axis, own_change, dt)
-            self._estimators[i].step(known, state, dt)
+            self._estimators[i].step(known, state, self._detectors[i].evidence, dt)
             slips = slips or state is Grip.SLIP
+        if slips:
+            self._share_friction()
         return slips
+
+    def _share_friction(self) -> None:
+        for known in self._estimators:
+            for other in self._estimators:
+                other.hear(known)
 
     def _own_change(self) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
@@ -231,29 +232,9 @@ class SlipRegulator:
         except CollinearContactsError:
             return None
 
-    def _need(self, parts: Split | None, dt: float) -> float:
+    def _needed(self, parts: Split | None, dt: float) -> float:
         if parts is None or parts.grasp_force <= 0.0:
-            self._load = None
+            self._need.reset()
             return math.nan
-        load = self._foreseen(parts, dt)
-        shape = parts.squeeze / parts.grasp_force
-        share = 1.0 / (1.0 + self.config.reflex.margin)
-        return max(
-            required_squeeze(load[i], shape[i], share * estimator.estimate)
-            for i, estimator in enumerate(self._estimators)
-        )
-
-    def _foreseen(self, parts: Split, dt: float) -> Array:
-        """Smooth the load and extrapolate it by the lead time."""
-        c = self.config.reflex
-        if self._load is None or dt == 0.0:
-            self._load, self._trend = parts.load, np.zeros_like(parts.load)
-            return self._load
-        share = min(1.0, dt / c.smoothing)
-        before = self._load
-        self._load = before + share * (parts.load - before)
-        # The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
-        self._trend = self._trend + share * ((self._load - before) / dt - self._trend)
-        speed = np.linalg.norm(self._trend, axis=1, keepdims=True)
-        real = np.maximum(0.0, 1.0 - c.least_trend / np.maximum(speed, 1e-12))
-        return np.asarray(self._load + (c.smoothing + c.lead) * real * self._trend)
+        reflex = self.config.reflex
+        return self._need.step(parts, self.friction / (1.0 + reflex.margin), reflex.need, dt)
