@@ -86,7 +86,8 @@ def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int)
     free = {topics.full(name) for name in _NOT_EVERY_TICK}
     absent = [t for t in series if t not in counts and t not in free and not t.startswith(truth)]
     wall = 1e-9 * float(logged[-1] - logged[0]) if len(logged) else 0.0
-    latency = _latencies(ticks, logged, series[topics.full(names.JOINT_COMMAND)])
+    latency = latencies(series, topics)
+    latency = latency[~np.isnan(latency)]
     median, p99, longest = np.percentile(latency, [50, 99, 100]) if len(latency) else [np.nan] * 3
     return BagMetrics(
         messages=messages,
@@ -108,10 +109,21 @@ def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> Topi
     return TopicCount(len(series), covered, covered == len(ticks) if asked else None)
 
 
-def _latencies(ticks: Times, logged: Times, command: Series) -> NDArray[np.float64]:
-    """Return the time from each tick to the first command that answers it, s."""
+def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:
+    """Return the time from each tick to the first command that answers it, by the wall clock.
+
+    Args:
+        series: Topics by full name.
+        topics: Names of the hand's topics.
+
+    Returns:
+        Shape (n,), s, in the order of the ticks; NaN where no command was recorded.
+    """
+    ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
+    command = series[topics.full(names.JOINT_COMMAND)]
     after = command.since(int(logged[0]) if len(logged) else 0)
     stamps, first = np.unique(command.stamps[after], return_index=True)
-    answered, at_tick, at_command = np.intersect1d(ticks, stamps, return_indices=True)
-    times = command.log_times[after][first]
-    return np.asarray(1e-9 * (times[at_command] - logged[at_tick])[: len(answered)])
+    _, at_tick, at_command = np.intersect1d(ticks, stamps, return_indices=True)
+    out = np.full(len(ticks), np.nan)
+    out[at_tick] = 1e-9 * (command.log_times[after][first][at_command] - logged[at_tick])
+    return out

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros.analysis import topics as names
 from tactile_hand_ros.analysis.alignment import align
-from tactile_hand_ros.analysis.bag_metrics import BagMetrics, bag_metrics
+from tactile_hand_ros.analysis.bag_metrics import BagMetrics, bag_metrics, latencies
+from tactile_hand_ros.analysis.events import Event, events
 from tactile_hand_ros.analysis.extras import optional
 from tactile_hand_ros.analysis.ledger import Assumption, ledger
 from tactile_hand_ros.analysis.metrics import Metrics, metrics
@@ -170,6 +172,16 @@ class Run:
     def bag_metrics(self) -> BagMetrics:
         """Completeness and timing."""
         return bag_metrics(self.series, self.topics, self.summary.message_count)
+
+    @cached_property
+    def latencies(self) -> NDArray[np.float64]:
+        """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
+        return latencies(self.series, self.topics)
+
+    @cached_property
+    def events(self) -> list[Event]:
+        """Commands, disturbances, slips, alarms, reactions and contact losses, in order of time."""
+        return events(self.record, self.scenario)
 
     @cached_property
     def diagnostics(self) -> list[Diagnosis]:

@@ -75,6 +75,11 @@ def law_color(index: int) -> str:
     return _LAWS[index % len(_LAWS)]
 
 
+def run_color(index: int) -> str:
+    """Return the colour of a run among several, where no finger is shown."""
+    return _FINGERS[index % len(_FINGERS)]
+
+
 def pretty(name: str) -> str:
     """Return a name as people write it: ``finger_1`` becomes ``finger 1``."""
     return name.replace("_", " ")

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// Puts the page together from the document that it carries.
+
+import "uplot/dist/uPlot.min.css";
+import "./style.css";
+import { Chart } from "./charts/chart.js";
+import { commonTimes, comparisonCharts } from "./charts/comparison.js";
+import { runCharts } from "./charts/run.js";
+import { readDocument } from "./data.js";
+import { el } from "./dom.js";
+import { KEYS, listenToKeys } from "./keyboard.js";
+import { comparisonHeader, header } from "./page/header.js";
+import { ledger } from "./page/ledger.js";
+import { stage } from "./page/stage.js";
+import { eventList, footer, notes, scenario, tables, tablesSideBySide } from "./page/tables.js";
+import { transport } from "./page/transport.js";
+import { Player } from "./player.js";
+import { Theme } from "./theme.js";
+import { Zoom } from "./zoom.js";
+
+const content = readDocument();
+const theme = new Theme();
+const root = document.getElementById("report");
+
+/** Make what all parts of the page share. */
+function makeContext(time, events) {
+  const [start, end] = [time[0], time[time.length - 1]];
+  const context = { time, events, theme, player: new Player(start, end), zoom: new Zoom(start, end) };
+  context.player.listen((player) => player.playing && context.zoom.follow(player.time));
+  listenToKeys({ ...context, times: time });
+  return context;
+}
+
+function showRun(run) {
+  const context = makeContext(run.time, run.events);
+  const { element, scene } = stage(run, content.palette, context);
+  const plots = el("div", { class: "plots" });
+  const below = [...tables(run.tables), eventList(run.events, context.player)].filter((part) => part);
+  root.append(
+    header(run, theme),
+    ...[notes(run.notes)].filter((part) => part),
+    el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.ledger, context))),
+    el("div", { class: "below" }, ...below),
+    ...[scenario(run.scenario)].filter((part) => part),
+    footer(KEYS, run),
+  );
+  // As high as the window leaves below the head, so that all of it is seen at first.
+  root.style.setProperty("--above", `${element.getBoundingClientRect().top + window.scrollY}px`);
+  const charts = runCharts(run, theme).map((spec) => new Chart(spec, context));
+  plots.append(...charts.map((chart) => chart.element));
+  return { ...context, scene, charts };
+}
+
+function showComparison() {
+  const { runs, palette } = content;
+  const context = makeContext(commonTimes(runs), []);
+  const plots = el("div", { class: "plots" });
+  const scenarios = runs.map((run, i) => scenario(run.scenario, `of ${i + 1} ${run.name}`)).filter((part) => part);
+  root.append(
+    comparisonHeader(runs, palette.runs, theme),
+    ...[notes([...new Set(runs.flatMap((run) => run.notes))])].filter((part) => part),
+    el("main", { class: "overlaid" }, plots, el("section", { class: "stage flat" }, transport({ events: [] }, context))),
+    el("div", { class: "below one" }, ...tablesSideBySide(runs)),
+    ...scenarios,
+    footer(KEYS, { ...runs[0], recorded: "" }),
+  );
+  const charts = comparisonCharts(content, context.time, theme).map((spec) => new Chart(spec, context));
+  plots.append(...charts.map((chart) => chart.element));
+  return { ...context, scene: null, charts };
+}
+
+/** For tests and for the console. */
+window.report = content.kind === "comparison" ? showComparison() : showRun(content.runs[0]);
