@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile_hand_ros.analysis.slip_roc import Point
-from tactile_hand_ros.analysis.slip_study import EVENTS, HELD, RATES, Outcome, Study, estimate
+from tactile_hand_ros.analysis.slip_study import Study
+from tactile_hand_ros.analysis.statistics import estimate
+from tactile_hand_ros.analysis.study_cases import EVENTS, RATES
+from tactile_hand_ros.analysis.study_outcomes import HELD, Outcome
 from tactile_hand_ros.analysis.style import (
     COLUMN,
     FAINT,
