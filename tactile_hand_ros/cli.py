@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -120,6 +121,43 @@ def figures(
 
 
 @app.command()
+def report(
+    run: RunArgument = LATEST,
+    out: Annotated[Path | None, typer.Option(help="Folder; by default that of the run.")] = None,
+    namespace: NamespaceOption = None,
+) -> None:
+    """Write a run as one page, report.html: 3D playback, plots, metrics, assumptions."""
+    from tactile_hand_ros.analysis.report import write_report
+
+    start = time.perf_counter()
+    if out is not None:
+        _check_writable(out)
+    _print_page(write_report(_open(run, namespace), out), start)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Two or more runs or bags.")],
+    out: Annotated[Path, typer.Option(help="Folder for comparison.html.")] = Path("."),
+    namespace: NamespaceOption = None,
+) -> None:
+    """Lay runs over each other: one page with their plots, and their metrics side by side."""
+    from tactile_hand_ros.analysis import tables
+    from tactile_hand_ros.analysis.report import COMPARISON, write_comparison
+
+    start = time.perf_counter()
+    if len(runs) < 2:
+        raise TactileHandError(f"{len(runs)} run was given, expected two or more to compare.")
+    _check_writable(out)
+    opened = [_open(run, namespace) for run in runs]
+    file = write_comparison(opened, out / COMPARISON)
+    names = [f"{number}: {each.path.name}" for number, each in enumerate(opened, 1)]
+    rows = tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
+    _print(tables.rich_table("runs", ("", *names), rows))
+    _print_page(file, start)
+
+
+@app.command()
 def summary(
     run: RunArgument = LATEST,
     namespace: NamespaceOption = None,
@@ -216,14 +254,14 @@ def slip(
     formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what squeeze."""
-    from tactile_hand_ros.analysis import slip_roc, study_figures, tables
-    from tactile_hand_ros.analysis import slip_study as s
+    from tactile_hand_ros.analysis import slip_roc, slip_study, study_figures, tables
+    from tactile_hand_ros.analysis import study_tables as s
     from tactile_hand_ros.analysis.style import save
 
     _formats(formats)
     _check_writable(out if out.exists() else out.absolute().parent)
-    with _progress("holding", len(s.tasks_of(runs, seed))) as advance:
-        result = s.run_study(runs, seed, jobs, advance)
+    with _progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
+        result = slip_study.run_study(runs, seed, jobs, advance)
     drawn = study_figures.figures(result)
     points: list[slip_roc.Point] = []
     if roc:
@@ -262,6 +300,20 @@ def _open(path: Path, namespace: str | None) -> Run:
         text = f"note: without its scenario, which does not fit: {opened.scenario_problem}"
         print(text, file=sys.stderr)
     return opened
+
+
+def _print_page(file: Path, start: float) -> None:
+    """Say where a page is, how large, and how long it took since `start`."""
+    size, took = 1e-6 * file.stat().st_size, time.perf_counter() - start
+    _console().print(
+        f"[bold]{_escaped(file)}[/bold]  {size:.1f} MB in {took:.1f} s", soft_wrap=True
+    )
+
+
+def _escaped(text: object) -> str:
+    from rich.markup import escape
+
+    return escape(str(text))
 
 
 def _folder_of(run: Run) -> Path:

@@ -53,6 +53,7 @@ def orchestrate(
     ] = None,
     out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs"),
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
+    report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True,
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
@@ -84,7 +85,7 @@ def orchestrate(
             signals.check()
             directory = RunDirectory.create(out, plan.scenario.name)
             session = Session(plan, directory, launcher, signals, held)
-            raise typer.Exit(_run(session, node, quiet=quiet))
+            raise typer.Exit(_run(session, node, quiet=quiet, report=report))
     except TactileHandError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(EXIT_REFUSED) from None
@@ -136,7 +137,7 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
     return name
 
 
-def _run(session: Session, node: Node, *, quiet: bool) -> int:
+def _run(session: Session, node: Node, *, quiet: bool, report: bool) -> int:
     """Run a session, judge it and show what came out."""
     plan, directory = session.plan, session.directory
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
@@ -151,13 +152,15 @@ def _run(session: Session, node: Node, *, quiet: bool) -> int:
     duration = None if plan.interactive else plan.scenario.duration
     outcome = session.run(node, make_view(console, duration, quiet=quiet))
     # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
-    from tactile_hand_ros.orchestrator.summary import judge, read_results, table, write_summary
+    from tactile_hand_ros.orchestrator import summary
 
-    results = read_results(plan, directory, finished=outcome.is_complete)
-    verdict = judge(plan, outcome, results, session.signals.exit_code)
-    write_summary(plan, directory, outcome, results, verdict)
+    results = summary.read_results(plan, directory, finished=outcome.is_complete)
+    verdict = summary.judge(plan, outcome, results, session.signals.exit_code)
+    summary.write_summary(plan, directory, outcome, results, verdict)
     if results.metrics:
-        console.print(table(plan, outcome, results))
+        console.print(summary.table(plan, outcome, results))
+    if report and (line := summary.report_line(results)):
+        tell(line)
     tell(f"{verdict.outcome}; everything is in {directory.path}")
     for reason in verdict.reasons:
         print(reason, file=sys.stderr)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.analysis.metrics import json_ready
+from tactile_hand_ros.analysis.report import write_report
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
@@ -29,12 +30,14 @@ class Results:
         recording: Message counts against ticks, empty without a bag or a tick.
         problems: A sentence for each thing that is wrong with the bag.
         assumptions: `Run.ledger` as plain data.
+        run: The run as it was read, None without a bag or a tick.
     """
 
     metrics: dict[str, Any] = field(default_factory=dict)
     recording: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     assumptions: list[dict[str, Any]] = field(default_factory=list)
+    run: Run | None = None
 
 
 def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Results:
@@ -53,6 +56,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
         results.metrics = run.metrics.to_dict()
         results.recording = run.bag_metrics.to_dict()
         results.assumptions = [line.to_dict() for line in run.ledger]
+        results.run = run
     except TactileHandError as error:
         results.problems.append(str(error))
         return results
@@ -176,6 +180,19 @@ def write_summary(
     draft = directory.summary.with_name(f".{directory.summary.name}")
     draft.write_text(text + "\n", encoding="utf-8")
     draft.replace(directory.summary)
+
+
+def report_line(results: Results) -> str:
+    """Write the report and return a line that says where it is, empty where nothing was recorded.
+
+    A page that fails must not cost the run: whatever goes wrong is said and nothing else happens.
+    """
+    if results.run is None:
+        return ""
+    try:
+        return f"report: {write_report(results.run)}"
+    except Exception as error:
+        return f"the report was not written: {error or type(error).__name__}"
 
 
 def table(plan: Plan, outcome: Outcome, results: Results) -> Table:

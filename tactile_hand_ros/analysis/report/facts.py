@@ -43,7 +43,6 @@ def lost_messages(run: Run) -> int | None:
 def tiles(run: Run) -> list[dict[str, str]]:
     """Return the headline: a few numbers, each with what it is and how it is to be judged."""
     m, bag, goal = run.metrics, run.bag_metrics, run.scenario.goal if run.scenario else None
-    lost = lost_messages(run)
     return [
         _tile(
             "position error", 1e3 * m.final_position_error_m, "mm",
@@ -57,14 +56,15 @@ def tiles(run: Run) -> list[dict[str, str]]:
         _tile("squeeze", m.final_grasp_force_N, "N", f"peak {_peak_squeeze(run)}"),
         _tile("longest slip", 1e3 * m.max_slip_distance_m, "mm", "of any contact"),
         _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
-        {
-            "label": "recorded",
-            "value": str(bag.messages),
-            "unit": "messages",
-            "note": ("complete" if bag.complete else "incomplete")
-            + ("" if lost is None else f", {lost} lost"),
-        },
+        _recorded(bag.messages, lost_messages(run)),
     ]  # fmt: skip
+
+
+def _recorded(messages: int, lost: int | None) -> dict[str, str]:
+    if lost is None:
+        return {"label": "recorded", "value": str(messages), "unit": "", "note": "messages"}
+    note = f"of {messages} messages"
+    return {"label": "recorded", "value": str(lost), "unit": "lost", "note": note}
 
 
 def _tile(label: str, value: float, unit: str, note: str) -> dict[str, str]:

@@ -7,6 +7,7 @@ import { el } from "../dom.js";
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 const CLICK = 4; // px that a click may wander
+const TELLING = 120; // ms between new values in the legend while it plays; faster nobody reads
 const SYNC = uPlot.sync("time");
 
 /**
@@ -19,6 +20,7 @@ export class Chart {
   constructor(spec, context) {
     this.spec = spec;
     this.context = context;
+    this._told = -Infinity;
     this.element = el("figure", { class: "chart" });
     this.body = el("div", { class: "chart-body" });
     this.element.append(this._head(), this.body);
@@ -124,8 +126,12 @@ export class Chart {
 
   _moved(player) {
     const share = this.context.zoom.share(player.time);
+    const width = this.plot.bbox.width / (window.devicePixelRatio || 1); // without asking for a new layout
     this.playhead.style.display = share < 0 || share > 1 ? "none" : "";
-    this.playhead.style.transform = `translateX(${share * this.plot.over.clientWidth}px)`;
+    this.playhead.style.transform = `translateX(${share * width}px)`;
+    const now = performance.now();
+    if (player.playing && now - this._told < TELLING) return;
+    this._told = now;
     const row = rowAt(this.context.time, player.time);
     for (const item of this.items) item.show(row);
   }

@@ -14,6 +14,7 @@ function row(line, player, zoom) {
   const state = line.held === null ? "unjudged" : line.broken.length ? "broken" : "held";
   const gaps = line.broken.map(([from, to]) => ({ from, to, bar: el("i", { class: "gap", title: `not from ${from.toFixed(3)} s to ${to.toFixed(3)} s` }) }));
   const head = el("div", { class: "playhead" });
+  let width = 0;
   const track = el("div", { class: `lane ${state}`, onclick: (event) => {
     const { left, width } = track.getBoundingClientRect();
     player.seek(zoom.min + ((event.clientX - left) / width) * (zoom.max - zoom.min));
@@ -27,9 +28,13 @@ function row(line, player, zoom) {
   };
   const moved = () => {
     const share = zoom.share(player.time);
-    head.style.left = `${100 * share}%`;
+    head.style.transform = `translateX(${share * width}px)`;
     head.style.display = share < 0 || share > 1 ? "none" : "";
   };
+  new ResizeObserver(() => {
+    width = track.clientWidth;
+    moved();
+  }).observe(track);
   zoom.listen(placed);
   player.listen(moved);
   const share = line.held === null ? "not judged" : line.broken.length ? `${(100 * line.held).toFixed(1)} %` : "held";

@@ -25,7 +25,7 @@ export function stage(run, palette, context) {
   const scene = makeScene(canvas, run, palette, context.theme, viewport);
   if (scene) {
     viewport.append(tools(scene, context.player, element), scaleNote(scene));
-    context.player.listen((player) => scene.show(player.time));
+    context.player.listen((player) => scene.show(player.time, player.playing));
     new ResizeObserver(() => scene.invalidate()).observe(viewport);
   }
   return { element, scene };

@@ -68,7 +68,7 @@ function makeCone() {
 }
 
 function makeArrow(radius) {
-  const material = new THREE.MeshStandardMaterial({ roughness: 0.6 });
+  const material = new THREE.MeshLambertMaterial();
   const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, 1, 16).translate(0, 0.5, 0), material);
   const head = new THREE.Mesh(new THREE.ConeGeometry(2.5 * radius, 6 * radius, 24).translate(0, -3 * radius, 0), material);
   const group = new THREE.Group().add(shaft, head);

@@ -11,9 +11,9 @@ export class HandModel {
     this.group = new THREE.Group();
     this.radius = hand.tips.length ? hand.tips.reduce((sum, tip) => sum + tip.radius, 0) / hand.tips.length : 0.01;
     this.materials = {
-      bone: new THREE.MeshStandardMaterial({ roughness: 0.55 }),
-      joint: new THREE.MeshStandardMaterial({ roughness: 0.5 }),
-      palm: new THREE.MeshStandardMaterial({ roughness: 0.7 }),
+      bone: new THREE.MeshLambertMaterial(),
+      joint: new THREE.MeshLambertMaterial(),
+      palm: new THREE.MeshLambertMaterial(),
     };
     this.nodes = hand.links.map((link) => makeNode(link));
     hand.links.forEach((link, i) => {
@@ -32,14 +32,14 @@ export class HandModel {
       this.nodes[links[i].parent].object.add(bar);
     }
     if (links[i].motion === "turn") {
-      this.nodes[i].object.add(new THREE.Mesh(new THREE.SphereGeometry(1.28 * radius, 24, 16), this.materials.joint));
+      this.nodes[i].object.add(new THREE.Mesh(new THREE.SphereGeometry(1.28 * radius, 20, 12), this.materials.joint));
     }
   }
 
   _tip(tip, order, fingers) {
     const named = fingers.findIndex((finger) => finger.name === tip.finger);
     const finger = named >= 0 ? named : Math.min(order, fingers.length - 1);
-    const material = new THREE.MeshStandardMaterial({ roughness: 0.42 });
+    const material = new THREE.MeshPhongMaterial({ specular: "#3a3a3a", shininess: 40 });
     const r = tip.radius;
     const shape = new THREE.LatheGeometry(profile(r, BONE * this.radius), 40).rotateZ(-Math.PI / 2);
     const node = this.nodes[tip.link].object;
@@ -101,7 +101,7 @@ function makeNode(link) {
 
 function capsule(offset, radius, material) {
   const length = offset.length();
-  const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, length, 8, 24).translate(0, length / 2, 0), material);
+  const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, length, 5, 20).translate(0, length / 2, 0), material);
   mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), offset.clone().normalize());
   return mesh;
 }

@@ -8,6 +8,7 @@ import { ContactModel } from "./contact.js";
 import { Ground } from "./ground.js";
 import { HandModel } from "./hand.js";
 import { Badge } from "./label.js";
+import { Sharpness } from "./sharpness.js";
 import { Ghost, Solid } from "./solid.js";
 import { Trail } from "./trail.js";
 import { triad } from "./triad.js";
@@ -23,12 +24,12 @@ export class Scene {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     this.scene = new THREE.Scene();
     this.frames = 0;
-    this.cost = 0;
+    this.sharpness = new Sharpness();
     this._build(palette);
     this._light();
     this.view = new View(canvas, this._extent(), this._tips());
     this.view.look("oblique");
-    this.view.controls.addEventListener("change", () => this.invalidate());
+    this._listenToControls();
     theme.listen(() => this._paint());
     this._paint();
     this.show(0);
@@ -46,14 +47,13 @@ export class Scene {
     this.goal = triad(0.55 * size, palette.axes, 3);
     this.grasp = triad(0.55 * size, palette.axes, 3);
     this.trail = new Trail(run.columns.auxiliary_position);
-    this.ground = new Ground(size / 2, 5 * size);
+    this.ground = new Ground(size / 2, 12);
     this.palm = triad(0.7 * size, palette.axes, 2.5);
     this.palm.material.depthTest = false; // it lies in the spokes of the palm
     this.badges = this._badges();
     const parts = [this.hand, this.solid, this.ghost, this.trail, this.ground, ...this.contacts, ...this.badges];
     this.painted = parts.filter((part) => part);
     this.scene.add(...this.painted.map((part) => part.group), this.goal, this.grasp, this.palm);
-    this._start = this.solid ? firstGrasp(run) : null;
   }
 
   _badges() {
@@ -79,6 +79,17 @@ export class Scene {
     const fill = new THREE.DirectionalLight("#dfe9ff", 0.7);
     fill.position.set(2, 1, 0.5);
     this.scene.add(this.sky, sun, fill);
+  }
+
+  _listenToControls() {
+    const { controls } = this.view;
+    controls.addEventListener("change", () => this.invalidate());
+    for (const [name, turning] of [["start", true], ["end", false]]) {
+      controls.addEventListener(name, () => {
+        this._turning = turning;
+        this.invalidate();
+      });
+    }
   }
 
   /** Return points that should be in the picture, of some ticks of the whole run. */
@@ -112,14 +123,19 @@ export class Scene {
     this.invalidate();
   }
 
-  /** Show the tick at a time in s. */
-  show(time) {
+  get _moving() {
+    return this._playing || this._turning;
+  }
+
+  /** Show the tick at a time in s; while it plays, pictures may be coarser. */
+  show(time, playing = false) {
     const { run } = this;
+    this._playing = playing;
     const row = rowAt(run.time, time);
     this.row = row;
     this.hand?.pose(rowOf(run.columns.theta, row));
     this._showContacts(row);
-    place(this.solid?.group, run.columns.object_position, run.columns.object_quaternion, row, this.visible.object);
+    if (this.solid) this.solid.known = place(this.solid.group, run.columns.object_position, run.columns.object_quaternion, row, this.visible.object);
     place(this.goal, run.columns.desired_position, run.columns.desired_quaternion, row, this.visible.goal);
     place(this.grasp, run.columns.auxiliary_position, run.columns.auxiliary_quaternion, row, this.visible.frames);
     this._showGhost();
@@ -138,14 +154,18 @@ export class Scene {
     this.hand?.alarm(fingers.map((_, i) => grip[i] === SLIP));
   }
 
-  /** The ghost is where the object would be if the grasp, as it was taken, were at the goal. */
+  /** The ghost is where the object would be if the grasp, as it is now, were at the goal. */
   _showGhost() {
     if (!this.ghost) return;
-    this.ghost.group.visible = this.goal.visible && this._start !== null;
-    if (!this.ghost.group.visible) return;
+    const { group } = this.ghost;
+    const grasp = matrixOf(this.run.columns.auxiliary_position, this.run.columns.auxiliary_quaternion, this.row);
+    group.visible = this.goal.visible && this.solid.known && grasp !== null;
+    if (!group.visible) return;
     this.goal.updateMatrix();
-    this.ghost.group.matrixAutoUpdate = false;
-    this.ghost.group.matrix.multiplyMatrices(this.goal.matrix, this._start);
+    this.solid.group.updateMatrix();
+    group.matrixAutoUpdate = false;
+    group.matrix.copy(this.goal.matrix).multiply(grasp.invert()).multiply(this.solid.group.matrix);
+    group.matrixWorldNeedsUpdate = true;
   }
 
   /** Ask for one new picture, as soon as the browser can. */
@@ -157,16 +177,15 @@ export class Scene {
 
   draw() {
     this._asked = false;
-    const before = performance.now();
     this._resize();
     this.renderer.render(this.scene, this.view.camera);
     this.frames += 1;
-    this.cost = 0.8 * this.cost + 0.2 * (performance.now() - before);
+    this.sharpness.drawn(performance.now(), this._moving);
   }
 
   _resize() {
     const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = Math.min(window.devicePixelRatio || 1, 2) * this.sharpness.share(this._moving);
     if (width === this._width && height === this._height && ratio === this._ratio) return;
     [this._width, this._height, this._ratio] = [width, height, ratio];
     this.renderer.setPixelRatio(ratio);
@@ -190,27 +209,19 @@ function around(point, distance) {
   return shifts.map((shift) => new THREE.Vector3(...shift).multiplyScalar(distance).add(point));
 }
 
+/** Put an object where it is at a row; returns whether that is known. */
 function place(object, positions, quaternions, row, wanted) {
-  if (!object) return;
   const [p, q] = [rowOf(positions, row), rowOf(quaternions, row)];
-  object.visible = wanted && Number.isFinite(p[0]) && Number.isFinite(q[0]);
-  if (!object.visible) return;
+  const seen = Number.isFinite(p[0]) && Number.isFinite(q[0]);
+  object.visible = wanted && seen;
+  if (!seen) return false;
   object.position.set(...p);
   object.quaternion.set(...q);
+  return true;
 }
 
 function known(array) {
   return array.values.some((value) => Number.isFinite(value));
-}
-
-/** Return the object in the grasp's frame at the first tick at which both are known. */
-function firstGrasp({ columns }) {
-  for (let row = 0; row < columns.time.rows; row++) {
-    const grasp = matrixOf(columns.auxiliary_position, columns.auxiliary_quaternion, row);
-    const object = matrixOf(columns.object_position, columns.object_quaternion, row);
-    if (grasp && object) return grasp.invert().multiply(object);
-  }
-  return null;
 }
 
 function matrixOf(positions, quaternions, row) {

@@ -9,9 +9,9 @@ export class Solid {
   constructor(shape) {
     this.group = new THREE.Group();
     const faces = faceGeometry(shape);
-    const look = { transparent: true, depthWrite: false, roughness: 0.6, flatShading: true };
-    this.back = new THREE.MeshStandardMaterial({ ...look, opacity: 0.22, side: THREE.BackSide });
-    this.front = new THREE.MeshStandardMaterial({ ...look, opacity: 0.26, side: THREE.FrontSide });
+    const look = { transparent: true, depthWrite: false };
+    this.back = new THREE.MeshLambertMaterial({ ...look, opacity: 0.22, side: THREE.BackSide });
+    this.front = new THREE.MeshLambertMaterial({ ...look, opacity: 0.26, side: THREE.FrontSide });
     const meshes = [this.back, this.front].map((material) => new THREE.Mesh(faces, material));
     this.edges = segments(edgePoints(shape), { linewidth: 2.2, transparent: true, opacity: 0.9 });
     meshes[0].renderOrder = 1;

@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import { segments } from "./lines.js";
 
-const PIECES = 500;
+const PIECES = 240;
 
 export class Trail {
   constructor(array) {
