@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -89,6 +89,56 @@ def replay(
     _publish(find_bag(bag), options)
 
 
+def _recompute(bag: Path, changes: list[str], law: str, namespace: str) -> None:
+    from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.analysis import recompute as r
+
+    run = Run(bag, namespace=namespace or None)
+    values = r.parse_changes(changes)
+    result = r.recompute(run, values, r.load_law(law) if law else None)
+    _print("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons))
+    print(f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time")
+    if values or law or result.same:
+        return
+    print(
+        "The same configuration gave other answers" + r.reason(run),
+        file=sys.stderr,
+    )
+    raise typer.Exit(EXIT_DIFFERS)
+
+
+def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = None) -> None:
+    """Check every recorded f* against (13) and every torque against the law, independently.
+
+    Exit code 0 if all agree, 1 if not.
+    """
+    from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.analysis import audit as a
+
+    checks = a.audit(Run(bag, namespace=namespace))
+    _print("audit", a.COLUMNS, a.rows(checks))
+    wrong = [check for check in checks if not check.ok]
+    for check in wrong:
+        print(
+            f"{check.name}: wrong at {check.wrong} of {check.ticks} ticks, first at tick "
+            f"{check.first} ns",
+            file=sys.stderr,
+        )
+    if wrong:
+        raise typer.Exit(EXIT_DIFFERS)
+
+
+def _print(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
+
+    from tactile_hand_ros.analysis.tables import rich_table
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 140
+    console.print(rich_table(title, columns, rows))
+
+
 def _patterns(given: list[str]) -> list[str]:
     import re
 
@@ -169,4 +219,4 @@ def _keyboard(player: Replay) -> Iterator[None]:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
-COMMANDS = (recover, replay)
+COMMANDS = (recover, replay, audit)

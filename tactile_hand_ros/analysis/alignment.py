@@ -129,7 +129,7 @@ class _Alignment:
         """Write the desired pose in effect: a step function that changes where a message counts."""
         series = self._named(names.DESIRED_POSE)
         poses = series.rows("pose", 7)
-        usable = _usable(poses, series.frames) & series.since(self._begin_of_wishes())
+        usable = usable_poses(poses, series.frames) & series.since(self._begin_of_wishes())
         stamps, logged, poses = series.stamps[usable], series.log_times[usable], poses[usable]
         seen = np.searchsorted(self._logged, logged, side="right")  # ticks logged before it
         ahead = stamps > np.where(seen > 0, self._ticks[np.maximum(seen - 1, 0)], -1)
@@ -144,7 +144,7 @@ class _Alignment:
         return self._begin if _last_reset(self._states.stamps) else 0
 
 
-def _usable(poses: Array, frames: list[str]) -> NDArray[np.bool_]:
+def usable_poses(poses: Array, frames: list[str]) -> NDArray[np.bool_]:
     """Return which poses the controller takes: in the palm frame, finite, of unit length."""
     lengths = (poses[:, 3:] ** 2).sum(axis=1)
     in_palm = np.array([frame == names.PALM_FRAME for frame in frames], dtype=np.bool_)

@@ -13,7 +13,13 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import GraspError, PoseError
 from tactile_hand_ros.core.hand import Hand
-from tactile_hand_ros.core.manipulation import AuxiliaryPose, LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.core.manipulation import (
+    AuxiliaryPose,
+    LawConfig,
+    LawFactory,
+    ManipulationLaw,
+    Target,
+)
 from tactile_hand_ros.core.reach import check_reach
 from tactile_hand_ros.core.reference import SmoothReference
 from tactile_hand_ros.core.regrasp import Regrasp, RegraspConfig
@@ -85,15 +91,19 @@ class Controller:
     or the contacts lie on a line, the hand holds its posture and its last good squeeze.
     """
 
-    def __init__(self, config: ControllerConfig) -> None:
+    def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
         """Build the controller.
+
+        Args:
+            config: Its parameters.
+            law: A law in the place of the one that they name.
 
         Raises:
             HandModelError: If the hand cannot be built.
         """
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
-        self._law = ManipulationLaw(config.law, self.hand.radii)
+        self._law = ManipulationLaw(config.law, self.hand.radii, law)
         self._reference = SmoothReference()
         self._hold = SafeHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,12 +105,33 @@ class LawInput:
     grasp_force: float
 
 
+class Law(Protocol):
+    """What a law answers at one tick."""
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, shape (m,), N m."""
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+
+
+LawFactory = Callable[[LawInput, LawConfig], Law]
+"""Makes a law from what it sees at a tick; a class with that constructor is one."""
+
+
 class ManipulationLaw:
     """Virtual frame, integral action and load observer around one of the three laws."""
 
-    def __init__(self, config: LawConfig, radii: Array) -> None:
-        """Build a law for fingertips of the given radii, shape (k,), m."""
+    def __init__(self, config: LawConfig, radii: Array, law: LawFactory | None = None) -> None:
+        """Build a law for fingertips of the given radii, shape (k,), m.
+
+        Args:
+            config: Which of the three laws, and the gains.
+            radii: Radii of the fingertips, shape (k,), m.
+            law: Another law in the place of the one that `config` names.
+        """
         self.config = config
+        self._factory = law
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
@@ -184,7 +206,7 @@ class ManipulationLaw:
         c = self.config
         wrench = np.concatenate([c.k_p * error[:3], c.k_o * error[3:]])
         seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
-        law = LAWS[c.name](seen, c)
+        law = (self._factory or LAWS[c.name])(seen, c)
         carried = self._carried(contacts, forces, dt)
         carry = np.zeros_like(rates) if carried is None else law.drive(carried)
         return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
@@ -268,7 +290,7 @@ class OptimalLaw(ContactLaw):
         return np.asarray(seen.grasp_force * in_palm)
 
 
-LAWS: dict[str, type[KawamuraLaw] | type[ContactLaw]] = {
+LAWS: dict[str, LawFactory] = {
     "optimal": OptimalLaw,
     "contact": ContactLaw,
     "kawamura": KawamuraLaw,

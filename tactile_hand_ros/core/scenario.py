@@ -11,7 +11,14 @@ import numpy as np
 import yaml
 from pydantic import model_validator
 
-from tactile_hand_ros.core.config import Config, did_you_mean, param, read_yaml, validate
+from tactile_hand_ros.core.config import (
+    Config,
+    did_you_mean,
+    param,
+    parse_yaml,
+    read_yaml,
+    validate,
+)
 from tactile_hand_ros.core.controller import ControllerConfig
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.force_optimizer import ForceOptimizerConfig
@@ -142,6 +149,18 @@ def resolved(scenario: Scenario) -> str:
             data[node].pop(name, None)
     text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
     return text
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with other values, by dotted key (``plant.rate``).
+
+    Raises:
+        ConfigurationError: If a key or value is wrong; says which.
+    """
+    data = parse_yaml(resolved(scenario), "the scenario")
+    for key, value in changes.items():
+        _put(data, key.split("."), value)
+    return validate(Scenario, data, "the changed scenario")
 
 
 def scenario_names() -> list[str]:

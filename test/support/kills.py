@@ -23,6 +23,7 @@ from std_msgs.msg import Int64
 
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -92,7 +93,7 @@ def kill(folder: Path, diary: Path, delay: float, bound: float) -> Outcome:
     bag = folder / "bag"
     flags = ("-p", f"output:={bag}", "-p", "topics:=['/(left|right)/number']")
     with start_executable("recorder", "--ros-args", *flags) as recorder:
-        wait_until(lambda: recorder.returncode is not None or _size(bag) > 2500, 30.0)
+        wait_until(lambda: recorder.returncode is not None or _has_begun(bag), 30.0)
         assert recorder.returncode is None, recorder.stderr
         signal.sigtimedwait([], delay)
         killed = time.time_ns()
@@ -101,8 +102,13 @@ def kill(folder: Path, diary: Path, delay: float, bound: float) -> Outcome:
     return _outcome(bag, diary, killed, bound)
 
 
-def _size(bag: Path) -> int:
-    return sum(file.stat().st_size for file in bag.glob("*.mcap"))
+def _has_begun(bag: Path) -> bool:
+    """Return whether all topics are on the disk."""
+    tally = Tally()
+    for file in bag.glob("*.mcap"):
+        for _ in salvage(file, tally):
+            pass
+    return set(TOPICS) <= set(tally.by_topic)
 
 
 def _outcome(bag: Path, diary: Path, killed: int, bound: float) -> Outcome:

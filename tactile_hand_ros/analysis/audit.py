@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Audit: is every recorded f* the optimum of (13), every torque that of the law?
+
+Both are worked out anew from the recorded inputs by other formulas and solvers than those of the
+nodes. What they share with the nodes is the hand's kinematics, and the small filters that have a
+memory: reference and load observer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.analysis import optimum
+from tactile_hand_ros.analysis.recompute import heeded_inputs, scenario_of
+from tactile_hand_ros.analysis.recorded_inputs import Inputs, read_inputs
+from tactile_hand_ros.analysis.run import Run
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.controller import ControllerConfig
+from tactile_hand_ros.core.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.core.load_observer import LoadObserver
+from tactile_hand_ros.core.manipulation import AuxiliaryPose, Target
+from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.core.reference import SmoothReference
+from tactile_hand_ros.core.rotations import rotation_from_quaternion
+from tactile_hand_ros.core.scenario import Scenario
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+FORCE_TOLERANCE = 1e-6  # of residuals and of the gap
+CONE_TOLERANCE = 1e-4  # that of the optimization inside cones
+TORQUE_TOLERANCE = 1e-9  # N m
+POSE_TOLERANCE = 1e-9  # m and rad
+_SIDES, _PENALTY = 12, 5.0
+_LEAST_SQUEEZE, _LEAST_SPREAD = 0.1, 1e-2  # N, 1: below, cones have no load
+_COLLINEAR = 1e-3
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked at every tick.
+
+    Attributes:
+        name: What was checked.
+        ticks: Number of ticks.
+        worst: Largest deviation.
+        tolerance: What is allowed.
+        unit: Of both.
+        first: Stamp of the first tick that deviates more, ns; None if there is none.
+        wrong: Number of such ticks.
+    """
+
+    name: str
+    ticks: int
+    worst: float
+    tolerance: float
+    unit: str
+    first: int | None
+    wrong: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether all ticks agree."""
+        return self.wrong == 0
+
+
+def audit(run: Run) -> list[Check]:
+    """Audit a run whose scenario is known.
+
+    Raises:
+        BagError: If it is not known, or the bag cannot be read.
+    """
+    scenario, inputs = scenario_of(run), read_inputs(run)
+    if not all(wish.certain for wish in inputs.poses):
+        inputs = heeded_inputs(run)
+    hand = Hand.load(
+        scenario.hand, scenario.layout, np.array(scenario.manipulation_controller.gravity)
+    )
+    forces = _audit_forces(scenario.force_optimizer, inputs.record)
+    return [*forces, *_audit_torques(scenario, hand, inputs)]
+
+
+def _check(
+    name: str, record: Record, rows: NDArray[np.intp], worst: Array, tolerance: float, unit: str
+) -> Check:
+    """Sum up deviations at some ticks; NaN counts as wrong."""
+    wrong = np.flatnonzero(~(worst <= tolerance))
+    return Check(
+        name,
+        len(rows),
+        float(worst.max()) if len(worst) else 0.0,
+        tolerance,
+        unit,
+        int(record.stamps[rows[wrong[0]]]) if len(wrong) else None,
+        len(wrong),
+    )
+
+
+def _rotations(quaternions: Array) -> Array:
+    """Return rotation matrices of unit quaternions (x, y, z, w), shape (..., 3, 3)."""
+    x, y, z, w = np.moveaxis(
+        quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0
+    )
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return np.asarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
+
+
+def _spread(positions: Array) -> Array:
+    """Return the ratio of the second to the first extent of contact points, shape (n,)."""
+    arms = positions - positions.mean(axis=1, keepdims=True)
+    extents = np.linalg.svd(arms, compute_uv=False)
+    return np.asarray(extents[:, 1] / extents[:, 0])
+
+
+def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
+    """Check every f* that was given, and that one was given wherever there is one."""
+    touching = np.isfinite(record.contact_positions).all(axis=(1, 2))
+    rows = np.flatnonzero(touching)
+    rows = rows[_spread(record.contact_positions[rows]) >= _COLLINEAR]
+    k = len(record.finger_names)
+    positions = record.contact_positions[rows]
+    rotations = _rotations(record.contact_quaternions[rows])
+    weights = config.weight_vector(k)
+    problem = optimum.Problem.of(positions, rotations, weights, config.minimum_normal)
+    best = optimum.solve(problem)
+    given = record.optimal_forces[rows].reshape(len(rows), -1)
+    answered = np.isfinite(given).all(axis=1)
+    wanted = np.isfinite(best.forces).all(axis=1)
+    residual, gap = optimum.gaps(problem, given, best.multipliers)
+    shaped = np.zeros(len(rows), dtype=np.bool_)
+    violation = np.zeros(0)
+    if config.cones:
+        shaped = answered & wanted & (np.abs(given - best.forces).max(axis=1) > FORCE_TOLERANCE)
+        violation = _cone_violations(config, record, problem, rows, given, shaped)
+    plain = np.flatnonzero(answered & wanted & ~shaped)
+    checks = [
+        _check("(13), optimality conditions", record, rows[plain], residual[plain], 1e-6, "1"),
+        _check("(13), duality gap per cost", record, rows[plain], gap[plain], 1e-6, "1"),
+        _check("f* where (13) has one", record, rows, 1.0 * (answered != wanted), 0.5, "1"),
+    ]
+    if config.cones:
+        inside = np.flatnonzero(shaped)
+        name = "(13) with cones, optimality conditions"
+        checks.append(_check(name, record, rows[inside], violation, CONE_TOLERANCE, "1"))
+    return checks
+
+
+def _cone_violations(
+    config: ForceOptimizerConfig,
+    record: Record,
+    problem: optimum.Problem,
+    rows: NDArray[np.intp],
+    given: Array,
+    shaped: Flags,
+) -> Array:
+    """Return the violation of the conditions with cones at the ticks where they shape f*."""
+    loads = _loads(config, record, rows)
+    friction = config.cone_share * record.friction[rows]
+    return np.array(
+        [
+            optimum.cone_violation(
+                problem.equal[i],
+                problem.weights,
+                problem.minimum,
+                optimum.Pyramids(friction[i], loads[i], _SIDES, _PENALTY),
+                given[i],
+            )
+            for i in np.flatnonzero(shaped)
+        ]
+    )
+
+
+def _loads(config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp]) -> Array:
+    """Return the smoothed load per unit of squeeze at some ticks, shape (n, k, 3)."""
+    positions = record.contact_positions[rows]
+    rotations = _rotations(record.contact_quaternions[rows])
+    forces = record.forces[rows]
+    maps = _grasp_maps(positions)
+    in_palm = np.einsum("nkij,nkj->nki", rotations, forces).reshape(len(rows), -1)
+    wrench = np.einsum("nij,nj->ni", maps, in_palm)
+    carried = np.einsum("nij,nj->ni", np.linalg.pinv(maps), wrench).reshape(forces.shape)
+    load = np.einsum("nkij,nki->nkj", rotations, carried)
+    squeeze = (forces - load)[:, :, 1].sum(axis=1)
+    usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
+    out, last = np.full_like(load, np.nan), -1
+    for i in np.flatnonzero(usable):
+        out[i] = load[i] / squeeze[i]
+        # The filter forgets at ticks without a grasp.
+        if last == i - 1 and last >= 0 and rows[i] == rows[last] + 1:
+            passed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
+            out[i] = out[last] + (1.0 - np.exp(-passed / config.load_time)) * (out[i] - out[last])
+        last = int(i)
+    return out
+
+
+def _grasp_maps(positions: Array) -> Array:
+    """Return G~ about the centroid at every tick, shape (n, 6, 3k)."""
+    n, k = positions.shape[:2]
+    arms = positions - positions.mean(axis=1, keepdims=True)
+    maps = np.zeros((n, 6, k, 3))
+    maps[:, :3] = np.eye(3)[:, None, :]
+    for axis in range(3):
+        unit = np.eye(3)[axis]
+        maps[:, 3:, :, axis] = np.cross(arms, unit).transpose(0, 2, 1)
+    return np.asarray(maps.reshape(n, 6, 3 * k))
+
+
+def _audit_torques(scenario: Scenario, hand: Hand, inputs: Inputs) -> list[Check]:
+    """Check what the hand believed and what it answered, at all ticks at which it drove."""
+    record, config = inputs.record, scenario.manipulation_controller
+    drove = np.isfinite(record.auxiliary_position).all(axis=1)
+    answered = np.isfinite(record.command).all(axis=1)
+    known = np.isfinite(record.contact_positions).all(axis=(1, 2))
+    rows = np.flatnonzero(drove & answered & known)
+    tips = [hand.fingertips(record.theta[row]) for row in rows]
+    linear, angular = np.array([t.linear for t in tips]), np.array([t.angular for t in tips])
+    centres = np.array([t.positions for t in tips])
+    if not len(rows):
+        return []
+    points = record.contact_positions[rows]
+    if config.law.name == "kawamura":
+        points = centres
+    off = np.abs(points.mean(axis=1) - record.auxiliary_position[rows]).max(axis=1)
+    law = _law_torques(config, hand, record, rows, (linear, angular, centres), inputs)
+    difference = np.abs(law - record.command[rows]).max(axis=1)
+    checks = [_check("centroid", record, rows, off, POSE_TOLERANCE, "m")]
+    if len(record.finger_names) == 3:
+        turned = _frame_errors(points, record.auxiliary_quaternion[rows])
+        checks.append(_check("virtual frame", record, rows, turned, POSE_TOLERANCE, "rad"))
+    name = {"optimal": "(14)", "contact": "(10)", "kawamura": "(8)"}[config.law.name]
+    checks.append(
+        _check(f"torque of law {name}", record, rows, difference, TORQUE_TOLERANCE, "N m")
+    )
+    return checks
+
+
+def _frame_errors(points: Array, quaternions: Array) -> Array:
+    """Return how far the recorded frames are from those of three points, either side up."""
+    frames = _rotations(quaternions)
+    along, across = points[:, 0] - points[:, 1], points[:, 0] - points[:, 2]
+    normal = np.cross(along, across)
+    x = along / np.linalg.norm(along, axis=1, keepdims=True)
+    z = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    side = np.sign((z * frames[:, :, 2]).sum(axis=1, keepdims=True))
+    errors: Array = np.maximum(
+        np.abs(frames[:, :, 0] - x).max(axis=1), np.abs(frames[:, :, 2] - side * z).max(axis=1)
+    )
+    return errors
+
+
+def _law_torques(
+    config: ControllerConfig,
+    hand: Hand,
+    record: Record,
+    rows: NDArray[np.intp],
+    tips: tuple[Array, Array, Array],
+    inputs: Inputs,
+) -> Array:
+    """Return the torques of the configured law at some ticks, shape (n, m)."""
+    linear, angular, centres = tips
+    points, k = record.contact_positions[rows], len(record.finger_names)
+    n, m = len(rows), linear.shape[-1]
+    drive, carry = _wrenches(config, record, rows, inputs)
+    squeeze = record.grasp_force[rows][:, None, None]
+    if config.law.name == "kawamura":
+        pull = squeeze / hand.radii.sum() * (centres.mean(axis=1, keepdims=True) - centres)
+        wrench = drive + carry
+        torque = np.einsum("nkim,nki->nm", linear, pull + wrench[:, None, :3])
+        attitude = wrench[:, 3:] + config.law.k_st * np.array(config.law.r_ref)
+        torque += np.einsum("nkim,ni->nm", angular, attitude)
+    else:
+        arms = points - centres
+        turning = np.cross(angular, arms[:, :, :, None], axisa=2, axisb=2, axisc=2)
+        jacobian = (linear + turning).reshape(n, 3 * k, m)
+        if config.law.name == "optimal":
+            rotations = _rotations(record.contact_quaternions[rows])
+            shape = np.einsum("nkij,nkj->nki", rotations, record.optimal_forces[rows])
+        else:
+            shape = points.mean(axis=1, keepdims=True) - points
+        inverse = np.linalg.pinv(_grasp_maps(points))
+        forces = (squeeze * shape).reshape(n, -1)
+        forces += np.einsum("nij,nj->ni", inverse, drive + carry)
+        torque = np.einsum("nfm,nf->nm", jacobian, forces)
+    torque -= config.law.damping * record.rates[rows]
+    if config.midpoint_hold:
+        follows = np.flatnonzero(np.diff(rows) == 1) + 1
+        before = torque.copy()
+        torque[follows] += 0.5 * (before[follows] - before[follows - 1])
+    if config.gravity_compensation:
+        torque += np.array([hand.gravity_torque(record.theta[row]) for row in rows])
+    return np.asarray(torque)
+
+
+def _wrenches(
+    config: ControllerConfig, record: Record, rows: NDArray[np.intp], inputs: Inputs
+) -> tuple[Array, Array]:
+    """Return what moves and what carries the object at some ticks, both of shape (n, 6)."""
+    frames = _rotations(record.auxiliary_quaternion[rows])
+    observer, reference = LoadObserver(), SmoothReference()
+    integral = np.zeros(6)
+    drive, carry = np.zeros((len(rows), 6)), np.zeros((len(rows), 6))
+    target: Target | None = None
+    pending = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
+    for i, row in enumerate(rows):
+        follows = i > 0 and rows[i - 1] == row - 1
+        dt = 1e-9 * float(record.stamps[row] - record.stamps[row - 1]) if follows else 0.0
+        if not follows:
+            reference.reset()
+        now = AuxiliaryPose(record.auxiliary_position[row], frames[i])
+        target = target or Target(now.position, now.orientation)
+        due = [w for w in pending if w.first <= row and w.stamp <= int(record.stamps[row])]
+        for wish in due:
+            pending.remove(wish)
+            target = wish.value
+        wanted = reference.step(target, now, config.reference_time, dt)
+        error = np.concatenate(
+            [
+                wanted.position - now.position,
+                np.cross(now.orientation, wanted.orientation, axisa=0, axisb=0).sum(axis=0),
+            ]
+        )
+        drive[i] = error * np.repeat([config.law.k_p, config.law.k_o], 3)
+        integral = _integrated(config, integral, error, dt)
+        carry[i] = integral
+        if config.law.observer.time > 0.0:
+            contacts = Contacts(
+                record.contact_positions[row],
+                rotation_from_quaternion(record.contact_quaternions[row]),
+            )
+            carry[i] += observer.step(config.law.observer, contacts, record.forces[row], dt)
+    return drive, carry
+
+
+def _integrated(config: ControllerConfig, integral: Array, error: Array, dt: float) -> Array:
+    """Return the integral wrench one tick later, each half inside its limit."""
+    c = config.law.integral
+    halves = []
+    for gain, limit, half in (
+        (c.k_p, c.force_limit, slice(0, 3)),
+        (c.k_o, c.torque_limit, slice(3, 6)),
+    ):
+        grown = integral[half] + gain * dt * error[half] if gain > 0.0 else np.zeros(3)
+        length = float(np.linalg.norm(grown))
+        halves.append(grown * min(1.0, limit / length) if length > 0.0 else grown)
+    return np.concatenate(halves)
+
+
+COLUMNS = ("check", "ticks", "worst", "allowed", "wrong", "first")
+
+
+def rows(checks: list[Check]) -> list[list[str]]:
+    """Return checks as text, columns as in `COLUMNS`."""
+    return [
+        [
+            c.name,
+            str(c.ticks),
+            f"{c.worst:.2g} {c.unit}",
+            f"{c.tolerance:.0g}",
+            str(c.wrong) if c.wrong else "none",
+            "" if c.first is None else f"{1e-9 * c.first:.3f} s",
+        ]
+        for c in checks
+    ]
