@@ -68,8 +68,29 @@ def replay(
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = "",
     paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False,
     delay: Annotated[float, typer.Option(min=0.0, help="Wait before the first message [s].")] = 0.0,
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
+    ] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="With --recompute: another value, law.name=contact."
+        ),
+    ] = None,
+    law: Annotated[
+        str, typer.Option(metavar="MODULE:CLASS", help="With --recompute: a law of your own.")
+    ] = "",
 ) -> None:
-    """Publish a bag as it was recorded. Space pauses, Ctrl-C ends."""
+    """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
+
+    Exit code of --recompute without --set and --law: 0 if all is as recorded, to the bit, 1 if not.
+    """
+    if recompute:
+        _recompute(bag, changes or [], law, namespace)
+        return
+    if changes or law:
+        raise TactileHandError("--set and --law change a recomputation, expected --recompute too.")
     from tactile_hand_ros.bag.recover import find_bag
     from tactile_hand_ros.bag.replay_options import ReplayOptions
 
