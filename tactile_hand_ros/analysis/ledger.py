@@ -22,6 +22,7 @@ from tactile_hand_ros.core.grasp import (
     net_wrench,
 )
 from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.core.margins import REACTION, cone_distances, tip_angles
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.slip_detector import Grip
 
@@ -30,7 +31,6 @@ Array = NDArray[np.float64]
 _ROWS = 1000  # about so many ticks are looked at where a tick costs kinematics
 _SETTLING = 0.05  # s in which contacts only just close
 _QUIET = 0.1  # N of net contact force that counts as no external load
-_REACTION = 0.02  # s within which slip prevention must have ended a slip
 _LEAST_JOINT_MARGIN = 1e-3  # m/rad
 _BALANCE = 1e-6
 
@@ -78,6 +78,7 @@ def ledger(record: Record, hand: Hand) -> list[Assumption]:
         _on_hemisphere(sparse, hand),
         _unloaded(sparse),
         _no_slip(record),
+        _in_cones(record),
         _regular(sparse, hand),
         _fast_enough(record),
         _spread(sparse),
@@ -141,7 +142,7 @@ def _directions(record: Record, hand: Hand) -> tuple[Array, Array]:
 def _rolled(record: Record, hand: Hand) -> Assumption:
     """How far the contacts wandered over their fingertips; faces end where touch cannot see."""
     normals, axes = _directions(record, hand)
-    angles = np.arccos(np.clip((normals * axes).sum(axis=2), -1.0, 1.0))
+    angles = tip_angles(normals, axes)
     first = np.flatnonzero(~np.isnan(angles[:, 0]))
     start = angles[first[0]] if len(first) else np.nan
     wander = (hand.radii * np.abs(angles - start)).max(axis=1)
@@ -153,7 +154,7 @@ def _rolled(record: Record, hand: Hand) -> Assumption:
 
 def _on_hemisphere(record: Record, hand: Hand) -> Assumption:
     normals, axes = _directions(record, hand)
-    angles = np.arccos(np.clip((normals * axes).sum(axis=2), -1.0, 1.0))
+    angles = tip_angles(normals, axes)
     return _line(
         "A2", "contacts on the hemispheres of the tips", "angle left to their rim, rad",
         record, (0.5 * np.pi - angles).min(axis=1), 0.0,
@@ -172,6 +173,19 @@ def _no_slip(record: Record) -> Assumption:
     left[(record.grip == Grip.SLIP).any(axis=1)] = 0.0
     left[(record.grip == Grip.UNKNOWN).all(axis=1)] = np.nan
     return _line("A4", "no contact slips", "evidence left before an alarm, 1", record, left, 0.0)
+
+
+def _in_cones(record: Record) -> Assumption:
+    """How near a contact came to the cone of the friction that the hand took it for."""
+    distances = cone_distances(record.forces, record.friction)
+    distances[record.grip == Grip.UNKNOWN] = np.nan
+    known = ~np.isnan(distances).all(axis=1)
+    least = np.full(len(record), np.nan)
+    least[known] = np.nanmin(distances[known], axis=1)
+    return _line(
+        "A4 cone", "forces inside the estimated cones", "least mu f_n - |f_t|, N",
+        record, least, math.nan,
+    )  # fmt: skip
 
 
 def _regular(record: Record, hand: Hand) -> Assumption:
@@ -194,7 +208,7 @@ def _fast_enough(record: Record) -> Assumption:
     lasted[np.isnan(record.grip).any(axis=1)] = np.nan
     return _line(
         "A6", "slip prevention is fast enough", "time left to end a slip, s",
-        record, _REACTION - lasted, 0.0,
+        record, REACTION - lasted, 0.0,
     )  # fmt: skip
 
 

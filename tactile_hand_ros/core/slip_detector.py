@@ -11,6 +11,8 @@ from tactile_hand_ros.core.config import Config, param
 Force = tuple[float, float, float]
 
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
+_BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
+_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
 
 
@@ -35,7 +37,7 @@ class SlipDetectorConfig(Config):
         9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
     )
     threshold: float = param(
-        20.0, "evidence for slip; false alarms become rarer as its exponential", live=True, gt=0.0
+        28.0, "evidence for slip; false alarms become rarer as its exponential", live=True, gt=0.0
     )
     learning_time: float = param(
         1.0, "time constant with which the noise is learned", unit="s", live=True, gt=0.0
@@ -155,8 +157,8 @@ class SlipDetector:
     def _learn(self, power: float, dt: float) -> None:
         """Follow the noise, quickly after touching; a push counts for no more than its noise."""
         time = max(min(self.config.learning_time, self._touched_for), 10.0 * dt, 1e-9)
-        bounded = min(0.5 * power, 3.0 * self._variance)
-        self._variance += min(dt / time, 1.0) * (bounded - self._variance)
+        bounded = min(0.5 * power, _BOUND * self._variance)
+        self._variance += min(dt / time, 1.0) * (_UNBIASED * bounded - self._variance)
 
 
 def _power_across(vector: Force, axis: Force) -> float:

@@ -20,22 +20,15 @@ from geometry_msgs.msg import WrenchStamped
 
 from tactile_hand_ros.core.cone_optimizer import Cones
 from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.force_optimizer import (
-    ForceOptimizer,
-    ForceOptimizerConfig,
-    OptimalForces,
-)
+from tactile_hand_ros.core.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.diagnostics import WARN, Mostly
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.optimizer_inputs import Felt, OptimizerInputs
+from tactile_hand_ros.ros.optimizer_report import OptimizerReport
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.wire import WrenchCodec
-
-_OUTSIDE = -1e-5
-"""Cone margin below which f* is outside, and not on the edge by the solver's accuracy."""
 
 
 class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
@@ -66,15 +59,12 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         fingers = load_hand_config(self.config.hand).finger_names
         self._fingers = len(fingers)
         self._optimizer = ForceOptimizer(self.config, self._fingers)
-        self._optimal: OptimalForces | None = None
-        self._reason = ""
-        self._unanswered = 0
+        self._report = OptimizerReport(self.diagnostics)
         self._sent: list[bytes] = []
         self._codecs = [WrenchCodec(interfaces.contact_frame(name)) for name in fingers]
         self._publishers = [
             self.tick_publisher(WrenchStamped, interfaces.optimal_force(name)) for name in fingers
         ]
-        self._uncertified = Mostly()
         self._cone_watch = ConeWatch(self.config.load_time)
         self._inputs = OptimizerInputs(self, fingers, self, cones=self.config.cones)
 
@@ -88,22 +78,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
 
     def on_report(self) -> None:
         """Report how the last tick was solved."""
-        put, optimal = self.diagnostics.value, self._optimal
-        put("unanswered_ticks", self._unanswered)
-        if optimal is not None:
-            put("status", optimal.status.value)
-            put("residual", optimal.residual)
-            put("solve_time_us", 1e6 * optimal.solve_time)
-            put("iterations", optimal.iterations)
-            put("cone_margin", optimal.cone_margin)
-            put("shaped", optimal.shaped)
-            self.diagnostics.judge(
-                "cones",
-                self._uncertified(),
-                f"no f* lies inside the estimated friction cones (margin {optimal.cone_margin:.3g} "
-                "per unit of squeeze); a contact will slip unless the squeeze rises or load goes",
-                WARN,
-            )
+        self._report.report()
 
     def on_restart(self) -> None:
         """Begin anew with the ticks."""
@@ -121,7 +96,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
-        self._judge(optimal)
+        self._report.note(optimal)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 
@@ -129,18 +104,6 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         """Give the last answer, which may be a new one."""
         for publisher, message in zip(self._publishers, self._sent, strict=True):
             publisher.publish(message)
-
-    def _judge(self, optimal: OptimalForces) -> None:
-        self._optimal = optimal
-        self._uncertified.note(optimal.cone_margin < _OUTSIDE)  # NaN: not looked at
-        self._unanswered += not optimal.ok
-        if optimal.reason == self._reason:
-            return
-        self._reason = optimal.reason
-        if optimal.ok:
-            self.diagnostics.clear("optimization")
-        else:
-            self.diagnostics.fault("optimization", optimal.reason)
 
 
 def main(args: Sequence[str] | None = None) -> int:

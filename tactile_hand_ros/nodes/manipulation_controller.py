@@ -18,15 +18,15 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
-from tactile_hand_ros.core.errors import ConfigurationError, GraspError
+from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.manipulation import Target
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.controller_inputs import Array, ControllerInputs, TickInputs
 from tactile_hand_ros.ros.controller_report import ControllerReport
+from tactile_hand_ros.ros.controller_services import ControllerServices
 from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -46,10 +46,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
-    of the contacts; not while holding). Once a second: `/diagnostics`.
+    of the contacts; not while holding). Once a second: `/diagnostics` with mode, distance to the
+    target and margins of A1 (travel on faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
 
     Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
-    the stamps does; `~/enable` (std_srvs/SetBool) switches between the law and mere damping.
+    the stamps does; by std_srvs/SetBool: `~/enable`, the law or mere damping, and `~/grasp`, close
+    the fingers until all touch and hold that, or open them.
 
     Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
     was started with `law.observer.time` 0 refuses another value: it does not hear any forces.
@@ -63,7 +65,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
         self._controller = Controller(self.config)
-        self._report = ControllerReport(self)
+        self._report = ControllerReport(self, self._controller.hand)
         self._fresh: list[tuple[Target, int]] = []
         self._sent = b""
         hand = self._controller.hand
@@ -74,12 +76,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         # First, so that of a pose and a tick that wait together the pose is handled first.
         qos = interfaces.user_qos()
         self.subscribe(PoseStamped, interfaces.DESIRED_POSE, self._on_desired, qos=qos)
-        self._feels = self.config.law.observer.time > 0.0
-        timeout = self.config.input_timeout
+        timeout, self._feels = self.config.input_timeout, self.config.law.observer.time > 0.0
         self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
-        self.create_service(Trigger, interfaces.RESET, self._on_reset)
-        self.create_service(SetBool, interfaces.ENABLE, self._on_enable)
-        self.create_service(SetBool, interfaces.GRASP, self._on_grasp)
+        self._requests = ControllerServices(self, self._controller, self._on_reset)
 
     def check_config(self, config: ControllerConfig) -> None:
         """Refuse to observe a load without forces."""
@@ -95,9 +94,13 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._controller.configure(config)
 
     def on_report(self) -> None:
-        """Report mode, missing inputs, distance to the target and the margin of A7."""
+        """Report mode, missing inputs, distance to the target and the margins of the grasp."""
         self._inputs.report()
         self._report.report(self._controller.target)
+
+    def _on_reset(self) -> None:
+        self._fresh.clear()
+        self.on_restart()
 
     def _on_desired(self, message: PoseStamped) -> None:
         target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
@@ -110,7 +113,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         began = time.perf_counter()
         command = self._controller.step(*inputs)
         self._answer(inputs.stamp, command)
-        self._report.note(command, inputs.contacts)
+        self._report.note(command, inputs.theta, inputs.contacts)
         self._fresh.clear()
         self.diagnostics.latency(time.perf_counter() - began)
 
@@ -127,6 +130,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def on_restart(self) -> None:
         """Begin anew with the ticks; poses that came together with the first one are for it."""
         self._controller.reset()
+        self._report.reset()
         for target, stamp in self._fresh:
             self._controller.command(target, stamp)
 
@@ -136,31 +140,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.diagnostics.tick()
         if command.pose is not None:
             turn = quaternion_from_rotation(command.pose.orientation)
-            pose = self._poses.encode(command.pose.position, turn, stamp)
-            self._pose_publisher.publish(pose)
-
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._fresh.clear()
-        self._controller.reset()
-        response.success, response.message = True, "grasp, targets and integral are forgotten"
-        return response
-
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._controller.enabled = request.data
-        response.success, response.message = True, "enabled" if request.data else "damping only"
-        return response
-
-    def _on_grasp(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        try:
-            if request.data:
-                self._controller.grasp()
-            else:
-                self._controller.release()
-        except GraspError as error:
-            response.success, response.message = False, str(error)
-            return response
-        response.success, response.message = True, "closing" if request.data else "opening"
-        return response
+            self._pose_publisher.publish(self._poses.encode(command.pose.position, turn, stamp))
 
 
 def main(args: Sequence[str] | None = None) -> int:

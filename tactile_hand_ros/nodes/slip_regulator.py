@@ -15,11 +15,11 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -29,11 +29,11 @@ from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.conversions import feedback_to_ros, number_from_ros
-from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.regulator_report import RegulatorReport
+from tactile_hand_ros.ros.regulator_inputs import RegulatorInputs
+from tactile_hand_ros.ros.regulator_report import GripState, RegulatorReport
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.wire import ContactsCodec, GripCodec, WrenchCodec
+from tactile_hand_ros.ros.wire import GripCodec, WrenchCodec
 
 HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
@@ -50,8 +50,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
     0 to 1, `Grip`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
     id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
-    0 to 1). Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs, and
-    friction, grip and number of slips of each finger.
+    0 to 1). Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
+    friction, grip and number of slips of each finger, and the worst margins of that second: A3
+    (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
+    end a slip).
 
     Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
     learned, as a jump back of the stamps does.
@@ -82,14 +84,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._felt, self._strongest = -1, 0.0
         qos = interfaces.user_qos()
         self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
-        topics = [interfaces.wrench(name) for name in fingers]
-        keys = (interfaces.CONTACTS, *topics)
-        self._matcher = StampMatcher(keys, on_restart=self._restart)
-        self._contacts = ContactsCodec(len(fingers))
-        self.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
-        for name, topic in zip(fingers, topics, strict=True):
-            codec = WrenchCodec(interfaces.contact_frame(name))
-            self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+        self._inputs = RegulatorInputs(self, fingers, self)
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
@@ -100,7 +95,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """Report the squeeze and what was learned of the contacts."""
         self._report.report(self._regulator)
 
-    def _restart(self) -> None:
+    def on_restart(self) -> None:
+        """Begin anew with the ticks."""
         self._regulator.reset()
         self._report.reset()
 
@@ -108,41 +104,28 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.request(number_from_ros(message))
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._restart()
+        self.on_restart()
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def _on_contacts(self, data: bytes) -> None:
-        stamp, poses = self._contacts.decode(data)
-        self._take(interfaces.CONTACTS, stamp, Contacts.from_poses(*poses))
-
-    def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
-        stamp, force = codec.decode(data)
-        self._take(topic, stamp, force)
-
-    def _take(self, key: str, stamp: int, value: Any) -> None:
-        matched = self._matcher.put(key, stamp, value)
-        if matched is None:
-            return
-        if matched is REPEAT:
-            self._publish()
-            return
+    def on_tick(self, stamp: int, contacts: Contacts, forces: NDArray[np.float64]) -> None:
+        """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        contacts, *forces = matched
         regulator = self._regulator
-        grasp_force = regulator.step(stamp, contacts, np.array(forces))
-        grip, evidence = regulator.state, regulator.slip_likelihood
+        grasp_force = regulator.step(stamp, contacts, forces)
+        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
         self._grip_sent = self._grips.encode(
-            stamp, regulator.friction, evidence, grip.astype(float)
+            stamp, state.friction, state.evidence, state.grip.astype(float)
         )
         self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
-        self._publish()
-        self._report.note(regulator, grip)
-        self._tell_user(stamp, grasp_force / self.config.maximum, float(evidence.max()))
+        self.on_repeat()
+        self._report.note(regulator, stamp, contacts, forces, state)
+        self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 
-    def _publish(self) -> None:
+    def on_repeat(self) -> None:
+        """Give the last answer, which may be a new one."""
         self._grip_publisher.publish(self._grip_sent)  # first: f* may wait for it
         self._publisher.publish(self._sent)
 

@@ -5,13 +5,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.core.margins import SlipWatch
 from tactile_hand_ros.core.slip import SlipRegulator
 from tactile_hand_ros.core.slip_detector import Grip
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
+
+
+class GripState(NamedTuple):
+    """What the regulator knows of each contact, arrays of shape (k,)."""
+
+    friction: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    grip: NDArray[np.int_]
 
 
 class RegulatorReport:
@@ -31,9 +42,19 @@ class RegulatorReport:
         self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._limited, self._hopeless = Mostly(), Mostly()
+        self._watch = SlipWatch()
 
-    def note(self, regulator: SlipRegulator, grip: NDArray[np.int_]) -> None:
-        """Note the outcome of a tick and the `Grip` of each contact, shape (k,)."""
+    def note(
+        self,
+        regulator: SlipRegulator,
+        stamp: int,
+        contacts: Contacts,
+        forces: NDArray[np.float64],
+        state: GripState,
+    ) -> None:
+        """Note a tick: what was felt, in contact frames, and what the regulator made of it."""
+        grip = state.grip
+        self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
         before, self._grip = self._grip, grip
         self._slips += (grip == Grip.SLIP) & (before != Grip.SLIP)
         reflex_is_on = regulator.config.mode != "user"
@@ -61,6 +82,12 @@ class RegulatorReport:
             put(f"grip {name}", Grip(int(grip)).name.lower())
             put(f"slip_evidence {name}", float(evidence))
             put(f"slips {name}", int(slips))
+        watch = self._watch
+        put("A3 load_n", watch.load)
+        put("A4 slip_margin", watch.evidence)
+        put("A4 cone_margin_n", watch.cone)
+        put("A6 slip_time_left_s", watch.time_left)
+        watch.clear()
         self._warn(regulator)
 
     def _warn(self, regulator: SlipRegulator) -> None:

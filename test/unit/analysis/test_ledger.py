@@ -22,7 +22,7 @@ def lines(record):
 
 def test_every_assumption_holds_in_the_papers_world(record):
     found = lines(record)
-    assert list(found) == ["A1", "A2", "A3", "A4", "A5", "A6", "A7", "(13)"]
+    assert list(found) == ["A1", "A2", "A3", "A4", "A4 cone", "A5", "A6", "A7", "(13)"]
     judged = [line for line in found.values() if not np.isnan(line.held_share)]
     assert len(judged) == 7
     assert all(line.held_share == 1.0 and not line.broken for line in judged)

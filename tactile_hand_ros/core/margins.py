@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far the assumptions A1 to A7 are from breaking, from joints and touch alone.
+
+A margin is positive while its assumption holds; where touch knows no limit (A1, A3) it is the
+quantity itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.contact import Contacts, hand_jacobian
+from tactile_hand_ros.core.grasp import collinearity_margin, joint_margin, net_wrench
+from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.core.slip_detector import Grip
+
+Array = NDArray[np.float64]
+
+REACTION = 0.02
+"""Time within which slip prevention must have ended a slip (A6) [s]."""
+
+
+def tip_angles(normals: Array, axes: Array) -> Array:
+    """Return the angles of contacts from the tops of their fingertips, rad.
+
+    Args:
+        normals: Contact normals, shape (..., k, 3).
+        axes: Directions of the fingertips, shape (..., k, 3).
+    """
+    return np.asarray(np.arccos(np.clip((normals * axes).sum(axis=-1), -1.0, 1.0)))
+
+
+def cone_distances(forces: Array, friction: Array) -> Array:
+    """Return mu f_n - |f_t| of each contact, how far it is inside its friction cone, N.
+
+    Args:
+        forces: Contact forces in contact frames, shape (..., k, 3), N.
+        friction: mu, shape (..., k).
+    """
+    tangential = np.hypot(forces[..., 0], forces[..., 2])
+    return np.asarray(friction * forces[..., 1] - tangential)
+
+
+@dataclass(frozen=True)
+class GraspMargins:
+    """What joints and contacts show.
+
+    Attributes:
+        face_travel: A1, how far the contacts have wandered over their fingertips since they were
+            first seen, m; an edge of the face is that much nearer, no more can be felt of it.
+        hemisphere: A2, angle left to the rims of the fingertips, rad.
+        joint: A5, least singular value of J_h, m/rad; 0 where a joint posture is singular.
+        collinearity: A7, second to first extent of the contacts; 0 on a line or with fewer than
+            three.
+    """
+
+    face_travel: float
+    hemisphere: float
+    joint: float
+    collinearity: float
+
+
+class GraspWatch:
+    """Computes the margins of a grasp, and remembers where its contacts began."""
+
+    def __init__(self, hand: Hand) -> None:
+        """Watch the contacts of a hand."""
+        self._hand = hand
+        self._first: Array | None = None
+
+    def reset(self) -> None:
+        """Begin with a new grasp."""
+        self._first = None
+
+    def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
+        """Return the margins of a posture.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            contacts: Contacts by touch.
+        """
+        if not contacts.touching.all():
+            self._first = None
+            return GraspMargins(np.nan, np.nan, np.nan, 0.0)
+        tips = self._hand.fingertips(theta)
+        joint = joint_margin(hand_jacobian(tips, contacts.positions))
+        angles = tip_angles(contacts.normals, self._hand.tip_axes(theta))
+        if self._first is None:
+            self._first = angles
+        return GraspMargins(
+            face_travel=float((self._hand.radii * np.abs(angles - self._first)).max()),
+            hemisphere=float(0.5 * np.pi - angles.max()),
+            joint=joint,
+            collinearity=collinearity_margin(contacts.positions),
+        )
+
+
+class SlipWatch:
+    """Worst margins of force and slip since they were last asked for, over every tick.
+
+    Attributes:
+        load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
+        evidence: A4, evidence for slip left before an alarm, 1 to 0.
+        cone: A4, least distance to a cone of the estimated friction, N.
+        time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
+    """
+
+    def __init__(self) -> None:
+        """Start without a slip."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget slips too."""
+        self._since: int | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a new interval; a slip goes on."""
+        self.load = self.evidence = self.cone = np.nan
+        self.time_left = REACTION
+
+    def note(
+        self,
+        stamp: int,
+        contacts: Contacts,
+        forces: Array,
+        friction: Array,
+        grip: NDArray[np.int_],
+        likelihood: Array,
+    ) -> None:
+        """Note a tick.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contacts by touch.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            friction: Estimated mu, shape (k,).
+            grip: `Grip` of each contact, shape (k,).
+            likelihood: Evidence for slip, 0 to 1, shape (k,).
+        """
+        known = grip != Grip.UNKNOWN
+        if known.any():
+            left = 0.0 if (grip == Grip.SLIP).any() else 1.0 - float(likelihood[known].max())
+            self.evidence = float(np.fmin(self.evidence, left))
+            inside = cone_distances(forces, friction)[known].min()
+            self.cone = float(np.fmin(self.cone, inside))
+        self._time(stamp, bool((grip == Grip.SLIP).any()))
+        if contacts.touching.all():
+            load = float(np.linalg.norm(net_wrench(contacts, forces)[:3]))
+            self.load = float(np.fmax(self.load, load))
+
+    def _time(self, stamp: int, slips: bool) -> None:
+        if not slips:
+            self._since = None
+            return
+        self._since = stamp if self._since is None else self._since
+        self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - self._since))
