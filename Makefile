@@ -58,7 +58,7 @@ bench: $(PREFIX)/.package
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
 # The tests run even when lint complains, so that one run tells everything.
-test: $(PREFIX)/.dev $(PREFIX)/.package
+test: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
 	ROS_PYTHON_CHECK_FIELDS=1 $(PREFIX)/bin/pytest $(PYTEST_ARGS) || failed=1; \
@@ -68,7 +68,7 @@ lint: $(PREFIX)/.dev $(PREFIX)/.package
 	$(PREFIX)/bin/ruff check .
 	$(PREFIX)/bin/mypy
 
-setup: $(PREFIX)/.dev $(PREFIX)/.package
+setup: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
 
 # --- set-up: each stamp is made once and again when what it depends on changes -----------------------
 
@@ -96,6 +96,10 @@ $(PREFIX)/.dev: requirements/dev.txt $(PREFIX)/.run
 	@echo 'set-up: test tools'
 	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt -r requirements/dev.txt
 	@touch '$@'
+
+# Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.
+$(PREFIX)/.browser: requirements/browser.sh $(PREFIX)/.created
+	@if sh requirements/browser.sh; then touch '$@'; fi
 
 # Changes only when a file is added or removed, which no time stamp would show.
 $(PREFIX)/.sources: FORCE | $(PREFIX)/.created

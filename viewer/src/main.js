@@ -58,7 +58,7 @@ function showComparison() {
   const scenarios = runs.map((run, i) => scenario(run.scenario, `of ${i + 1} ${run.name}`)).filter((part) => part);
   root.append(
     comparisonHeader(runs, palette.runs, theme),
-    ...[notes([...new Set(runs.flatMap((run) => run.notes))])].filter((part) => part),
+    ...[notes(runs.flatMap((run, i) => run.notes.map((note) => `${i + 1} ${run.name}: ${note}`)))].filter((part) => part),
     el("main", { class: "overlaid" }, plots, el("section", { class: "stage flat" }, transport({ events: [] }, context))),
     el("div", { class: "below one" }, ...tablesSideBySide(runs)),
     ...scenarios,

@@ -29,6 +29,8 @@ export function comparisonCharts(document, times, theme) {
     { title: "Squeeze", unit: "k_f, N", lines: over((run) => column(run.columns.squeeze, 0)) },
     { title: "Sum of normal forces", unit: "N", lines: over((run) => overFingers(run.columns.force, 3, 1, (a, b) => a + b)) },
     { title: "Largest force ratio", unit: "f_t / f_n of any finger", lines: over((run) => overFingers(run.columns.beta, 1, 0, Math.max)) },
+    { title: "Largest tangential force", unit: "N of any finger", lines: over((run) => tangential(run.columns.force)) },
+    { title: "Friction as learned", unit: "least of all fingers", lines: over((run) => overFingers(run.columns.friction, 1, 0, Math.min)) },
     { title: "Largest joint rate", unit: "rad/s", lines: over((run) => overFingers(run.columns.rates, 1, 0, (a, b) => Math.max(Math.abs(a), Math.abs(b)))) },
     { title: "Latency of each tick", unit: "ms, logarithmic", log: true, lines: over((run) => log(column(run.columns.latency, 0), 1e3), { points: true }) },
   ];
@@ -42,6 +44,13 @@ function placement(own, times) {
 /** Hold each value until the next tick of its run. */
 function spread(values, place) {
   return place.map((row) => (row < 0 ? null : values[row]));
+}
+
+/** Return the largest tangential force of any finger, row by row. */
+function tangential(force) {
+  const sizes = { rows: force.rows, width: force.width / 3, values: new Float32Array(force.values.length / 3) };
+  sizes.values.forEach((_, i) => (sizes.values[i] = Math.hypot(force.values[3 * i], force.values[3 * i + 2])));
+  return overFingers(sizes, 1, 0, Math.max);
 }
 
 /** Combine every `stride`-th column from `first` on, row by row; null where one is unknown. */
