@@ -97,10 +97,13 @@ class ControllerInputs:
             codecs[interfaces.wrench(name)] = WrenchCodec(interfaces.contact_frame(name))
         keys = (interfaces.JOINT_STATES, interfaces.CONTACTS, *codecs)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
-        node.subscribe(JointState, interfaces.JOINT_STATES, self._on_joints, raw=True)
-        node.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
+        subscribe = partial(node.subscribe, raw=True)
+        subscribe(JointState, interfaces.JOINT_STATES, self._on_joints, sensor=True)
+        subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, sensor=True)
+        touch = {interfaces.wrench(name) for name in hand.finger_names}
         for topic, codec in codecs.items():
-            node.subscribe(WrenchStamped, topic, partial(self._on_force, topic, codec), raw=True)
+            take = partial(self._on_force, topic, codec)
+            subscribe(WrenchStamped, topic, take, sensor=topic in touch)
 
     def check_time(self, stamp: int) -> None:
         """Check that something for a later tick [ns] is not stamped by another clock.

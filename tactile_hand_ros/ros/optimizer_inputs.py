@@ -74,13 +74,14 @@ class OptimizerInputs:
         wrenches = [interfaces.wrench(name) for name in fingers]
         more = (interfaces.GRIP_STATE, *wrenches) if cones else ()
         self._matcher = StampMatcher((interfaces.CONTACTS, *more), on_restart=listener.on_restart)
-        node.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
+        subscribe = partial(node.subscribe, sensor=True, raw=True)
+        subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts)
         if not cones:
             return
         node.subscribe(JointState, interfaces.GRIP_STATE, self._on_grip, raw=True)
         for name, topic in zip(fingers, wrenches, strict=True):
             codec = WrenchCodec(interfaces.contact_frame(name))
-            node.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+            subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec))
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, poses = self._contacts.decode(data)

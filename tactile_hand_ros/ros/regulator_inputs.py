@@ -49,10 +49,11 @@ class RegulatorInputs:
         keys = (interfaces.CONTACTS, *topics)
         self._matcher = StampMatcher(keys, on_restart=listener.on_restart)
         self._contacts = ContactsCodec(len(fingers))
-        node.subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, raw=True)
+        subscribe = partial(node.subscribe, sensor=True, raw=True)
+        subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts)
         for name, topic in zip(fingers, topics, strict=True):
             codec = WrenchCodec(interfaces.contact_frame(name))
-            node.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+            subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec))
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, poses = self._contacts.decode(data)
