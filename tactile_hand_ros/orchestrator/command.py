@@ -54,6 +54,9 @@ def orchestrate(
     out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs"),
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
     report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True,
+    composed: Annotated[
+        bool, typer.Option("--composed", help="Run all nodes in one process, for small computers.")
+    ] = False,
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
@@ -75,6 +78,7 @@ def orchestrate(
             namespace=full_namespace(namespace, ros_arguments),
             record=record,
             interactive=interactive,
+            composed=composed,
             startup_timeout=startup_timeout,
         )
         with (

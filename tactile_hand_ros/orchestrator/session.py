@@ -22,6 +22,7 @@ from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, p
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import (
+    COMPOSED,
     CONTROLLER,
     OPTIMIZER,
     PLANT,
@@ -33,7 +34,7 @@ from tactile_hand_ros.orchestrator.wiring import (
 )
 
 START_ORDER = (RECORDER, CONTROLLER, OPTIMIZER, SENSOR, REGULATOR, PLANT)
-STOP_ORDER = ((PLANT,), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
+STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
 STALL = 15.0
 """Time without an answered tick after which a run is given up [s]."""
@@ -63,6 +64,7 @@ class Plan:
         namespace: Namespace of all nodes, ``/`` for none.
         record: Whether to record a bag.
         interactive: Whether to go on until a signal.
+        composed: Whether the nodes share one process, all but the recorder.
         startup_timeout: Longest wait for the graph [s].
     """
 
@@ -70,12 +72,17 @@ class Plan:
     namespace: str = "/"
     record: bool = True
     interactive: bool = False
+    composed: bool = False
     startup_timeout: float = 30.0
 
     @property
     def end(self) -> int | None:
         """Stamp of the last tick [ns], None for an endless run."""
         return None if self.interactive else (self.scenario.ticks - 1) * self.scenario.plant.tick
+
+    def process(self, node: str) -> str:
+        """Return the executable that a node runs in."""
+        return COMPOSED if self.composed and node != RECORDER else node
 
 
 @dataclass
@@ -164,19 +171,24 @@ class Session:
     def _start(self) -> None:
         """Start all processes, one right after the other: they load at the same time."""
         text = self.directory.write_scenario(self.plan.scenario)
-        configs = self._configs(text)
-        for name in START_ORDER:
-            if name not in configs:
-                continue
+        # What a node says goes into its log here, not a second time below the home folder.
+        common = ["--ros-args", "--disable-external-lib-logs"]
+        if self.plan.namespace != "/":
+            common += ["-r", f"__ns:={self.plan.namespace}"]
+        for name, configs in self._groups(self._configs(text)).items():
             self.signals.check()
-            parameters = self.directory.write_parameters(name, configs[name])
-            arguments = ["--ros-args", "--params-file", str(parameters.resolve())]
-            if self.plan.namespace != "/":
-                arguments += ["-r", f"__ns:={self.plan.namespace}"]
-            # What a node says goes into its log here, not a second time below the home folder.
-            arguments += ["--disable-external-lib-logs"]
-            self._processes.start(name, self.directory.log(name), *arguments)
+            files = [self.directory.write_parameters(*pair).resolve() for pair in configs.items()]
+            parameters = [word for file in files for word in ("--params-file", str(file))]
+            self._processes.start(name, self.directory.log(name), *common, *parameters)
         self.outcome.done("processes_started")
+
+    def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:
+        """Sort the nodes by the process they run in, in the order of the start."""
+        groups: dict[str, dict[str, Config]] = {}
+        for node in START_ORDER:
+            if node in configs:
+                groups.setdefault(self.plan.process(node), {})[node] = configs[node]
+        return groups
 
     def _configs(self, scenario_text: str) -> dict[str, Config]:
         scenario = self.plan.scenario
@@ -253,7 +265,7 @@ class Session:
             f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}{more}; "
             f"look at {self.directory.path / 'logs'}"
         ]
-        for name in dict.fromkeys(gap.node for gap in gaps):
+        for name in dict.fromkeys(self.plan.process(gap.node) for gap in gaps):
             tail = self._processes.tail(name)
             lines += [f"{name} | {line}" for line in tail] or [f"{name} has not said anything"]
         return "\n".join(lines)

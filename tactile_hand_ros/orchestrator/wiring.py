@@ -21,6 +21,7 @@ REGULATOR = "slip_regulator"
 OPTIMIZER = "force_optimizer"
 CONTROLLER = "manipulation_controller"
 RECORDER = "recorder"
+COMPOSED = "composed"  # all nodes but the recorder in one process
 ORCHESTRATOR = "orchestrator"
 
 

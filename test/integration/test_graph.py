@@ -161,6 +161,15 @@ def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
+def test_one_process_gives_the_bytes_of_five(bags: dict[str, Path], tmp_path: Path) -> None:
+    with (
+        isolated_domain() as domain,
+        Graph(noisy(NOISE), domain, tmp_path, composed=True) as graph,
+    ):
+        assert payloads(record(graph, tmp_path / "bag")) == payloads(bags["first"])
+        assert graph.end(signal.SIGINT) == {"composed": 0}
+
+
 def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> None:
     first, second = payloads(bags["first"]), payloads(bags["second"])
     assert set(first) == {f"/{topic}" for topic in TICK_TOPICS}

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -59,14 +59,22 @@ class Health(NamedTuple):
 class Graph:
     """The five nodes of one scenario, started together, none of which outlives the block."""
 
-    def __init__(self, scenario: Scenario, domain: int, folder: Path, namespace: str = "") -> None:
-        """Prepare the parameter files; entering the block starts the processes."""
+    def __init__(
+        self,
+        scenario: Scenario,
+        domain: int,
+        folder: Path,
+        namespace: str = "",
+        *,
+        composed: bool = False,
+    ) -> None:
+        """Prepare; entering the block starts a process for each node, or one for all."""
         self.scenario = scenario
         self.namespace = namespace
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.health: dict[str, Health] = {}
         self.processes: dict[str, ProcessUnderTest] = {}
-        self._domain, self._folder = domain, folder
+        self._domain, self._folder, self._composed = domain, folder, composed
         self._stack = ExitStack()
         self._newest: dict[str, bytes] = {}
         self._types: dict[str, Any] = {}
@@ -79,8 +87,11 @@ class Graph:
             profile = config_directory() / "middleware" / "fast_dds.xml"
             environment = self._stack.enter_context(pytest.MonkeyPatch.context())
             environment.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-            for name in NODES:
-                self.start(name)
+            if self._composed:
+                self._launch("composed", NODES)
+            else:
+                for name in NODES:
+                    self.start(name)
             context = self._stack.enter_context(private_context(self._domain))
             self.node = Node("watcher", context=context, namespace=self.namespace)
             self._stack.callback(self.node.destroy_node)
@@ -103,11 +114,16 @@ class Graph:
 
     def start(self, name: str) -> ProcessUnderTest:
         """Start a node, or start it again, with the parameters of the scenario."""
-        file = self._folder / f"{name}.yaml"
-        file.write_text(to_params_yaml(self.scenario.node_config(name), name))
-        place = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
-        process = start_executable(name, "--ros-args", "--params-file", str(file), *place)
-        self.processes[name] = self._stack.enter_context(process)
+        return self._launch(name, [name])
+
+    def _launch(self, executable: str, nodes: Iterable[str]) -> ProcessUnderTest:
+        arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
+        for name in nodes:
+            file = self._folder / f"{name}.yaml"
+            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
+            arguments += ["--params-file", str(file)]
+        process = start_executable(executable, "--ros-args", *arguments)
+        self.processes[executable] = self._stack.enter_context(process)
         return process
 
     def kill(self, name: str) -> None:

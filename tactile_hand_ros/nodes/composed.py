@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All five nodes in one process on one executor, for computers with few cores.
+
+Topics, parameters, services and results are those of five processes, to the bit: only the way of a
+message is shorter. What is lost is isolation: they all die together, and the drivers of a real hand
+must then hold the joints. So on a computer with cores to spare, five processes are the safer choice.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
+from tactile_hand_ros.nodes.plant import PlantNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
+from tactile_hand_ros.ros.runner import run_nodes
+
+MEMBERS = (
+    ManipulationControllerNode,
+    ForceOptimizerNode,
+    TactileSensorNode,
+    SlipRegulatorNode,
+    PlantNode,
+)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run all nodes until SIGINT or SIGTERM and return the exit code.
+
+    Args:
+        args: Command line; ``--params-file`` may be given once for each node.
+    """
+    return run_nodes(MEMBERS, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
