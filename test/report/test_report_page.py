@@ -24,6 +24,8 @@ from tactile_hand_ros.core.slip_detector import Grip
 
 PICTURE = "const s = report.scene; s.draw(); return s.renderer.domElement.toDataURL()"
 
+TIPS = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements.slice(12, 15))"
+
 
 def save(folder: Path, record: Record, scenario: Scenario) -> Run:
     """Write the bag of a run and open it."""
@@ -115,9 +117,7 @@ def test_seeking_moves_cursors_and_the_hand(report: Page, run: Run) -> None:
     for row in (0, 200, 350, 500):
         time = float(run.record.times[row])
         report.js("report.player.seek(arguments[0])", time)
-        tips = report.js(
-            "return report.scene.hand.tips.map((tip) => tip.node.matrixWorld.elements.slice(12, 15))"
-        )
+        tips = report.js(TIPS)
         expected = hand.fingertips(run.record.theta[row]).positions
         np.testing.assert_allclose(tips, expected, atol=1e-6)
         cube = report.js("return report.scene.solid.group.position.toArray()")

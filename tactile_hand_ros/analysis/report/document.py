@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 FORMAT = 1
-MAX_TICKS = 6000
-"""Above so many ticks a page shows a choice of them, see `ticks.shown`."""
+MAX_BYTES = 2_900_000
+"""Room for the arrays of a page before base64, so that it stays below 5 MB."""
 MAX_EVENTS = 400
 
 _CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are too few
@@ -44,21 +44,23 @@ def page_document(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     return {"format": FORMAT, "kind": kind, "palette": palette, "runs": runs}
 
 
-def run_document(run: Run, *, limit: int = MAX_TICKS, space: bool = True) -> dict[str, Any]:
+def run_document(run: Run, *, room: int = MAX_BYTES, space: bool = True) -> dict[str, Any]:
     """Return everything the page needs to know of a run, as plain data for JSON.
+
+    All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
 
     Args:
         run: The run.
-        limit: About how many ticks may be shown.
+        room: How many bytes the arrays may take before base64.
         space: Whether the 3D view is wanted.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
     """
     record = run.record
-    rows = _rows(run, limit)
     hand, problem = model.hand(run) if space else (None, "")
     columns = plot_columns(run) | (scene_columns(record) if space else {})
+    rows = _rows(run, room // _bytes_per_tick(columns))
     return {
         "name": facts.name(run),
         "description": str(facts.loose_scenario(run).get("description", "")),
@@ -114,6 +116,14 @@ def scene_columns(record: Record) -> dict[str, Array]:
         *("desired_position", "desired_quaternion", "object_position", "object_quaternion"),
     )
     return {name: getattr(record, name) for name in names}
+
+
+def _bytes_per_tick(columns: dict[str, Array]) -> int:
+    sizes = {"f8": 8, "f4": 4, "u1": 1}
+    return sum(
+        sizes[_CODES.get(name, "f4")] * int(np.prod(values.shape[1:], dtype=int))
+        for name, values in columns.items()
+    )
 
 
 def _rows(run: Run, limit: int) -> Rows:

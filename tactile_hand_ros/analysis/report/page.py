@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_hand_ros.analysis.metrics import json_ready
-from tactile_hand_ros.analysis.report.document import MAX_TICKS, page_document, run_document
+from tactile_hand_ros.analysis.report.document import MAX_BYTES, page_document, run_document
 from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.core.errors import TactileHandError
 
@@ -48,8 +48,8 @@ def write_comparison(runs: Sequence[Run], file: Path) -> Path:
         BagError: If a bag is damaged or has no tick.
         TactileHandError: If the file cannot be written.
     """
-    limit = max(600, MAX_TICKS // max(1, len(runs) // 2))
-    documents = [run_document(run, limit=limit, space=False) for run in runs]
+    room = MAX_BYTES // max(1, len(runs))
+    documents = [run_document(run, room=room, space=False) for run in runs]
     return _write(page(documents, "comparison"), file)
 
 

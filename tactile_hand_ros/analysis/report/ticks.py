@@ -17,7 +17,7 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
 
     Up to `limit` ticks are all shown. Of more, the run is cut into equal pieces, and of each the
     first tick is shown and those at which each signal is largest and smallest, so that no peak is
-    lost to the eye.
+    lost to the eye; what room is left goes to ticks at equal distances.
 
     Args:
         count: Number of ticks.
@@ -39,4 +39,6 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
         for start, end in zip(edges[:-1], edges[1:], strict=True):
             rows.append(np.array([start + low[start:end].argmin()]))
             rows.append(np.array([start + high[start:end].argmax()]))
-    return np.unique(np.concatenate(rows).astype(np.int64))
+    chosen = np.unique(np.concatenate(rows).astype(np.int64))
+    even = np.linspace(0, count - 1, max(2, limit - len(chosen))).astype(np.int64)
+    return np.union1d(chosen, even)
