@@ -169,6 +169,11 @@ class BagWriter:
         self._check_open()
         definition = definition or message_definition(type_name)
         channel = _Channel(topic, type_name, tuple(offers), type_hash, definition)
+        for known in self.earlier.topics if self.earlier else ():
+            # Readers take a topic with other offers in a later file for another topic.
+            if (known.name, known.type) == (topic, type_name):
+                channel.offers = known.offered_qos_profiles
+                channel.type_hash = known.type_description_hash
         if self._file is not None:
             self._guard(self._announce, self._file, [channel])
         self._channels.append(channel)

@@ -271,3 +271,43 @@ def test_metadata_record_is_read_by_name_beside_those_of_rosbag2(tmp_path: Path)
     assert first["custom_data"] == said
     writer.close()
     assert summarize(tmp_path / "run").custom_data == said
+
+
+@pytest.mark.parametrize("limit", ["max_size", "max_duration"])
+def test_bag_is_split_and_reads_as_one(tmp_path: Path, limit: str) -> None:
+    """metadata.yaml lists all files as rosbag2 does; each has all channels and opens alone."""
+    with BagWriter(tmp_path / "run", chunk_size=1000, **{limit: 5000}) as writer:
+        writer.add_metadata("origin", {"a": "b"})
+        first, second = add_string(writer), add_string(writer, "/late")
+        for i in range(300):
+            writer.write(first if i % 2 else second, payload("x" * 40), 100 * i, 0)
+    told = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())
+    told = told["rosbag2_bagfile_information"]
+    paths = told["relative_file_paths"]
+    assert paths == [f"run_{i}.mcap" for i in range(len(paths))] and len(paths) > 3
+    assert [file["path"] for file in told["files"]] == paths
+    assert sum(file["message_count"] for file in told["files"]) == told["message_count"] == 300
+    starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in told["files"]]
+    assert starts == sorted(starts)
+    if limit == "max_duration":
+        assert all(5000 <= file["duration"]["nanoseconds"] < 5200 for file in told["files"][:-1])
+    with Reader(tmp_path / "run") as reader:
+        assert [time for _, time, _ in reader.messages()] == [100 * i for i in range(300)]
+    with (tmp_path / "run" / paths[1]).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None and len(summary.channels) == 2
+        records = [record.name for record in make_reader(stream).iter_metadata()]
+    assert records == ["rosbag2", "origin", "rosbag2"]
+
+
+def test_checkpoint_is_a_whole_bag_that_goes_on(tmp_path: Path) -> None:
+    """metadata.yaml is there only while all files are whole."""
+    writer = BagWriter(tmp_path / "run", lazy=True)
+    channel = add_string(writer)
+    assert list(writer.folder.iterdir()) == []
+    for part in range(2):
+        writer.write(channel, payload("x"), part, part)
+        assert not (writer.folder / "metadata.yaml").exists()
+        writer.checkpoint()
+        assert summarize(writer.folder).message_count == part + 1
+    assert len(writer.close().files) == 2

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that were cut off or damaged: what is whole comes back, nothing is made up or destroyed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as ForeignWriter
+from rosbags.typesys import Stores, get_typestore
+
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.qos import OfferedQos, parse_qos, qos_text
+from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.recover import continue_bag, is_whole, recover
+from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.bag.writer import BagWriter
+
+STRING = "std_msgs/msg/String"
+COUNT = 400
+
+
+def payload(number: int) -> bytes:
+    """Return the CDR of a String, hard to compress."""
+    data = f"{number} {hash((number, 'x')) ** 5}".encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+def write_bag(folder: Path, compression: str = "zstd", count: int = COUNT) -> list[bytes]:
+    """Write a bag of some chunks and return its messages."""
+    sent = [payload(i) for i in range(count)]
+    told = {"scenario": "name: x\n"}
+    with BagWriter(folder, compression, chunk_size=2000, custom_data=told) as writer:
+        channels = [
+            writer.add_channel(name, STRING, offers=[OfferedQos(durability="transient_local")])
+            for name in ("/a", "/b")
+        ]
+        for i, data in enumerate(sent):
+            writer.write(channels[i % 2], data, 1000 + i, 900 + i)
+    return sent
+
+
+def cut(folder: Path, size: int) -> Path:
+    """Cut the file of a bag to `size` bytes, as a killed recorder leaves it."""
+    file = folder / f"{folder.name}_0.mcap"
+    file.write_bytes(file.read_bytes()[:size])
+    (folder / "metadata.yaml").unlink()
+    return file
+
+
+@pytest.fixture(scope="module", params=["none", "lz4", "zstd"])
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag to copy and cut."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    write_bag(folder, request.param)
+    return folder
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0.0, 1.0))
+def test_cut_at_any_byte_the_front_comes_back(
+    whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
+    """Messages are a gapless front, at least all of the whole chunks; the original is untouched."""
+    sent = [m.data for m in read_raw(whole)]
+    folder = tmp_path_factory.mktemp("cut") / "run"
+    shutil.copytree(whole, folder)
+    size = round(share * (folder / "run_0.mcap").stat().st_size)
+    file = cut(folder, size)
+    before = file.read_bytes()
+    recovery = recover(folder)
+    assert file.read_bytes() == before and not (folder / "metadata.yaml").exists()
+    got = [m.data for m in read_raw(recovery.target)]
+    assert got == sent[: len(got)]
+    assert len(got) == recovery.messages >= chunked(before)
+    assert summarize(recovery.target).message_count == len(got)
+    if got:
+        assert summarize(recovery.target).custom_data["scenario"] == "name: x\n"
+
+
+def chunked(data: bytes) -> int:
+    """Return how many messages the whole chunks in the front of a file hold, by their indices."""
+    at, count = 8, 0
+    while at + 9 <= len(data):
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        at += 9 + length
+        if data[at - length - 9] == 0x07 and at <= len(data):  # message index: entries of 16 bytes
+            count += (length - 6) // 16
+    return count
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_half_a_chunk_is_used(tmp_path: Path, compression: str) -> None:
+    """One large chunk, cut in the middle, gives about half of its messages."""
+    folder = tmp_path / "run"
+    with BagWriter(folder, compression=compression, chunk_size=2**24) as writer:
+        channel = writer.add_channel("/a", STRING)
+        for i in range(20_000):
+            writer.write(channel, payload(i), i, i)
+    cut(folder, (folder / "run_0.mcap").stat().st_size // 2)
+    recovery = recover(folder)
+    assert 6_000 < recovery.messages < 14_000
+    assert recovery.left > 0 and str(recovery.left) in recovery.sentence
+    got = [m.data for m in read_raw(recovery.target)]
+    assert got == [payload(i) for i in range(len(got))]
+
+
+def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
+    """No message is made up of wrong bytes."""
+    sent = write_bag(tmp_path / "run", "none")
+    file = tmp_path / "run" / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[data.index(sent[100]) + 10] ^= 1
+    file.write_bytes(data)
+    recovery = recover(tmp_path / "run", tmp_path / "out")
+    got = {m.data for m in read_raw(recovery.target)}
+    assert got < set(sent) and sent[100] not in got
+    assert len(got) > COUNT - 60 and recovery.left > 500
+
+
+def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
+    """A disk that lost power leaves them."""
+    write_bag(tmp_path / "run")
+    file = cut(tmp_path / "run", 9000)
+    front = recover(tmp_path / "run", tmp_path / "front").messages
+    file.write_bytes(file.read_bytes() + bytes(5000))
+    recovery = recover(tmp_path / "run", tmp_path / "out")
+    assert recovery.messages == front > 0 and recovery.left >= 5000
+
+
+def test_bag_of_others(tmp_path: Path) -> None:
+    """What `rosbags` wrote, cut off; its schema is kept."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with ForeignWriter(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/talk", STRING, typestore=store)
+        for i in range(30_000):
+            writer.write(connection, i, payload(i))
+    file = next((tmp_path / "run").glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
+    recovery = recover(file)
+    assert recovery.target == file.with_name(f"{file.stem}_recovered")
+    assert 10_000 < recovery.messages < 30_000
+    with AnyReader([recovery.target]) as reader:
+        assert reader.connections[0].msgdef.data == connection.msgdef.data
+        got = [bytes(data) for _, _, data in reader.messages()]
+    assert got == [payload(i) for i in range(len(got))]
+
+
+def test_metadata_attachments_and_sequences_are_kept(tmp_path: Path) -> None:
+    """A file of somebody who uses all of MCAP, without chunks."""
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="other")
+        writer.add_metadata("mine", {"a": "b"})
+        writer.add_attachment(1, 2, "photo.png", "image/png", b"png")
+        schema = writer.register_schema("Thing", "jsonschema", b"{}")
+        channel = writer.register_channel("/thing", "json", schema)
+        writer.add_message(channel, 5, b"{}", 4, sequence=7)
+        writer.finish()
+    file.write_bytes(file.read_bytes()[:-20])
+    recovery = recover(file, tmp_path / "out")
+    with (tmp_path / "out" / "out_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "other"
+        assert [a.data for a in reader.iter_attachments()] == [b"png"]
+        assert [m.name for m in reader.iter_metadata()] == ["mine", "rosbag2"]
+        [(_, found, message)] = list(reader.iter_messages())
+    assert (found.message_encoding, message.sequence, message.publish_time) == ("json", 7, 4)
+    assert recovery.metadata.topics[0].serialization_format == "json"
+
+
+def test_split_bag_with_a_cut_last_file(tmp_path: Path) -> None:
+    """All files come back under one metadata.yaml."""
+    folder = tmp_path / "run"
+    with BagWriter(folder, chunk_size=1000, max_size=5000) as writer:
+        channel = writer.add_channel("/a", STRING)
+        for i in range(500):
+            writer.write(channel, payload(i), i, i)
+    files = sorted(folder.glob("*.mcap"), key=lambda file: file.stat().st_mtime_ns)
+    assert len(files) > 3
+    files[-1].write_bytes(files[-1].read_bytes()[:1500])
+    (folder / "metadata.yaml").unlink()
+    recovery = recover(folder)
+    whole = yaml.safe_load((recovery.target / "metadata.yaml").read_text())
+    told = whole["rosbag2_bagfile_information"]
+    assert len(told["relative_file_paths"]) == len(files)
+    got = [m.data for m in read_raw(recovery.target)]
+    assert got == [payload(i) for i in range(len(got))] and len(got) > 400
+
+
+def test_in_place_keeps_the_broken_file(tmp_path: Path) -> None:
+    """The folder opens under its own name, and a second repair finds nothing to do."""
+    sent = write_bag(tmp_path / "run")
+    file = cut(tmp_path / "run", 9000)
+    broken = file.read_bytes()
+    recovery = recover(tmp_path / "run", in_place=True)
+    assert [kept.read_bytes() for kept in recovery.kept] == [broken]
+    got = [m.data for m in read_raw(tmp_path / "run")]
+    assert got == sent[: len(got)] and got
+    assert is_whole(tmp_path / "run")
+    assert continue_bag(tmp_path / "run") is None
+
+
+def test_recorder_continues_its_own_broken_bag(tmp_path: Path) -> None:
+    """Old and new messages are in one bag, the new ones in a file of their own."""
+    folder = tmp_path / "run"
+    sent = write_bag(folder)
+    cut(folder, 9000)
+    earlier = continue_bag(folder)
+    assert earlier is not None
+    with BagWriter(folder, earlier=earlier.metadata) as writer:
+        channel = writer.add_channel("/a", STRING)
+        for i in range(10):
+            writer.write(channel, payload(i), 10**6 + i, 0)
+    got = [m.data for m in read_raw(folder)]
+    assert got == sent[: earlier.messages] + [payload(i) for i in range(10)]
+    names = {file.name for file in folder.iterdir()}
+    assert names == {"run_0.mcap", "run_0.mcap.broken", "run_1.mcap", "metadata.yaml"}
+
+
+def test_bag_of_somebody_else_is_not_continued(tmp_path: Path) -> None:
+    """A recorder may only touch what a recorder of this package wrote."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with (folder / "run_0.mcap").open("wb") as stream:
+        Writer(stream).start(library="other")
+    before = (folder / "run_0.mcap").read_bytes()
+    with pytest.raises(BagError, match="broken bag of 'other'"):
+        continue_bag(folder)
+    assert (folder / "run_0.mcap").read_bytes() == before
+
+
+def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
+    """It is not broken, only unfinished."""
+    writer = BagWriter(tmp_path / "run")
+    with pytest.raises(BagError, match="is being recorded at this moment"):
+        recover(tmp_path / "run")
+    with pytest.raises(BagError, match="is being recorded at this moment"):
+        continue_bag(tmp_path / "run")
+    writer.close()
+
+
+def test_refusals(tmp_path: Path) -> None:
+    """One sentence each, and nothing is created or overwritten."""
+    (tmp_path / "text.mcap").write_text("no bag at all")
+    (tmp_path / "empty").mkdir()
+    write_bag(tmp_path / "run")
+    cut(tmp_path / "run", 9000)
+    (tmp_path / "taken").mkdir()
+    for match, arguments in (
+        ("does not exist", (tmp_path / "nowhere",)),
+        ("is no MCAP file", (tmp_path / "text.mcap", tmp_path / "new")),
+        ("holds no .mcap file", (tmp_path / "empty",)),
+        ("exists already", (tmp_path / "run", tmp_path / "taken")),
+    ):
+        with pytest.raises(BagError, match=match):
+            recover(*arguments)
+    assert list((tmp_path / "taken").iterdir()) == []
+
+
+def test_tally_knows_a_whole_file(tmp_path: Path) -> None:
+    """Its counts are those of the bag."""
+    write_bag(tmp_path / "run")
+    tally = Tally()
+    for _ in salvage(tmp_path / "run" / "run_0.mcap", tally):
+        pass
+    assert tally.whole and tally.by_topic == {"/a": COUNT // 2, "/b": COUNT // 2}
+    assert tally.compression == "zstd"
+
+
+def test_qos_text_is_read_back() -> None:
+    """Also the numbers of older versions; nonsense gives nothing."""
+    offers = (OfferedQos(), OfferedQos(reliability="best_effort", depth=7, deadline=1_500_000_000))
+    assert parse_qos(qos_text(offers)) == offers
+    old = qos_text(offers[:1]).replace("reliability: reliable", "reliability: 1")
+    assert parse_qos(old) == offers[:1]
+    assert parse_qos("") == parse_qos("- 1") == parse_qos("{") == ()
