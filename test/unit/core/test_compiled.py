@@ -60,7 +60,8 @@ def call(core: Path, **environment: str) -> float:
 def test_a_change_in_a_called_file_is_seen(package: Path) -> None:
     """Numba alone would keep the old inner function inside the cached outer one."""
     assert call(package) == 20.0
-    (package / "inner.py").write_text(INNER.format(constant=2.0))
+    # Another length: Python takes a source of the same second and length for the one it knows.
+    (package / "inner.py").write_text(INNER.format(constant="2.000"))
     assert call(package) == 30.0
 
 
