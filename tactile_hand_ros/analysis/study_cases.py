@@ -28,7 +28,7 @@ EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
 LOADS = {"friction": (1.2, 3.5), "step": (1.5, 8.0), "ramp": (1.5, 8.0)}
 RATES = (250.0, 500.0, 1000.0)
 CENTROID = (0.0, 0.0434, 0.4098)  # of the contacts at the start: the object is held where it is
-EVENT_TIME, DURATION, RAMP = 0.08, 0.22, 0.05  # s
+EVENT_TIME, DURATION, RAMP = 0.07, 0.19, 0.05  # s
 _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
 
 

@@ -45,7 +45,13 @@ def net_wrench(contacts: Contacts, forces: Array) -> Array:
         forces: Forces on the object in contact frames, shape (k, 3), N.
     """
     in_palm = (contacts.rotations @ forces[:, :, None])[:, :, 0]
-    return np.asarray(grasp_map(contacts.positions, contacts.centroid) @ in_palm.ravel())
+    arms = contacts.positions - contacts.centroid
+    # G~ f written out: a third of the time for a few contacts.
+    x = y = z = a = b = c = 0.0
+    for (u, v, w), (p, q, r) in zip(in_palm.tolist(), arms.tolist(), strict=True):
+        x, y, z = x + u, y + v, z + w
+        a, b, c = a + (q * w - r * v), b + (r * u - p * w), c + (p * v - q * u)
+    return np.array([x, y, z, a, b, c])
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:
