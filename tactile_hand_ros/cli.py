@@ -254,7 +254,13 @@ def slip(
     formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what squeeze."""
-    from tactile_hand_ros.analysis import slip_roc, slip_study, study_figures, tables
+    from tactile_hand_ros.analysis import (
+        roc_figure,
+        slip_roc,
+        slip_study,
+        study_figures,
+        tables,
+    )
     from tactile_hand_ros.analysis import study_tables as s
     from tactile_hand_ros.analysis.style import save
 
@@ -267,7 +273,7 @@ def slip(
     if roc:
         with _progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
             points = slip_roc.run_roc(seed=seed, jobs=jobs, progress=advance)
-        drawn["study_roc"] = study_figures.roc_figure(points)
+        drawn["study_roc"] = roc_figure.roc_figure(points)
     files = s.write(result, out)
     if points:
         files += slip_roc.write(points, out)

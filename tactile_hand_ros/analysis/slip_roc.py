@@ -20,7 +20,7 @@ from tactile_hand_ros.analysis.study_cases import Case, sample_cases, scenario_o
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
 from tactile_hand_ros.core.slip_detector import SlipDetectorConfig
 
-THRESHOLDS = (2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0, 45.0)
+THRESHOLDS = (2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0, 28.0, 45.0)
 SLIPS = 120
 """Cases of the study that are recorded; about half of them slip."""
 SECONDS = 60.0

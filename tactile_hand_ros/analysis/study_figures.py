@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_hand_ros.analysis.slip_roc import Point
 from tactile_hand_ros.analysis.slip_study import Study
 from tactile_hand_ros.analysis.statistics import estimate
 from tactile_hand_ros.analysis.study_cases import EVENTS, RATES
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 _NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
 _LATENCIES = (0.0, 0.0025, 0.005, 0.0075, 0.0101)  # s
 _MARKS = ("o", "s", "^")
+_LONGEST = 40.0  # ms that are drawn
 
 
 def figures(study: Study) -> dict[str, Figure]:
@@ -52,7 +52,7 @@ def detection_figure(study: Study) -> Figure:
         label_panel(left, "a", "from onset to alarm")
         _goal(left, 10.0)
         left.set_ylabel("share of slips")
-        left.legend(loc="lower right")
+        left.legend(loc="lower right", title="force noise")
         _distributions(right, study, lambda o: o.reaction)
         label_panel(right, "b", "from onset to rising squeeze")
         _goal(right, 20.0)
@@ -68,8 +68,11 @@ def _distributions(axes: Axes, study: Study, of: Callable[[Outcome], float]) -> 
         shares = np.arange(1, len(values) + 1) / len(values)
         name = f"{1e3 * low:g} to {1e3 * high:g} mN" if i < 2 else f"over {1e3 * low:g} mN"
         known = np.isfinite(values)
-        axes.step(values[known], shares[known], where="post", color=finger_color(i), label=name)
-    axes.set_xlim(-5.0, 60.0)
+        # To the edge, so that what was never found shows as what is missing there.
+        times = np.append(values[known], _LONGEST)
+        found = np.append(shares[known], shares[known][-1:] if known.any() else 0.0)
+        axes.step(times, found, where="post", color=finger_color(i), label=name)
+    axes.set_xlim(-5.0, _LONGEST)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("time [ms]")
 
@@ -93,6 +96,7 @@ def slip_figure(study: Study) -> Figure:
             )
         axes.axhline(1.0, color=FAINT, linewidth=0.8)
         axes.set_yscale("log")
+        axes.set_ylim(1e-3, 300.0)
         axes.set_xlabel("least squeeze after the event / squeeze before it")
         axes.set_ylabel("slip distance [mm]")
         axes.legend()
@@ -135,6 +139,7 @@ def delay_figure(study: Study) -> Figure:
             for i, rate in enumerate(RATES):
                 _delays(axes, study, rate, of, i)
             label_panel(axes, letter, title)
+            axes.set_ylim(-10.0, 30.0)
             axes.set_xlabel("latency of the skin [ms]")
         left.set_ylabel("time [ms]")
         left.legend()
@@ -164,33 +169,6 @@ def _detection(outcome: Outcome) -> float:
 
 def _reaction(outcome: Outcome) -> float:
     return outcome.reaction
-
-
-def roc_figure(points: Sequence[Point]) -> Figure:
-    """Draw detection within 10 ms, and the median delay, against false alarms."""
-    with look():
-        figure = new_figure(PAGE, 2.6)
-        left, right = figure.subplots(1, 2)
-        for i, noise in enumerate(sorted({p.noise for p in points})):
-            some = [p for p in points if p.noise == noise]
-            # None at all still leaves one in the time that was looked at; a logarithm needs more.
-            x = [max(p.false_alarm_rate, 0.5 / p.minutes) for p in some]
-            name, mark = f"{1e3 * noise:g} mN", _MARKS[i % 3] + "-"
-            style = {"color": finger_color(i), "markersize": 3.5, "label": name}
-            left.plot(x, [p.in_time / max(p.slips, 1) for p in some], mark, **style)
-            right.plot([p.threshold for p in some], [1e3 * p.delay for p in some], mark, **style)
-        left.set_xscale("log")
-        left.set_ylim(0.0, 1.0)
-        left.set_xlabel("false alarms per minute (leftmost: none)")
-        left.set_ylabel("alarm within 10 ms")
-        label_panel(left, "a", "receiver operating curve")
-        right.axhline(10.0, color=FAINT, linewidth=0.8)
-        right.set_xlabel("threshold of evidence")
-        right.set_ylabel("median delay [ms]")
-        right.set_ylim(bottom=0.0)
-        label_panel(right, "b", "delay of detection")
-        left.legend(title="force noise")
-    return figure
 
 
 def _goal(axes: Axes, value: float) -> None:

@@ -28,7 +28,7 @@ class Outcome:
 
     Attributes:
         case: What was varied.
-        onset: First tick with a sliding contact after the event, s.
+        onset: First tick with a sliding contact after the event, s; NaN if it slid already.
         detection: From there to the first alarm of that contact; infinite where none came.
         reaction: From there to the squeeze that the plant acts on rising; below zero if the load
             had been foreseen, infinite if it never rose.
@@ -86,7 +86,9 @@ def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slides = record.true_sliding > SLIDING
     after = slides[event:].any(axis=1)
-    onset = event + int(after.argmax()) if after.any() else None
+    # What slid already has no onset after the event.
+    fresh = after.any() and not slides[max(0, event - 5) : event].any()
+    onset = event + int(after.argmax()) if fresh else None
     least = least_at(record, scenario, scenario.duration, event)
     slid = record.true_slid
     slip = float(np.nanmax(slid - slid[event]))
