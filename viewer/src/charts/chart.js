@@ -245,6 +245,7 @@ function drawEvents(plot, spec, { events, theme }) {
   ctx.beginPath();
   ctx.rect(left - 6 * dot, top - 8 * dot, width + 12 * dot, height + 8 * dot);
   ctx.clip();
+  const taken = []; // places of signs, so that those of one moment stand below each other
   for (const event of events) {
     const x = plot.valToPos(event.time, "x", true);
     if (x < left || x > left + width) continue;
@@ -258,7 +259,10 @@ function drawEvents(plot, spec, { events, theme }) {
     ctx.stroke();
     if (spec.marks) {
       ctx.globalAlpha = 1;
-      sign(ctx, event.kind, x, top, 4.2 * dot);
+      const beside = taken.filter((other) => Math.abs(other.x - x) < 10 * dot);
+      if (beside.some((other) => other.kind === event.kind)) continue;
+      sign(ctx, event.kind, x, top + 11 * dot * beside.length, 4.2 * dot);
+      taken.push({ x, kind: event.kind });
     }
   }
   ctx.restore();

@@ -49,7 +49,8 @@ export class HandModel {
 
   paint(theme) {
     for (const name of Object.keys(this.materials)) this.materials[name].color.set(theme.get(name));
-    for (const tip of this.tips) tip.material.color.set(theme.data(tip.color));
+    this.theme = theme;
+    this.alarm(this.slipping ?? []);
   }
 
   /** Take a posture: joint values in the order of the record. */
@@ -58,9 +59,14 @@ export class HandModel {
     this.group.updateMatrixWorld(true);
   }
 
-  /** Let the tips of slipping fingers glow. */
+  /** Let the tips of slipping fingers glow red; `slipping` goes by finger. */
   alarm(slipping) {
-    for (const tip of this.tips) tip.material.emissive.set(slipping[tip.finger] ? "#c81e1e" : "#000000");
+    this.slipping = slipping;
+    for (const tip of this.tips) {
+      const slips = Boolean(slipping[tip.finger]);
+      tip.material.color.set(slips ? this.theme.event("slip") : this.theme.data(tip.color));
+      tip.material.emissive.set(slips ? "#5c0d0d" : "#000000");
+    }
   }
 
   /** Return where all links are, in the palm frame. */
