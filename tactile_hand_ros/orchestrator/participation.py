@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator, Sequence
 
 import rclpy
@@ -13,20 +12,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.paths import config_directory
 from tactile_hand_ros.orchestrator.wiring import ORCHESTRATOR
-
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-
-
-def hasten_discovery() -> None:
-    """Let this process and its children announce themselves more often while they start.
-
-    A profile that the user has chosen stays in force.
-    """
-    profile = config_directory() / "middleware" / "fast_dds.xml"
-    if profile.is_file() and not any(name in os.environ for name in _PROFILES):
-        os.environ[_PROFILES[0]] = str(profile)
+from tactile_hand_ros.ros.middleware import use_sockets
 
 
 @contextlib.contextmanager
@@ -39,7 +26,7 @@ def ros_context(arguments: Sequence[str]) -> Iterator[Context]:
     Raises:
         ConfigurationError: If the ROS arguments cannot be used.
     """
-    hasten_discovery()
+    use_sockets()
     context = Context()
     try:
         rclpy.init(

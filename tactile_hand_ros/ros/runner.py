@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.spinning import spin
 
 EXIT_OK = 0
@@ -109,6 +110,7 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
     Raises:
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
+    use_sockets()
     try:
         rclpy.init(args=line)
     except (_rclpy.RCLError, RuntimeError) as error:

@@ -22,6 +22,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from tactile_hand_ros.ros.executables import ExecutableError, child_environment, executable_path
+from tactile_hand_ros.ros.middleware import socket_settings
 from tactile_hand_ros.ros.spinning import make_executor
 
 _PORT_BASE = 32768
@@ -45,7 +46,7 @@ def isolated_domain() -> Iterator[int]:
     """
     with _reserve() as (_, domain):
         values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        with _environment(values):
+        with _environment({**values, **socket_settings({**os.environ, **values})}):
             yield domain
 
 

@@ -140,6 +140,11 @@ def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(grap
     graph.finish()
 
 
+def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph: Graph) -> None:
+    for process in graph.processes.values():
+        assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.pid}/maps").read_text()
+
+
 @pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("first", NOISE), ("second", NOISE)])
 def test_the_graph_gives_the_numbers_of_function_calls(
     bags: dict[str, Path], name: str, noise: dict[str, float]
@@ -157,7 +162,7 @@ def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
     expected = ClosedLoop(scenario).run()
     assert_same(recorded, expected)
     assert (expected.grip == Grip.SLIP).any(axis=0).all()
-    assert (expected.true_slid[-1] > 1e-5).all() and (expected.friction[-1] < 0.35).all()
+    assert (expected.true_slid[-1] > 1e-5).all() and (expected.friction[-1] < 0.39).all()
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 

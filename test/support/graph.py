@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, SetParametersResult
@@ -24,7 +23,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.core.hand_config import load_hand_config
-from tactile_hand_ros.core.paths import config_directory
 from tactile_hand_ros.core.scenario import NODES, Scenario
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.conversions import (
@@ -83,10 +81,6 @@ class Graph:
     def __enter__(self) -> Graph:
         """Start everything and wait until all have found each other."""
         try:
-            # As the orchestrator starts them: announced often, and lost messages soon sent again.
-            profile = config_directory() / "middleware" / "fast_dds.xml"
-            environment = self._stack.enter_context(pytest.MonkeyPatch.context())
-            environment.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
             if self._composed:
                 self._launch("composed", NODES)
             else:

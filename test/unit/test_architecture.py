@@ -24,8 +24,8 @@ LAYERS = {
     "orchestrator": {"core", "ros", "bag", "analysis", "orchestrator"},
 }
 CLOCKS = {"time", "datetime"}
-# Only these may see what a real hand could not measure.
-SEEING = {"__init__", "plant", "tactile_sensor", "recorder"}
+# Only these may see what a real hand could not measure; composed starts them with the others.
+SEEING = {"__init__", "plant", "tactile_sensor", "recorder", "composed"}
 BLIND = sorted(path for path in (ROOT / PACKAGE / "nodes").glob("*.py") if path.stem not in SEEING)
 # The object, as the simulation knows it; scenario and closed_loop join it with the controllers.
 TRUTH = {"plant", "solid", "scenario", "closed_loop"}

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the middleware is set up: by sockets alone, so that no dead process stops a living one.
+
+Fast DDS also passes messages through shared memory by default. A process that is killed while it
+holds a lock there leaves it locked, and the next process that meets this lock waits for ever, with
+nothing that could end the wait from within. It is a little faster; a hand must not depend on it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.paths import config_directory
+
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that make Fast DDS use sockets only, in the range that is set.
+
+    Nothing where the user has chosen a profile, switched discovery off, or there is no
+    configuration. The range ``LOCALHOST`` becomes a profile that means the same: with the variable
+    itself, ROS adds shared memory to every profile.
+
+    Args:
+        environment: Variables in force.
+    """
+    reach = environment.get(_RANGE, "SUBNET")
+    if any(name in environment for name in _PROFILES) or reach == "OFF":
+        return {}
+    try:
+        folder = config_directory() / "middleware"
+    except ConfigurationError:  # whoever needs the configuration will say so
+        return {}
+    name = "localhost" if reach == "LOCALHOST" else "subnet"
+    return {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}
+
+
+def use_sockets() -> None:
+    """Let this process, which has no ROS context yet, and its children use sockets only."""
+    os.environ.update(socket_settings(os.environ))

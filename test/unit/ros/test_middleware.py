@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tactile_hand_ros.ros.middleware import socket_settings
+
+RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [({}, "subnet"), ({RANGE: "SUBNET"}, "subnet"), ({RANGE: "LOCALHOST"}, "localhost")],
+)
+def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str) -> None:
+    settings = socket_settings(given)
+    file = Path(settings[PROFILE])
+    kinds = [each.text for each in ElementTree.parse(file).iter() if each.tag.endswith("}type")]
+    assert (file.stem, kinds) == (name, ["UDPv4"])
+    assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would bring shared memory back
+
+
+@pytest.mark.parametrize(
+    "given", [{PROFILE: "mine.xml"}, {"FASTDDS_DEFAULT_PROFILES_FILE": "m.xml"}, {RANGE: "OFF"}]
+)
+def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
+    assert socket_settings(given) == {}
