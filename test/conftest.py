@@ -7,6 +7,6 @@ import signal
 
 
 def pytest_configure() -> None:
-    """Let child processes be interrupted: a shell's background jobs ignore SIGINT from the start."""
+    """Let child processes be interrupted: in a shell's background jobs SIGINT is ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -3,7 +3,7 @@
 
 Topics, parameters, services and results are those of five processes, to the bit: only the way of a
 message is shorter. What is lost is isolation: they all die together, and the drivers of a real hand
-must then hold the joints. So on a computer with cores to spare, five processes are the safer choice.
+must then hold the joints. With cores to spare, five processes are the safer choice.
 """
 
 from __future__ import annotations
