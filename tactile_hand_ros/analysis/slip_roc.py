@@ -29,6 +29,7 @@ NOISES = (0.003, 0.01, 0.03)  # N
 IN_TIME = 0.01  # s
 _WAY = ((-0.1, 0.2, 0.4), (0.0, 0.0434, 0.4098))  # the paper's goal and back
 _REST = 5.0  # s at each
+_COMMON = ("hand", "seed")  # are said at the top of a scenario
 COLUMNS = ("noise", "threshold", "false alarms", "per minute", "slips", "within 10 ms", "delay")
 
 
@@ -60,24 +61,25 @@ class Point:
         return self.false_alarms / self.minutes if self.minutes > 0.0 else math.nan
 
 
-def paper_scenario(seconds: float, noise: float = 0.0) -> Scenario:
+def paper_scenario(seconds: float, *, noise: bool = False, seed: int = 1) -> Scenario:
     """Return the paper's manipulation, there and back again, felt by a skin at 1 kHz.
 
     Args:
         seconds: Simulated time.
-        noise: Standard deviation of each force component, N.
+        noise: Whether the skin is that of `gravity`, or perfect.
+        seed: Of the skin.
     """
     targets = [
         {"time": _REST * i, "position": list(_WAY[i % 2])}
         for i in range(math.ceil(seconds / _REST))
     ]
+    skin = load_scenario("gravity").tactile_sensor.model_dump() if noise else {"rate": 1000.0}
     changes = {
         "duration": seconds,
+        "seed": seed,
         "targets": targets,
         "plant.rate": 1000.0,
-        "tactile_sensor.rate": 1000.0,
-        "tactile_sensor.force_noise": noise,
-        "tactile_sensor.vibration": {"gain": 10.0},
+        "tactile_sensor": {key: value for key, value in skin.items() if key not in _COMMON},
     }
     return load_scenario("paper", changes)
 
