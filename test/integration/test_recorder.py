@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import random
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -13,22 +14,30 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
+from mcap_ros2.reader import read_ros2_messages
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
+from support.kills import kill, talker
 
 import tactile_hand_ros
 from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
+    find_executable,
     isolated_domain,
     private_context,
     start_executable,
@@ -278,6 +287,166 @@ def _recorder_values(message: DiagnosticArray) -> list[dict[str, str]]:
 def test_existing_folder_is_refused(start: Callable[..., ProcessUnderTest], tmp_path: Path) -> None:
     """One sentence, no traceback, a failing exit code."""
     assert f"{tmp_path} exists already" in refusal(start(tmp_path))
+
+
+def test_killed_at_random_moments_nothing_but_the_last_moment_is_lost(
+    domain: int, tmp_path: Path
+) -> None:
+    """All recovered numbers follow each other; the bound is 0.2 s, here with room for noise."""
+    rng = random.Random(1)
+    with talker(tmp_path / "diary"):
+        for run in range(6):
+            outcome = kill(tmp_path / str(run), tmp_path / "diary", rng.uniform(0.0, 1.0), 2.0)
+            assert outcome.gaps == 0 and outcome.unsaved == 0
+
+
+def test_recorder_continues_after_it_was_killed(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Both halves are in one bag, which opens everywhere; the broken file is kept."""
+    bag = tmp_path / "bag"
+    publisher = node.create_publisher(Float64, "value", LATCHED)
+    first = start(bag)
+    wait_for_recorder(publisher)
+    publisher.publish(Float64(data=1.0))
+    wait_until(lambda: _on_disk(bag / "bag_0.mcap").get("/value"))
+    first.send(signal.SIGKILL)
+    assert first.wait() == -signal.SIGKILL
+    wait_until(lambda: publisher.get_subscription_count() == 0, 60.0)
+    second = start(bag)
+    wait_for_recorder(publisher)
+    publisher.publish(Float64(data=2.0))
+    wait_until(lambda: _on_disk(bag / "bag_1.mcap").get("/value", 0) >= 2)
+    end_well(second)
+    assert "going on after a recorder died" in second.stderr
+    values = [m.message.data for m in read_messages(bag, ["/value"])]
+    assert values == [1.0, 1.0, 2.0]  # the latched one comes to each recorder
+    assert (bag / "bag_0.mcap.broken").exists()
+
+
+def _on_disk(file: Path) -> dict[str, int]:
+    """Return the number of messages by topic that are in a file now."""
+    tally = Tally()
+    for _ in salvage(file, tally) if file.exists() else ():
+        pass
+    return tally.by_topic
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_split_and_compressed_bag_opens_in_everything(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path, compression: str
+) -> None:
+    """Folder by rosbags, each file by mcap-ros2-support; all messages in order."""
+    publisher = node.create_publisher(JointState, "joint_states", DEEP)
+    bag = tmp_path / "bag"
+    recorder = start(
+        bag, f"compression:={compression}", "split_size:=20000", "topics:=['/joint_states']"
+    )
+    wait_for_recorder(publisher)
+    at_1_khz(node, lambda i: publisher.publish(joint_state(i)), 1000)
+    end_well(recorder)
+    files = sorted(bag.glob("*.mcap"), key=lambda file: int(file.stem.rpartition("_")[2]))
+    assert len(files) >= 2
+    with AnyReader([bag]) as reader:
+        found = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+        ]
+    assert [float(sum(m.effort)) for m in found] == [0.5 * i for i in range(1000)]
+    decoded = [
+        message.ros_msg.effort[0]
+        for file in files
+        for message in read_ros2_messages(str(file), topics=["/joint_states"])
+    ]
+    assert decoded == [0.5 * i for i in range(1000)]
+
+
+def test_snapshot_writes_the_last_seconds(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Each call gives a file of a whole bag; what is older than the memory is gone."""
+    bag = tmp_path / "bag"
+    publisher = node.create_publisher(Float64, "value", DEEP)
+    latched = node.create_publisher(String, "robot_description", LATCHED)
+    latched.publish(String(data="<robot/>"))
+    client = node.create_client(Trigger, "/recorder/snapshot")
+    recorder = start(bag, "snapshot_duration:=0.3", "topics:=['/value', '/robot_description']")
+    wait_for_recorder(publisher, latched)
+    wait_until(client.service_is_ready)
+    at_1_khz(node, lambda i: publisher.publish(Float64(data=float(i))), 1000)
+    reply = call(node, client)
+    assert reply.success and str(bag) in reply.message
+    values = [m.message.data for m in read_messages(bag, ["/value"])]
+    assert values == [float(i) for i in range(1000 - len(values), 1000)]
+    assert 0 < len(values) < 1000
+    assert summarize(bag).counts["/robot_description"] == 1
+    publisher.publish(Float64(data=-1.0))
+    at_1_khz(node, lambda i: publisher.publish(Float64(data=-2.0)), 10)
+    assert call(node, client).success
+    later = [m.message.data for m in read_messages(bag, ["/value"])][len(values) :]
+    assert later == [-1.0] + 10 * [-2.0]
+    end_well(recorder)
+    assert len(list(bag.glob("*.mcap"))) == 2
+
+
+def call(node: Node, client: Client) -> Trigger.Response:
+    """Call a service and return its answer."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    future = client.call_async(Trigger.Request())
+    executor.spin_until_future_complete(future, timeout_sec=20.0)
+    executor.remove_node(node)
+    response: Trigger.Response = future.result()
+    return response
+
+
+def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
+    domain: int, node: Node, tmp_path: Path
+) -> None:
+    """A limit on the size of files stands for the disk."""
+    bag = tmp_path / "bag"
+    publisher = node.create_publisher(JointState, "joint_states", DEEP)
+    arguments = f"--ros-args -p output:={bag} -p compression:=none"
+    command = f"ulimit -f 100; exec {find_executable('recorder')} {arguments}"
+    with ProcessUnderTest(["bash", "-c", command]) as recorder:
+        wait_for_recorder(publisher)
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        sent = 0
+        while recorder.returncode is None and sent < 100_000:
+            publisher.publish(JointState(position=[float(sent)] * 50))
+            sent += 1
+            executor.spin_once(timeout_sec=0.001)
+        sentence = refusal(recorder)
+    assert "could not be written" in sentence and "tactile-hand recover" in sentence
+    recovery = recover(bag)
+    values = [m.message.position[0] for m in read_messages(recovery.target, ["/joint_states"])]
+    assert len(values) > 100
+    assert values == [values[0] + i for i in range(len(values))]
+
+
+def test_nothing_is_lost_at_a_high_rate_over_twelve_topics(
+    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+) -> None:
+    """Counts match; the bag says that nothing is missing."""
+    publishers = [
+        node.create_publisher(Float64, f"t{i}", QoSProfile(depth=2000)) for i in range(12)
+    ]
+    recorder = start(tmp_path / "bag")
+    wait_for_recorder(*publishers)
+    data = [serialize_message(Float64(data=float(i))) for i in range(1000)]
+
+    def publish(i: int) -> None:
+        for publisher in publishers:
+            publisher.publish(data[i])
+
+    at_1_khz(node, publish, 1000)
+    end_well(recorder)
+    summary = summarize(tmp_path / "bag")
+    assert summary.custom_data["lost_messages"] == "0"
+    assert {topic: summary.counts[topic] for topic in summary.counts if topic[1] == "t"} == {
+        f"/t{i}": 1000 for i in range(12)
+    }
 
 
 def test_output_is_required(domain: int) -> None:
