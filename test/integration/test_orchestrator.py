@@ -171,17 +171,20 @@ def test_run_reaches_its_goal_and_is_recorded_completely(
     assert {path.stem for path in (folder / "logs").iterdir()} == set(START_ORDER)
     assert {path.stem for path in (folder / "parameters").iterdir()} == set(START_ORDER)
     assert "final position error" in orchestrator.stdout
+    assert (folder / "report.html").stat().st_size > 500_000
+    assert "report: " in orchestrator.stdout and "/report.html" in orchestrator.stdout
 
 
 def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
     """All topics are below the namespace, which ROS arguments may give."""
-    tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet")
+    tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report")
     orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
     assert end_of(orchestrator) == 1
     assert "the final position error is" in orchestrator.stderr
     assert summary_of(tmp_path)["outcome"] == "goal not reached"
+    assert not (latest(tmp_path) / "report.html").exists()
     counts = summarize(latest(tmp_path) / "bag").counts
     for topic in TICK_TOPICS:
         assert counts[f"/left/{topic}"] >= 151, topic

@@ -38,7 +38,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 def test_help_lists_the_commands() -> None:
     done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0
-    for command in ("reproduce", "figures", "summary", "scenarios", "show", "bench"):
+    for command in ("reproduce", "figures", "report", "compare", "summary", "scenarios", "bench"):
         assert command in done.stdout
 
 

@@ -32,7 +32,7 @@ export class HandModel {
       this.nodes[links[i].parent].object.add(bar);
     }
     if (links[i].motion === "turn") {
-      this.nodes[i].object.add(new THREE.Mesh(new THREE.SphereGeometry(1.28 * radius, 20, 12), this.materials.joint));
+      this.nodes[i].object.add(new THREE.Mesh(new THREE.SphereGeometry(1.28 * radius, 18, 10), this.materials.joint));
     }
   }
 
@@ -41,7 +41,7 @@ export class HandModel {
     const finger = named >= 0 ? named : Math.min(order, fingers.length - 1);
     const material = new THREE.MeshPhongMaterial({ specular: "#3a3a3a", shininess: 40 });
     const r = tip.radius;
-    const shape = new THREE.LatheGeometry(profile(r, BONE * this.radius), 40).rotateZ(-Math.PI / 2);
+    const shape = new THREE.LatheGeometry(profile(r, BONE * this.radius), 30).rotateZ(-Math.PI / 2);
     const node = this.nodes[tip.link].object;
     node.add(new THREE.Mesh(shape, material));
     return { finger, material, node, radius: r, color: fingers[finger]?.color ?? "#888888" };
@@ -77,12 +77,12 @@ export class HandModel {
 
 /** Return the outline of a tip, its axis upwards: a hemisphere that runs out into the link. */
 function profile(radius, bone) {
-  const neck = Array.from({ length: 17 }, (_, i) => {
-    const s = 1 - i / 16;
+  const neck = Array.from({ length: 11 }, (_, i) => {
+    const s = 1 - i / 10;
     return new THREE.Vector2(bone + (radius - bone) * Math.cos((s * Math.PI) / 2) ** 2, -1.3 * s * radius);
   });
-  const dome = Array.from({ length: 20 }, (_, i) => {
-    const angle = ((i + 1) / 20) * (Math.PI / 2);
+  const dome = Array.from({ length: 11 }, (_, i) => {
+    const angle = ((i + 1) / 11) * (Math.PI / 2);
     return new THREE.Vector2(radius * Math.max(0, Math.cos(angle)), radius * Math.sin(angle));
   });
   return [...neck, ...dome];
@@ -107,7 +107,7 @@ function makeNode(link) {
 
 function capsule(offset, radius, material) {
   const length = offset.length();
-  const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, length, 5, 20).translate(0, length / 2, 0), material);
+  const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, length, 4, 16).translate(0, length / 2, 0), material);
   mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), offset.clone().normalize());
   return mesh;
 }
