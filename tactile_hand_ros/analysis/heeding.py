@@ -78,13 +78,7 @@ class Heeding:
 
     def _settle(self) -> None:
         """Take the likely tick, though it does not explain the answers."""
-        wish = self._wishes[0]
-        row = min(self._copies, key=lambda row: abs(row - wish.guess))
-        first = min(self._copies)
-        if first < row:
-            self._again(first, None, insist=False)
-        self._again(row, wish, insist=False)
-        self._found(row)
+        self._found(min(self._copies, key=lambda row: abs(row - self._wishes[0].guess)))
 
     def _again(self, start: int, wish: Wish | None, *, insist: bool) -> bool:
         """Answer the ticks from a row on once more; stop at the first that does not agree."""
@@ -99,7 +93,10 @@ class Heeding:
         return True
 
     def _found(self, row: int) -> None:
+        """Answer everything once more: other tries have written over the ticks before."""
         wish = self._wishes.pop(0)
+        self._again(min(self._copies), None, insist=False)
+        self._again(row, wish, insist=False)
         wish.first = wish.last = row
         self._copies.clear()
         self._acts.clear()

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replay as a process of its own, over real DDS: every byte comes back, at its time."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64, String
+from std_srvs.srv import SetBool
+
+from tactile_hand_ros.bag.qos import OfferedQos
+from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    isolated_domain,
+    private_context,
+    wait_until,
+)
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+DEEP = QoSProfile(depth=1000)
+COUNT = 200
+PERIOD = 5_000_000  # ns
+
+
+class Listener:
+    """Hears everything, with the time at which it came."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self.executor = SingleThreadedExecutor(context=node.context)
+        self.executor.add_node(node)
+        self.heard: dict[str, list[tuple[float, bytes]]] = {}
+
+    def listen(self, topic: str, type_: Any, qos: QoSProfile) -> None:
+        """Begin to hear a topic."""
+        heard = self.heard[topic] = []
+        self.node.create_subscription(
+            type_, topic, lambda data: heard.append((time.monotonic(), data)), qos, raw=True
+        )
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        """Listen until something is so."""
+        wait_until(lambda: self.executor.spin_once(timeout_sec=0.01) or condition(), 30.0)
+
+    def numbers(self, topic: str) -> list[float]:
+        """Return what was heard on a topic of numbers."""
+        return [deserialize_message(data, Float64).data for _, data in self.heard[topic]]
+
+    def call(self, paused: bool) -> SetBool.Response:
+        """Pause or go on."""
+        client = self.node.create_client(SetBool, "/replay/pause")
+        self.until(client.service_is_ready)
+        future = client.call_async(SetBool.Request(data=paused))
+        self.until(future.done)
+        response: SetBool.Response = future.result()
+        return response
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    """Return a listener in a domain of its own."""
+    with isolated_domain() as domain, private_context(domain) as context:
+        node = Node("listener", context=context)
+        yield Listener(node)
+        node.destroy_node()
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> Iterator[Callable[..., ProcessUnderTest]]:
+    """Return a function that starts a paused replay of a bag of a second."""
+    bag = tmp_path / "bag"
+    with BagWriter(bag) as writer:
+        latched = OfferedQos(durability="transient_local")
+        robot = writer.add_channel("/robot_description", "std_msgs/msg/String", offers=[latched])
+        values = writer.add_channel("/value", "std_msgs/msg/Float64", offers=[OfferedQos()])
+        fast = OfferedQos(reliability="best_effort")
+        sensor = writer.add_channel("/sensor", "std_msgs/msg/Float64", offers=[fast])
+        writer.write(robot, serialize_message(String(data="<robot/>")), 10**18, 0)
+        for i in range(COUNT):
+            at = 10**18 + i * PERIOD
+            data = serialize_message(Float64(data=float(i)))
+            writer.write(values, data, at, at)
+            writer.write(sensor, data, at + 1, at)
+    with ExitStack() as stack:
+
+        def start(*arguments: str) -> ProcessUnderTest:
+            command = [sys.executable, "-m", "tactile_hand_ros.cli", "replay", bag]
+            return stack.enter_context(ProcessUnderTest([*command, "--start-paused", *arguments]))
+
+        yield start
+
+
+def heard_of(listener: Listener, *topics: str) -> Callable[[], bool]:
+    """Return whether all topics have a publisher that the listener has met."""
+    return lambda: all(listener.node.count_publishers(topic) for topic in topics)
+
+
+def test_all_messages_come_in_order_and_not_before_their_time(
+    replay: Callable[..., ProcessUnderTest], listener: Listener
+) -> None:
+    """Bytes, order, quality of service and pace; a slow machine can only be late."""
+    listener.listen("/value", Float64, DEEP)
+    listener.listen("/robot_description", String, LATCHED)
+    process = replay("--rate", "2")
+    listener.until(heard_of(listener, "/value", "/robot_description", "/sensor"))
+    [offer] = listener.node.get_publishers_info_by_topic("/sensor")
+    assert offer.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    [offer] = listener.node.get_publishers_info_by_topic("/robot_description")
+    assert offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    before = time.monotonic()
+    assert listener.call(paused=False).success
+    listener.until(lambda: len(listener.heard["/value"]) == COUNT)
+    assert listener.numbers("/value") == [float(i) for i in range(COUNT)]
+    at, last = listener.heard["/value"][-1]
+    assert last == serialize_message(Float64(data=COUNT - 1.0))
+    assert at - before >= 1e-9 * (COUNT - 1) * PERIOD / 2.0
+    assert len(listener.heard["/robot_description"]) == 1
+    assert process.wait() == 0
+    assert f"published {2 * COUNT + 1} messages" in process.stderr
+
+
+def test_choice_of_topics_namespace_and_start(
+    replay: Callable[..., ProcessUnderTest], listener: Listener
+) -> None:
+    """What is latched before the start comes first."""
+    listener.listen("/left/value", Float64, DEEP)
+    listener.listen("/left/robot_description", String, LATCHED)
+    process = replay(
+        "--namespace=left", "--start-offset=0.5", "--exclude=/sensor", "--rate=20", "--delay=0.1"
+    )
+    listener.until(heard_of(listener, "/left/value", "/left/robot_description"))
+    assert listener.node.count_publishers("/left/sensor") == 0
+    listener.call(paused=False)
+    assert process.wait() == 0
+    listener.until(lambda: len(listener.heard["/left/value"]) == COUNT // 2)
+    assert listener.numbers("/left/value") == [float(i) for i in range(COUNT // 2, COUNT)]
+    listener.until(lambda: len(listener.heard["/left/robot_description"]) == 1)
+
+
+def test_pause_loop_clock_and_interrupt(
+    replay: Callable[..., ProcessUnderTest], listener: Listener
+) -> None:
+    """Time stands still while paused; the loop begins again; Ctrl-C ends without a traceback."""
+    listener.listen("/value", Float64, DEEP)
+    listener.listen("/clock", Clock, DEEP)
+    process = replay("--loop", "--clock", "--topics=/value", "--rate=4")
+    listener.until(heard_of(listener, "/value"))
+    listener.call(paused=False)
+    listener.until(lambda: len(listener.heard["/value"]) > 20)
+    listener.call(paused=True)
+    clocks = len(listener.heard["/clock"])
+    listener.until(lambda: len(listener.heard["/clock"]) > clocks + 20)
+    times = [deserialize_message(data, Clock).clock for _, data in listener.heard["/clock"]]
+    stamps = [time.sec * 10**9 + time.nanosec for time in times]
+    assert len(set(stamps[-10:])) == 1 and 10**18 < stamps[-1] < 10**18 + COUNT * PERIOD
+    paused_at = len(listener.heard["/value"])
+    assert paused_at < COUNT
+    listener.call(paused=False)
+    listener.until(lambda: len(listener.heard["/value"]) > 2 * COUNT)
+    numbers = listener.numbers("/value")
+    assert numbers == [float(i % COUNT) for i in range(len(numbers))]
+    process.send(signal.SIGINT)
+    assert process.wait() == 130
+    assert "Traceback" not in process.stderr
+
+
+def test_space_key_goes_on(
+    replay: Callable[..., ProcessUnderTest], listener: Listener, tmp_path: Path
+) -> None:
+    """On a terminal, which is given back as it was."""
+    listener.listen("/value", Float64, DEEP)
+    pid, terminal = pty.fork()
+    if pid == 0:
+        command = [sys.executable, "-m", "tactile_hand_ros.cli", "replay", str(tmp_path / "bag")]
+        os.execv(sys.executable, [*command, "--start-paused", "--rate=10"])
+    try:
+        listener.until(heard_of(listener, "/value"))
+        os.set_blocking(terminal, False)
+        shown = b""
+
+        def finished() -> bool:
+            nonlocal shown
+            if b"paused" in shown and b"\x20sent" not in shown:
+                os.write(terminal, b" ")
+                shown += b"\x20sent"
+            try:
+                shown += os.read(terminal, 65536)
+            except OSError:
+                pass
+            return len(listener.heard["/value"]) == COUNT
+
+        listener.until(finished)
+        assert listener.numbers("/value") == [float(i) for i in range(COUNT)]
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(terminal)
+
+
+def test_what_cannot_be_replayed_is_refused_in_a_sentence(
+    replay: Callable[..., ProcessUnderTest], listener: Listener, tmp_path: Path
+) -> None:
+    """No topic left, a bad rate, a bad pattern."""
+    for arguments, text in (
+        (["--topics=/nothing"], "leave none"),
+        (["--rate=0"], "expected a number above 0"),
+        (["--exclude=("], "no regular expression"),
+        (["--set=a=1"], "expected --recompute too"),
+    ):
+        process = replay(*arguments)
+        assert process.wait() == 2
+        assert text in process.stderr and "Traceback" not in process.stderr

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run through the controllers once more: identical, or the first tick is named."""
+
+from __future__ import annotations
+
+import copy
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.recorded import PERIOD, START, RunWriter, message, pose_stamped, write_tick
+
+from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.analysis.audit import audit
+from tactile_hand_ros.analysis.recompute import full_key, load_law, parse_changes, recompute
+from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.cli import main
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.core.scenario import Scenario, load_scenario, resolved
+
+TICKS = 250
+GRIP = {
+    "duration": 0.5,
+    "plant.rate": 500.0,
+    "user_forces": [{"time": 0.2, "force": 3.0}, {"time": 0.3, "force": 15.0}],
+    "targets": [{"time": 0.0, "position": [0.0, 0.05, 0.4]}],
+}
+
+
+@pytest.fixture(scope="module")
+def paper() -> tuple[Scenario, Record]:
+    """Return the paper's run, its first half second."""
+    scenario = load_scenario("paper", {"duration": 0.5})
+    return scenario, ClosedLoop(scenario).run(TICKS)
+
+
+@pytest.fixture(scope="module")
+def gravity() -> tuple[Scenario, Record]:
+    """Return a run with all that the controllers can do: cones, observer, reference, user."""
+    scenario = load_scenario("user_grip", GRIP)
+    return scenario, ClosedLoop(scenario).run(TICKS)
+
+
+def write(folder: Path, scenario: Scenario, record: Record, shift: int = 0) -> Run:
+    """Write a bag as the recorder would, with the user's requests some ticks off."""
+    with RunWriter(folder / "bag", {"scenario": resolved(scenario)}) as bag:
+        for wish in scenario.targets:
+            target = wish.target()
+            quaternion = quaternion_from_rotation(target.orientation)
+            pose = pose_stamped(wish.stamp, target.position, quaternion)
+            bag.write("/desired_pose", pose, START - 10**9)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD)
+        for user in scenario.user_forces:
+            row = int(np.searchsorted(record.stamps, user.stamp)) + shift
+            asked = message("std_msgs/msg/Float64", data=user.force)
+            bag.write("/user_grasp_force", asked, START + row * PERIOD + 1)
+    return Run(folder)
+
+
+@pytest.mark.parametrize("name", ["paper", "gravity"])
+def test_same_configuration_gives_the_same_bits(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Every topic at every tick."""
+    result = recompute(write(tmp_path, *request.getfixturevalue(name)))
+    assert [c for c in result.comparisons if not c.same] == []
+    assert all(c.compared == TICKS for c in result.comparisons)
+    assert result.speed > 0.0 and result.simulated == pytest.approx(0.498)
+
+
+@pytest.mark.parametrize("shift", [-15, -1, 4])
+def test_tick_of_a_request_is_found(
+    gravity: tuple[Scenario, Record], tmp_path: Path, shift: int
+) -> None:
+    """A bag says when a request was received, not at which tick it was heeded."""
+    assert recompute(write(tmp_path, *gravity, shift)).same
+
+
+def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
+    """One bit of one number."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.command[123, 4] = np.nextafter(record.command[123, 4], np.inf)
+    result = recompute(write(tmp_path, scenario, record))
+    [wrong] = [c for c in result.comparisons if not c.same]
+    assert (wrong.topic, wrong.first) == ("joint_command", int(record.stamps[123]))
+    assert (wrong.compared, wrong.identical) == (TICKS, TICKS - 1)
+    assert 0.0 < wrong.largest < 1e-12
+
+
+def test_missing_messages_leave_their_ticks_out(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Without touch the recorded hand held, and so does the recomputed one."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.forces[50] = np.nan
+    result = recompute(write(tmp_path, scenario, record))
+    grasp = next(c for c in result.comparisons if c.topic == "grasp_force")
+    assert grasp.compared == TICKS and grasp.first == int(record.stamps[50])
+
+
+def test_shadow_controllers_show_the_difference(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Another law gives other torques from the same squeeze; other weights another f*."""
+    run = write(tmp_path, *paper)
+    by_topic = {c.topic: c for c in recompute(run, {"law.name": "contact"}).comparisons}
+    assert by_topic["grasp_force"].same and by_topic["optimal_force"].same
+    assert by_topic["joint_command"].identical == 0 and by_topic["joint_command"].largest > 0.01
+    by_topic = {c.topic: c for c in recompute(run, {"weights": [1.0, 1.0, 1.0]}).comparisons}
+    assert by_topic["grasp_force"].same and not by_topic["optimal_force"].same
+
+
+def test_shadow_of_a_run_with_requests_heeds_them_where_the_run_did(
+    gravity: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Only what the change causes differs."""
+    result = recompute(write(tmp_path, *gravity, 4), {"law.damping": 0.123})
+    differing = {c.topic for c in result.comparisons if not c.same}
+    assert differing == {"joint_command"}
+
+
+def test_law_of_the_user(
+    paper: tuple[Scenario, Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A class in a file of the working directory takes the place of (14)."""
+    (tmp_path / "my_laws.py").write_text(
+        "from tactile_hand_ros.core.manipulation import OptimalLaw\n"
+        "class Mine(OptimalLaw):\n"
+        "    def squeeze(self):\n        return 2.0 * super().squeeze()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    try:
+        law = load_law("my_laws:Mine")
+    finally:
+        sys.modules.pop("my_laws", None)
+    result = recompute(write(tmp_path, *paper), law=law)
+    assert {c.topic for c in result.comparisons if not c.same} == {"joint_command"}
+    for name in ("my_laws:Other", "nowhere:Law", "nothing", "numpy:array"):
+        with pytest.raises(ConfigurationError, match="--law"):
+            load_law(name)
+
+
+def test_keys_of_controllers_may_be_short() -> None:
+    """A name that only one controller has says enough."""
+    assert full_key("law.k_p") == "manipulation_controller.law.k_p"
+    assert full_key("weights") == "force_optimizer.weights"
+    assert full_key("plant.rate") == "plant.rate"
+    assert parse_changes(["law.k_p=2", "a.b=[1, 2]"]) == {"law.k_p": 2, "a.b": [1, 2]}
+    with pytest.raises(ConfigurationError, match="key=value"):
+        parse_changes(["law.k_p"])
+
+
+def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
+    """Nothing is guessed."""
+    with RunWriter(tmp_path / "bag") as bag:
+        write_tick(bag, paper[1], 0, START)
+    with pytest.raises(BagError, match="configuration of .* is needed"):
+        recompute(Run(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["paper", "gravity"])
+@pytest.mark.parametrize("law", ["optimal", "contact", "kawamura"])
+def test_audit_agrees_with_what_the_controllers_do(name: str, law: str, tmp_path: Path) -> None:
+    """Other formulas, other solver, same numbers."""
+    changes: dict[str, Any] = {"manipulation_controller.law.name": law}
+    changes |= GRIP if name == "gravity" else {"duration": 0.5}
+    scenario = load_scenario("user_grip" if name == "gravity" else name, changes)
+    checks = audit(write(tmp_path, scenario, ClosedLoop(scenario).run(TICKS)))
+    assert [c for c in checks if not c.ok] == []
+    assert sum(c.ticks for c in checks if "torque" in c.name) > TICKS // 2
+    assert sum(c.ticks for c in checks if "optimality" in c.name) > TICKS // 2
+
+
+@pytest.mark.parametrize(
+    ("array", "index", "name"),
+    [
+        ("optimal_forces", (77, 1, 1), "optimality"),
+        ("command", (77, 3), "torque"),
+        ("auxiliary_position", (77, 0), "centroid"),
+        ("auxiliary_quaternion", (77, 1), "virtual frame"),
+    ],
+)
+def test_audit_names_the_first_wrong_tick(
+    paper: tuple[Scenario, Record],
+    tmp_path: Path,
+    array: str,
+    index: tuple[int, ...],
+    name: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A hundred-thousandth is seen, and the command fails."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    getattr(record, array)[index] += 1e-5
+    checks = audit(write(tmp_path, scenario, record))
+    stamp = int(record.stamps[77])
+    assert stamp in [c.first for c in checks if name in c.name]
+    assert all(c.first in (None, stamp) for c in checks)
+    assert main(["audit", str(tmp_path)]) == 1
+    assert f"first at tick {stamp} ns" in capsys.readouterr().err
+
+
+def test_audit_knows_an_f_that_is_feasible_but_not_optimal(tmp_path: Path) -> None:
+    """Weights other than those of the scenario give balanced forces that are not the optimum."""
+    scenario = load_scenario("paper", {"duration": 0.5})
+    other = load_scenario("paper", {"duration": 0.5, "force_optimizer.weights": [9.0, 1.0, 10.0]})
+    checks = audit(write(tmp_path, scenario, ClosedLoop(other).run(20)))
+    by_name = {c.name: c for c in checks}
+    assert by_name["(13), duality gap per cost"].wrong == 20
+    assert by_name["torque of law (14)"].ok
+
+
+def test_commands_tell_by_their_exit_code(
+    paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 where all is identical or a change was asked for, 1 where the run is not reproduced."""
+    scenario, record = paper
+    run = str(write(tmp_path / "good", scenario, record).path)
+    assert main(["replay", run, "--recompute"]) == 0
+    assert "times real time" in capsys.readouterr().out
+    assert main(["replay", run, "--recompute", "--set", "law.name=kawamura"]) == 0
+    assert main(["audit", run]) == 0
+    record = copy.deepcopy(record)
+    record.grasp_force[9] += 1.0
+    assert main(["replay", str(write(tmp_path / "bad", scenario, record).path), "--recompute"]) == 1
+    assert "The same configuration gave other answers" in capsys.readouterr().err
+    assert main(["replay", run, "--recompute", "--set", "law.nam=x"]) == 2
