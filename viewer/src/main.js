@@ -42,7 +42,7 @@ function showRun(run) {
     el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.ledger, context))),
     el("div", { class: "below" }, ...below),
     ...[scenario(run.scenario)].filter((part) => part),
-    footer(KEYS, run),
+    footer(KEYS, [run]),
   );
   // As high as the window leaves below the head, so that all of it is seen at first.
   root.style.setProperty("--above", `${element.getBoundingClientRect().top + window.scrollY}px`);
@@ -62,7 +62,7 @@ function showComparison() {
     el("main", { class: "overlaid" }, plots, el("section", { class: "stage flat" }, transport({ events: [] }, context))),
     el("div", { class: "below one" }, ...tablesSideBySide(runs)),
     ...scenarios,
-    footer(KEYS, { ...runs[0], recorded: "" }),
+    footer(KEYS, runs),
   );
   const charts = comparisonCharts(content, context.time, theme).map((spec) => new Chart(spec, context));
   plots.append(...charts.map((chart) => chart.element));

@@ -10,7 +10,7 @@ import numpy as np
 
 from tactile_hand_ros.analysis import tables
 from tactile_hand_ros.analysis.ledger import Assumption
-from tactile_hand_ros.analysis.run import Run
+from tactile_hand_ros.analysis.run import BAG, Run
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.core.config import parse_yaml
 from tactile_hand_ros.core.errors import ConfigurationError
@@ -21,8 +21,10 @@ _VERSION = "version_"
 
 
 def name(run: Run) -> str:
-    """Return what the run is called: its scenario, else the name of its folder."""
-    return str(loose_scenario(run).get("name") or run.path.resolve().stem)
+    """Return what the run is called: its scenario, else the name of its folder or file."""
+    path = run.path.resolve()
+    folder = path.parent.name if path.name == BAG else path.stem
+    return str(loose_scenario(run).get("name") or folder)
 
 
 def loose_scenario(run: Run) -> dict[str, Any]:

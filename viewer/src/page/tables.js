@@ -52,13 +52,19 @@ export function eventList(events, player) {
 }
 
 /** Make the foot of the page. */
-export function footer(keys, run) {
-  const shown = run.shown < run.ticks ? `The page shows ${run.shown} of ${run.ticks} ticks, all peaks among them; metrics and events are from all.` : `All ${run.ticks} ticks are in the page.`;
+export function footer(keys, runs) {
   return el(
     "footer",
     {},
     el("p", {}, ...keys.flatMap(([key, what]) => [el("kbd", {}, key), ` ${what}   `])),
     el("p", {}, "In a plot: click to go there, drag to zoom, double click for the whole time, ctrl and wheel to zoom."),
-    el("p", {}, [run.recorded ? `Recorded ${run.recorded}. ` : "", shown, " Drawn by three.js and uPlot, both under the MIT licence."].join("")),
+    ...runs.map((run, i) => el("p", {}, [runs.length > 1 ? `${i + 1} ${run.name}: ` : "", origin(run)].join(""))),
+    el("p", {}, "Drawn by three.js and uPlot, both under the MIT licence."),
   );
+}
+
+function origin(run) {
+  const recorded = run.recorded ? `Recorded ${run.recorded}. ` : "";
+  if (run.shown === run.ticks) return `${recorded}All ${run.ticks} ticks are in the page.`;
+  return `${recorded}The page shows ${run.shown} of ${run.ticks} ticks, all peaks among them; metrics and events are from all.`;
 }
