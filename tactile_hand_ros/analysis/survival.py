@@ -16,7 +16,7 @@ from tactile_hand_ros.core.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-_STEP = 0.02  # s between instants that are looked at
+_STEP, _MOST = 0.02, 400  # s between instants that are looked at, and about how many at most
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ def survival(record: Record, scenario: Scenario) -> Survival:
     grasps = np.maximum.accumulate(np.where(whole, np.arange(len(record)), 0))
     starts = [d.start for d in scenario.plant.disturbances]
     starts += [c.start for c in scenario.plant.friction_changes]
-    times = np.union1d(np.arange(0.0, scenario.duration, _STEP), np.array(starts) + 1e-6)
+    step = max(_STEP, scenario.duration / _MOST)
+    times = np.union1d(np.arange(0.0, scenario.duration, step), np.array(starts) + 1e-6)
     worst, when = 0.0, 0.0
     for time in times[times <= scenario.duration]:
         row = min(int(np.searchsorted(record.times, time)), len(record) - 1)

@@ -6,21 +6,40 @@ import pytest
 from joblib import Parallel, delayed
 from support.outcomes import run_scenario
 
+from tactile_hand_ros.analysis.study_outcomes import SLIDING
+from tactile_hand_ros.analysis.survival import least_at, survival
 from tactile_hand_ros.core.scenario import load_scenario
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}
 SCENARIOS = "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity".split()
-COMPARED = "lift slippery pull shake heavy crush_limit user_grip gravity".split()
+LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
+SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
+# What the first five seconds show, thirty would not show better.
+SHORTER = {"hold": {"duration": 5.0}}
+
+
+class Records:
+    """Runs on all cores, of which each is waited for only when somebody asks for it."""
+
+    def __init__(self, cases):
+        self._found = {}
+        work = Parallel(n_jobs=-1, return_as="generator")
+        self._coming = zip(cases, work(delayed(run_scenario)(*c) for c in cases.values()))
+
+    def __getitem__(self, key):
+        while key not in self._found:
+            done, record = next(self._coming)
+            self._found[done] = record
+        return self._found[key]
 
 
 @pytest.fixture(scope="session")
 def records():
-    """Every scenario with slip prevention and some without, on all cores."""
-    cases = [(name, {}) for name in SCENARIOS] + [(name, WITHOUT) for name in COMPARED]
-    done = Parallel(n_jobs=-1)(delayed(run_scenario)(*case) for case in cases)
-    keys = [(name, not changes) for name, changes in cases]
-    return dict(zip(keys, done, strict=True))
+    """Every scenario with slip prevention (True) and without (False)."""
+    cases = {(name, True): (name, {}) for name in SCENARIOS}
+    cases |= {(n, False): (n, {**WITHOUT, **SHORTER.get(n, {})}) for n in SCENARIOS}
+    return Records(cases)
 
 
 def slip(record):
@@ -30,6 +49,14 @@ def slip(record):
 def dropped(record):
     """Whether the object has left the hand by the end."""
     return bool(np.isnan(record.true_positions[-1]).any())
+
+
+def over_squeeze(record, name):
+    """Mean sum of the true normal forces in the last 0.2 s against the least that holds."""
+    scenario = load_scenario(name)
+    assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
+    squeeze = record.true_forces[-200:, :, 1].sum(axis=1).mean()
+    return squeeze / least_at(record, scenario, record.times[-1], -1)
 
 
 def final_error(record):
@@ -51,9 +78,28 @@ def test_the_squeeze_stays_below_the_crush_limit_and_the_object_in_the_hand(reco
     assert not dropped(record)
 
 
-@pytest.mark.parametrize("name", ["lift", "slippery", "pull", "heavy", "user_grip"])
-def test_without_slip_prevention_the_object_is_dropped(records, name):
-    assert dropped(records[name, False])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_without_slip_prevention_the_object_is_dropped_where_it_matters(records, name):
+    assert dropped(records[name, False]) == (name in LOST_WITHOUT)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_what_a_grasp_inside_the_crush_limit_can_survive_is_survived(records, name):
+    """Whether it can is computed apart from the law: by linear programming on the true load."""
+    record, scenario = records[name, True], load_scenario(name)
+    assert survival(record, scenario).possible == SURVIVABLE[name]
+    assert not dropped(record)
+
+
+@pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
+def test_in_the_end_it_is_squeezed_little_more_than_it_needs(records, name):
+    assert over_squeeze(records[name, True], name) < 1.4
+
+
+def test_the_reflex_alone_squeezes_little_more_than_it_needs_where_the_user_asks_for_less(records):
+    record = records["user_grip", True]
+    asked_too_little = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
+    assert over_squeeze(asked_too_little, "user_grip") < 1.4
 
 
 def test_without_reshaping_the_third_finger_slips_when_shaken(records):

@@ -193,3 +193,64 @@ def test_a_lost_sample_repeats_the_one_before_it_even_while_that_is_still_on_its
     lossy = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4), 200)]
     late = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4, latency=0.01), 200)]
     np.testing.assert_array_equal(late[5:], lossy[:-5])
+
+
+def forces_of(skin, ticks, force, sliding=None, period=1_000_000):
+    """Return what a skin at 1 kHz feels of a force that may depend on the tick, shape (n, 3, 3)."""
+    still, out = truth(), []
+    for i in range(ticks):
+        true = TactileReading(still.positions, still.quaternions, force(i))
+        out.append(skin.step(i * period, true, sliding).forces)
+    return np.array(out)
+
+
+def constant(_):
+    return np.array([[0.0, 5.0, 0.0]] * 3)
+
+
+def test_bandwidth_smooths_a_step_with_its_time_constant():
+    """40 Hz: 63 % of a step after 4 ms."""
+    skin = sensor(rate=1000.0, bandwidth=40.0)
+    felt = forces_of(skin, 60, lambda i: (0.0 if i < 20 else 1.0) * constant(i))[:, 0, 1]
+    assert (felt[:20] == 0.0).all()
+    np.testing.assert_allclose(
+        felt[20:], 5.0 * (1.0 - np.exp(-2 * np.pi * 40.0 * 1e-3 * np.arange(1, 41))), rtol=1e-9
+    )
+
+
+def test_bandwidth_of_the_location_smooths_its_noise_only():
+    quick = sensor(rate=1000.0, location_noise=1e-4)
+    slow = sensor(rate=1000.0, location_noise=1e-4, location_bandwidth=20.0)
+    spread = [
+        np.std([skin.step(i * 1_000_000, truth()).positions for i in range(1500)], axis=0).max()
+        for skin in (quick, slow)
+    ]
+    assert 0.1 * spread[0] < spread[1] < 0.5 * spread[0]
+
+
+def test_the_zero_drifts_as_a_random_walk():
+    """Twice as far after four times as long, and as far as is asked for."""
+    skins = [sensor(rate=1000.0, bias_drift=0.01, seed=seed) for seed in range(12)]
+    off = np.array([forces_of(skin, 1000, constant) for skin in skins]) - constant(0)
+    early, late = off[:, 249].std(), off[:, 999].std()
+    # Deviations over 108 walks: five standard errors are 34 %.
+    assert late == pytest.approx(0.01, rel=0.34) and early == pytest.approx(0.005, rel=0.34)
+
+
+def vibration(speed, ticks=4000):
+    skin = sensor(rate=1000.0, vibration={"gain": 10.0, "limit": 0.2})
+    return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0])) - constant(0)
+
+
+def test_only_a_contact_that_slides_vibrates_and_the_faster_the_more():
+    at_rest, slow, fast = vibration(0.0), vibration(0.002), vibration(1.0)
+    assert not at_rest.any() and not slow[:, 1:].any()
+    assert slow[:, 0].std() == pytest.approx(0.2 * (1 - np.exp(-0.1)), rel=0.1)
+    assert fast[:, 0].std() == pytest.approx(0.2, rel=0.1)
+
+
+def test_vibration_lies_in_its_band():
+    """Less than a third of the power of the band's middle is left well below it."""
+    power = np.abs(np.fft.rfft(vibration(1.0, 8000)[:, 0, 0])) ** 2
+    per_hertz = power.reshape(-1)[: 8 * 480].reshape(-1, 8).mean(axis=1)  # bins of 1 Hz
+    assert per_hertz[1:10].mean() < per_hertz[100:300].mean() / 3.0
