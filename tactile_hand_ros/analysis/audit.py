@@ -190,7 +190,8 @@ def _loads(config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp])
     load = np.einsum("nkij,nki->nkj", rotations, carried)
     squeeze = (forces - load)[:, :, 1].sum(axis=1)
     usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
-    out, last = np.full_like(load, np.nan), -1
+    out: Array = np.full_like(load, np.nan)
+    last = -1
     for i in np.flatnonzero(usable):
         out[i] = load[i] / squeeze[i]
         # The filter forgets at ticks without a grasp.

@@ -132,7 +132,7 @@ def recompute(
     # When users were heeded shows only in the run's own answers.
     inputs = heeded_inputs(run) if is_shadow else read_inputs(run)
     began = time.perf_counter()
-    record = _Loop(wanted, inputs, law).run()
+    record = ShadowLoop(wanted, inputs, law).run()
     seconds = time.perf_counter() - began
     simulated = float(record.times[-1] - record.times[0]) if len(record) else 0.0
     return Recomputation(record, compare(run.record, record), wanted, simulated, seconds)
@@ -142,7 +142,7 @@ def heeded_inputs(run: Run) -> Inputs:
     """Return the inputs of a run, with the tick at which each wish of its users was heeded."""
     inputs = read_inputs(run)
     if not all(wish.certain for wish in inputs.poses + inputs.forces):
-        _Loop(scenario_of(run), inputs, None).run()
+        ShadowLoop(scenario_of(run), inputs, None).run()
     return inputs
 
 
@@ -267,10 +267,20 @@ def _compare(
     return Comparison(topic, unit, int(known.sum()), int(known.sum()) - len(rows), first, largest)
 
 
-class _Loop:
+class ShadowLoop:
     """The controllers, wired by function calls as in `ClosedLoop`, fed from a recording."""
 
-    def __init__(self, scenario: Scenario, inputs: Inputs, law: LawFactory | None) -> None:
+    def __init__(self, scenario: Scenario, inputs: Inputs, law: LawFactory | None = None) -> None:
+        """Build the controllers.
+
+        Args:
+            scenario: Their configuration.
+            inputs: What they hear.
+            law: A law in the place of the configured one.
+
+        Raises:
+            TactileHandError: If the hand cannot be built.
+        """
         self._inputs = inputs
         self._recorded = inputs.record
         k = len(self._recorded.finger_names)

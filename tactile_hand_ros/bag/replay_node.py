@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.bag.replay import Replay
 from tactile_hand_ros.bag.replay_options import ReplayOptions
+from tactile_hand_ros.ros.middleware import use_sockets
 
 NODE = "replay"
 
@@ -26,6 +27,7 @@ def replaying(bag: Path, options: ReplayOptions) -> Iterator[Replay]:
     Raises:
         BagError: If the bag cannot be replayed.
     """
+    use_sockets()
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node(NODE, context=context, start_parameter_services=False, enable_rosout=False)

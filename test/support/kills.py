@@ -24,6 +24,7 @@ from std_msgs.msg import Int64
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -55,6 +56,7 @@ class Outcome:
 
 def talk(diary: Path) -> None:
     """Publish 0, 1, 2, ... until killed, and write down number and time of each."""
+    use_sockets()
     context = rclpy.Context()
     rclpy.init(context=context)
     node = Node("talker", context=context)

@@ -103,7 +103,30 @@ def test_scenario_that_does_not_fit_is_told(run: Path, capsys: pytest.CaptureFix
     assert "20 ticks" in printed.out and "unknown key 'duratoin'" in printed.err
 
 
-@pytest.mark.parametrize("command", ["summary", "figures"])
+def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The refusal names the command, which makes a bag that opens; in place it opens as before."""
+    file = run / "bag" / "bag_0.mcap"
+    assert main(["recover", str(run)]) == 0
+    assert "nothing to recover" in capsys.readouterr().out
+    file.write_bytes(file.read_bytes()[:-3000])
+    assert main(["recover", str(run)]) == 0
+    assert "was not touched" in capsys.readouterr().out
+    assert main(["summary", str(run / "bag_recovered")]) == 0
+    assert "exists already" in refused_after_output(capsys, "recover", run)
+    assert main(["recover", str(run), "--in-place"]) == 0
+    assert "is kept as" in capsys.readouterr().out and file.with_suffix(".mcap.broken").exists()
+    assert main(["summary", str(run)]) == 0
+    capsys.readouterr()
+    assert "expected one of them" in refused(capsys, "recover", run, "--in-place", "--out", "x")
+
+
+def refused_after_output(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """As `refused`, with what was printed before out of the way."""
+    capsys.readouterr()
+    return refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize("command", ["summary", "figures", "recover", "audit"])
 def test_missing_run(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "nowhere does not exist" in refused(capsys, command, tmp_path / "nowhere")
 
@@ -138,7 +161,7 @@ def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str
 
 def test_bench_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results" / "bench.json"
-    assert main(["bench", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
+    assert main(["bench", "--blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
     assert "closed loop" in capsys.readouterr().out
     assert json.loads(out.read_text())["results"]
 
