@@ -52,7 +52,7 @@ demo: $(PREFIX)/.package
 run: $(PREFIX)/.package
 	@$(PY) -m tactile_hand_ros.ros.executables orchestrator --scenario '$(SCENARIO)' $(ARGS)
 
-bench: $(PREFIX)/.package
+bench: $(PREFIX)/.bench $(PREFIX)/.package
 	@$(PREFIX)/bin/tactile-hand bench $(ARGS)
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
@@ -100,6 +100,11 @@ $(PREFIX)/.dev: requirements/dev.txt $(PREFIX)/.run
 # Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.
 $(PREFIX)/.browser: requirements/browser.sh $(PREFIX)/.created
 	@if sh requirements/browser.sh; then touch '$@'; fi
+
+$(PREFIX)/.bench: requirements/bench.txt $(PREFIX)/.run
+	@echo 'set-up: what speed is compared with'
+	@$(PIP) install -qq -r requirements/run.txt -r requirements/bench.txt
+	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.
 $(PREFIX)/.sources: FORCE | $(PREFIX)/.created

@@ -214,22 +214,27 @@ def bench(
         int | None, typer.Option(help="Shorter runs, for a quick look.", min=2)
     ] = None,
     repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 3,
+    blocks: Annotated[
+        bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
+    ] = False,
 ) -> None:
     """Measure speed and compare it with the goals."""
-    from tactile_hand_ros.analysis import bench as b
+    from tactile_hand_ros import bench as b
     from tactile_hand_ros.analysis import tables
+    from tactile_hand_ros.bench.results import COLUMNS, rows, to_json
+    from tactile_hand_ros.bench.workload import Workload
 
     if out is not None:
         _check_writable(out.parent)
     results = []
-    with _progress("measuring", len(b.MEASUREMENTS)) as advance:
-        work = b.Workload.prepare(ticks, repeats)
-        for measurement in b.MEASUREMENTS:
+    with _progress("measuring", len(b.BLOCKS if blocks else b.MEASUREMENTS)) as advance:
+        work = Workload.prepare(ticks, repeats)
+        for measurement in b.BLOCKS if blocks else b.MEASUREMENTS:
             results += list(b.run_measurements(work, [measurement]))
             advance(results[-1].name)
-    _print(tables.rich_table("bench", b.COLUMNS, b.rows(results)))
+    _print(tables.rich_table("bench", COLUMNS, rows(results)))
     if out is not None:
-        out.write_text(json.dumps(b.to_json(results), indent=2) + "\n", encoding="utf-8")
+        out.write_text(json.dumps(to_json(results), indent=2) + "\n", encoding="utf-8")
         print(out)
 
 

@@ -22,6 +22,7 @@ LAYERS = {
     "analysis": {"core", "ros", "bag", "analysis"},
     "nodes": {"core", "ros", "bag", "nodes"},
     "orchestrator": {"core", "ros", "bag", "analysis", "orchestrator"},
+    "bench": {"core", "ros", "bag", "analysis", "bench"},
 }
 CLOCKS = {"time", "datetime"}
 # Only these may see what a real hand could not measure; composed starts them with the others.

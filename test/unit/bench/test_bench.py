@@ -8,16 +8,11 @@ import math
 
 import pytest
 
-from tactile_hand_ros.analysis.bench import (
-    COLUMNS,
-    MEASUREMENTS,
-    Goal,
-    Result,
-    Workload,
-    rows,
-    run_measurements,
-    to_json,
-)
+from tactile_hand_ros.bench import BLOCKS, run_measurements
+from tactile_hand_ros.bench.hops import measure_hops
+from tactile_hand_ros.bench.peers import measure_solvers
+from tactile_hand_ros.bench.results import COLUMNS, Goal, Result, rows, to_json
+from tactile_hand_ros.bench.workload import Workload
 
 
 def test_samples_are_summed_up() -> None:
@@ -45,8 +40,8 @@ def test_unknown_samples_meet_no_goal() -> None:
 
 
 def test_every_measurement_gives_numbers() -> None:
-    results = list(run_measurements(Workload.prepare(ticks=20, repeats=1)))
-    assert len(results) >= len(MEASUREMENTS)
+    results = list(run_measurements(Workload.prepare(ticks=20, repeats=1), BLOCKS))
+    assert len(results) >= len(BLOCKS)
     for result in results:
         assert 0.0 <= result.median <= result.largest < math.inf and result.count
     residual = next(r for r in results if "residual" in r.name)
@@ -55,3 +50,22 @@ def test_every_measurement_gives_numbers() -> None:
     plain = json.loads(json.dumps(to_json(results), allow_nan=False))
     assert [r["name"] for r in plain["results"]] == [r.name for r in results]
     assert plain["machine"]["versions"]["numpy"]
+
+
+def test_a_ratio_names_what_it_is_a_ratio_to() -> None:
+    slow = Result.of("slow", "us", [30.0]).against(Result.of("fast", "us", [10.0]))
+    assert (slow.ratio, slow.beside) == (3.0, "fast")
+    assert "3.00 x fast" in rows([slow])[0]
+
+
+def test_other_solvers_agree_and_are_timed_in_turns() -> None:
+    """Those that are installed; one that answers otherwise would be left out."""
+    own, *others = measure_solvers(Workload.prepare(ticks=20, repeats=1))
+    assert "(13), OSQP set up anew" in [other.name for other in others]
+    assert all(other.beside == own.name and other.count == own.count for other in others)
+
+
+def test_messages_go_to_another_process_and_back() -> None:
+    floor, lean, ordinary = measure_hops(Workload.prepare(ticks=20, repeats=1))
+    assert min(r.median for r in (floor, lean, ordinary)) > 0.0
+    assert (floor.count, lean.beside, ordinary.beside) == (40, floor.name, lean.name)

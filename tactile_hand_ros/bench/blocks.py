@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long the blocks of the loop take when they are called as functions."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from tactile_hand_ros.bench.results import Goal, Result
+from tactile_hand_ros.bench.workload import Workload
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.contact import Contacts
+
+
+def measure_optimizer(work: Workload) -> list[Result]:
+    """Solve (13) for the contacts of a run, tick by tick as the node does."""
+    optimizer = ClosedLoop(work.scenario).optimizer
+    grasps = work.grasps
+    seconds, residuals = np.empty(len(grasps)), np.empty(len(grasps))
+    for i, contacts in enumerate(grasps):
+        start = time.perf_counter()
+        solved = optimizer.solve(contacts)
+        seconds[i], residuals[i] = time.perf_counter() - start, solved.residual
+    return [
+        Result.of(
+            "(13), whole call", "us", 1e6 * seconds, Goal("median", 60.0), Goal("p99", 150.0)
+        ),
+        Result.of("(13), residual", "", residuals, Goal("largest", 1e-9)),
+    ]
+
+
+def measure_controller(work: Workload) -> list[Result]:
+    """Answer the ticks of a run."""
+    record, controller = work.record, ClosedLoop(work.scenario).controller
+    seconds = np.empty(len(record))
+    for i in range(len(record)):
+        contacts = Contacts.from_poses(record.contact_positions[i], record.contact_quaternions[i])
+        start = time.perf_counter()
+        controller.step(
+            int(record.stamps[i]),
+            record.theta[i],
+            record.rates[i],
+            contacts,
+            record.optimal_forces[i],
+            float(record.grasp_force[i]),
+        )
+        seconds[i] = time.perf_counter() - start
+    return [Result.of("controller, one tick", "us", 1e6 * seconds)]
+
+
+def measure_plant(work: Workload) -> list[Result]:
+    """Move hand and object by the commands of a run."""
+    plant = ClosedLoop(work.scenario).plant
+    seconds = np.empty(len(work.record))
+    for i, torque in enumerate(work.record.command):
+        start = time.perf_counter()
+        plant.advance(torque)
+        seconds[i] = time.perf_counter() - start
+    config = work.scenario.plant
+    name = f"plant, one step of {1e3 * config.time_step:g} ms"
+    return [Result.of(name, "us", 1e6 * seconds / config.steps_per_tick)]
+
+
+def measure_closed_loop(work: Workload) -> list[Result]:
+    """Run the whole loop by function calls."""
+    ticks, simulated = len(work.record), work.record.times[-1]
+    speeds = []
+    for _ in range(work.repeats):
+        loop = ClosedLoop(work.scenario)
+        start = time.perf_counter()
+        loop.run(ticks)
+        speeds.append(simulated / (time.perf_counter() - start))
+    goal = Goal("median", at_least=5.0)
+    return [Result.of("closed loop, times real time", "x", speeds, goal)]

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a measurement gives: samples summed up, goals, and ratios to what was measured beside it."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.analysis import tables
+from tactile_hand_ros.analysis.metrics import json_ready
+from tactile_hand_ros.bag.provenance import versions
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A bound on one statistic of a measurement.
+
+    Attributes:
+        statistic: ``median``, ``p99`` or ``largest``.
+        at_most: Upper bound; None for none.
+        at_least: Lower bound; None for none.
+    """
+
+    statistic: str
+    at_most: float | None = None
+    at_least: float | None = None
+
+    def met(self, result: Result) -> bool:
+        """Return whether a result meets it."""
+        value: float = getattr(result, self.statistic)
+        over = self.at_most is None or value <= self.at_most
+        return over and (self.at_least is None or value >= self.at_least)
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        if self.at_most is not None:
+            return f"{self.statistic} <= {self.at_most:g}"
+        return f"{self.statistic} >= {self.at_least:g}"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Samples of one quantity, summed up.
+
+    Attributes:
+        name: What was measured.
+        unit: Its unit.
+        count: Number of samples.
+        median: Median.
+        p99: 99th percentile.
+        largest: Largest sample.
+        goals: What is asked of it.
+        beside: Name of what was measured beside it, in the same run and turn by turn.
+        ratio: Its median in units of that one's; NaN if it stands alone.
+    """
+
+    name: str
+    unit: str
+    count: int
+    median: float
+    p99: float
+    largest: float
+    goals: tuple[Goal, ...] = ()
+    beside: str = ""
+    ratio: float = math.nan
+
+    @classmethod
+    def of(cls, name: str, unit: str, samples: Sequence[float] | Array, *goals: Goal) -> Result:
+        """Sum up samples."""
+        median, p99, largest = (float(v) for v in np.percentile(samples, [50, 99, 100]))
+        return cls(name, unit, len(samples), median, p99, largest, goals)
+
+    def against(self, other: Result) -> Result:
+        """Return the result with its ratio to another."""
+        return replace(self, beside=other.name, ratio=self.median / other.median)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether all goals are met; None without goals."""
+        return all(goal.met(self) for goal in self.goals) if self.goals else None
+
+
+COLUMNS = ("measurement", "unit", "median", "p99", "largest", "samples", "ratio", "goal", "met")
+
+
+def rows(results: Sequence[Result]) -> list[list[str]]:
+    """Return results as text, columns as in `COLUMNS`."""
+    words = {True: "yes", False: "no", None: ""}
+    return [
+        [
+            r.name,
+            r.unit,
+            *(tables.number(value) for value in (r.median, r.p99, r.largest)),
+            str(r.count),
+            f"{r.ratio:.2f} x {r.beside}" if r.beside else "",
+            ", ".join(map(str, r.goals)),
+            words[r.met],
+        ]
+        for r in results
+    ]
+
+
+def to_json(results: Sequence[Result]) -> dict[str, Any]:
+    """Return results and machine as plain data."""
+    content: dict[str, Any] = json_ready(
+        {
+            "machine": {
+                "cpus": os.cpu_count(),
+                "system": platform.platform(),
+                "versions": versions(),
+            },
+            "results": [{**asdict(r), "met": r.met} for r in results],
+        }
+    )
+    return content
