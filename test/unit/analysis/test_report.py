@@ -83,6 +83,14 @@ class TestDocument:
         turned = np.linalg.norm(derived.rotation_error(record), axis=1)
         np.testing.assert_allclose(values(document, "rotation_error"), turned, rtol=1e-6)
 
+    def test_of_a_long_run_shows_what_there_is_room_for(self, run: Run) -> None:
+        whole = run_document(run)
+        size = sum(unpack(column).nbytes for column in whole["columns"].values())
+        part = run_document(run, room=size // 2)
+        assert whole["shown"] == whole["ticks"] == part["ticks"] == 40
+        assert part["shown"] < 40 and part["shown"] == len(values(part, "time"))
+        assert part["tables"] == whole["tables"] and part["events"] == whole["events"]
+
     def test_of_a_real_hand_has_no_object(self, tmp_path: Path) -> None:
         run = Run(write_record(tmp_path / "bag", random_record(truth=False)))
         document = run_document(run)
