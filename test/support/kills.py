@@ -93,7 +93,9 @@ def kill(folder: Path, diary: Path, delay: float, bound: float) -> Outcome:
         bound: What may be lost, s.
     """
     bag = folder / "bag"
-    flags = ("-p", f"output:={bag}", "-p", "topics:=['/(left|right)/number']")
+    # Chunks that never fill: what is on the disk is there because its time had come.
+    values = (f"output:={bag}", "topics:=['/(left|right)/number']", "chunk_size:=16777216")
+    flags = [word for value in values for word in ("-p", value)]
     with start_executable("recorder", "--ros-args", *flags) as recorder:
         wait_until(lambda: recorder.returncode is not None or _has_begun(bag), 30.0)
         assert recorder.returncode is None, recorder.stderr
