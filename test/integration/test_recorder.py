@@ -16,6 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -217,6 +218,8 @@ def test_publisher_that_appears_later_finds_the_subscription_waiting(
     publisher = node.create_publisher(Float64, "user_grasp_force", 10)
     wait_until(lambda: publisher.get_subscription_count() == 2)
     publisher.publish(Float64(data=1.0))
+    # The publisher knows of the recorder before the recorder knows of it, and then sends it again.
+    assert publisher.wait_for_all_acked(Duration(seconds=30))
     end_well(recorder)
     assert summarize(tmp_path / "bag").counts["/user_grasp_force"] == 1
 

@@ -77,18 +77,18 @@ def test_everything_required_reaches_a_ros_workspace() -> None:
     from_rosdep = set(python_keys().values())
     from_pip = set(requirements("jazzy.txt"))
     needed = {canonicalize_name(each.name) for each in declared()}
-    tested_with = set(requirements("dev.txt"))
+    tested_with = set(requirements("dev.txt") | requirements("bench.txt"))
     assert needed - from_rosdep - from_pip - tested_with == set()
 
 
 def test_pins_lie_in_the_declared_ranges() -> None:
-    pinned = requirements("run.txt") | requirements("dev.txt")
+    pinned = requirements("run.txt") | requirements("dev.txt") | requirements("bench.txt")
     for each in declared():
         pin = next(iter(pinned[canonicalize_name(each.name)].specifier)).version
         assert each.specifier.contains(pin), f"{each} is pinned to {pin}"
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "jazzy.txt"])
+@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "jazzy.txt"])
 def test_every_requirement_is_pinned(name: str) -> None:
     for each in requirements(name).values():
         operators = [specifier.operator for specifier in each.specifier]
