@@ -14,6 +14,8 @@ import typer
 from tactile_hand_ros.core.errors import TactileHandError
 
 if TYPE_CHECKING:
+    from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.analysis.recompute import Comparison
     from tactile_hand_ros.bag.replay import Replay
     from tactile_hand_ros.bag.replay_options import Progress, ReplayOptions
 
@@ -81,16 +83,19 @@ def replay(
     law: Annotated[
         str, typer.Option(metavar="MODULE:CLASS", help="With --recompute: a law of your own.")
     ] = "",
+    nodes: Annotated[
+        bool, typer.Option("--nodes", help="With --recompute: ask the real nodes, by messages.")
+    ] = False,
 ) -> None:
     """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
 
     Exit code of --recompute without --set and --law: 0 if all is as recorded, to the bit, 1 if not.
     """
     if recompute:
-        _recompute(bag, changes or [], law, namespace)
+        _recompute(bag, changes or [], law, namespace, nodes=nodes)
         return
-    if changes or law:
-        raise TactileHandError("--set and --law change a recomputation, expected --recompute too.")
+    if changes or law or nodes:
+        raise TactileHandError("--set, --law or --nodes was given, expected --recompute too.")
     from tactile_hand_ros.bag.recover import find_bag
     from tactile_hand_ros.bag.replay_options import ReplayOptions
 
@@ -110,22 +115,44 @@ def replay(
     _publish(find_bag(bag), options)
 
 
-def _recompute(bag: Path, changes: list[str], law: str, namespace: str) -> None:
+def _recompute(bag: Path, changes: list[str], law: str, namespace: str, *, nodes: bool) -> None:
     from tactile_hand_ros.analysis import Run
     from tactile_hand_ros.analysis import recompute as r
 
     run = Run(bag, namespace=namespace or None)
     values = r.parse_changes(changes)
-    result = r.recompute(run, values, r.load_law(law) if law else None)
-    _print("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons))
-    print(f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time")
-    if values or law or result.same:
+    if nodes:
+        comparisons = _ask_nodes(run, values, law)
+        _print("recorded and said by the nodes", r.COLUMNS, r.rows(comparisons))
+    else:
+        result = r.recompute(run, values, r.load_law(law) if law else None)
+        comparisons = result.comparisons
+        _print("recorded and recomputed", r.COLUMNS, r.rows(comparisons))
+        speed = f"{result.speed:.1f} times real time"
+        print(f"{result.simulated:g} s in {result.seconds:.2f} s, {speed}")
+    if values or law or all(comparison.same for comparison in comparisons):
         return
-    print(
-        "The same configuration gave other answers" + r.reason(run),
-        file=sys.stderr,
-    )
+    print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
     raise typer.Exit(EXIT_DIFFERS)
+
+
+def _ask_nodes(run: Run, values: dict[str, Any], law: str) -> list[Comparison]:
+    if law:
+        raise TactileHandError("--law and --nodes were given: nodes know their own laws only.")
+    try:
+        from tactile_hand_ros.analysis.question_nodes import ask_nodes
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"The nodes need ROS, but there is no module '{error.name}'; source ROS 2 or leave "
+            "--nodes away."
+        ) from None
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("asking the nodes", total=1.0)
+        return ask_nodes(run, values, lambda share: bar.update(task, completed=share))
 
 
 def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = None) -> None:

@@ -21,9 +21,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
+from support.recorded import PERIOD, START, RunWriter, pose_stamped, write_tick
 
+from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.analysis.question_nodes import ask_nodes
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.core.closed_loop import ClosedLoop
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.core.scenario import load_scenario, resolved
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -34,7 +40,7 @@ from tactile_hand_ros.ros.testing import (
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=1000)
 COUNT = 200
-PERIOD = 5_000_000  # ns
+SPACING = 5_000_000  # ns
 
 
 class Listener:
@@ -92,7 +98,7 @@ def replay(tmp_path: Path) -> Iterator[Callable[..., ProcessUnderTest]]:
         sensor = writer.add_channel("/sensor", "std_msgs/msg/Float64", offers=[fast])
         writer.write(robot, serialize_message(String(data="<robot/>")), 10**18, 0)
         for i in range(COUNT):
-            at = 10**18 + i * PERIOD
+            at = 10**18 + i * SPACING
             data = serialize_message(Float64(data=float(i)))
             writer.write(values, data, at, at)
             writer.write(sensor, data, at + 1, at)
@@ -128,7 +134,7 @@ def test_all_messages_come_in_order_and_not_before_their_time(
     assert listener.numbers("/value") == [float(i) for i in range(COUNT)]
     at, last = listener.heard["/value"][-1]
     assert last == serialize_message(Float64(data=COUNT - 1.0))
-    assert at - before >= 1e-9 * (COUNT - 1) * PERIOD / 2.0
+    assert at - before >= 1e-9 * (COUNT - 1) * SPACING / 2.0
     assert len(listener.heard["/robot_description"]) == 1
     assert process.wait() == 0
     assert f"published {2 * COUNT + 1} messages" in process.stderr
@@ -167,7 +173,7 @@ def test_pause_loop_clock_and_interrupt(
     listener.until(lambda: len(listener.heard["/clock"]) > clocks + 20)
     times = [deserialize_message(data, Clock).clock for _, data in listener.heard["/clock"]]
     stamps = [time.sec * 10**9 + time.nanosec for time in times]
-    assert len(set(stamps[-10:])) == 1 and 10**18 < stamps[-1] < 10**18 + COUNT * PERIOD
+    assert len(set(stamps[-10:])) == 1 and 10**18 < stamps[-1] < 10**18 + COUNT * SPACING
     paused_at = len(listener.heard["/value"])
     assert paused_at < COUNT
     listener.call(paused=False)
@@ -225,3 +231,22 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
         process = replay(*arguments)
         assert process.wait() == 2
         assert text in process.stderr and "Traceback" not in process.stderr
+
+
+def test_real_nodes_give_what_was_recorded_byte_for_byte(tmp_path: Path) -> None:
+    """And with another gain other torques, from the same squeeze."""
+    scenario = load_scenario("paper", {"duration": 0.5})
+    record = ClosedLoop(scenario).run(60)
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
+        for wish in scenario.targets:
+            target = wish.target()
+            quaternion = quaternion_from_rotation(target.orientation)
+            pose = pose_stamped(wish.stamp, target.position, quaternion)
+            bag.write("/desired_pose", pose, START - 10**9)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD)
+    comparisons = ask_nodes(Run(tmp_path))
+    assert [c for c in comparisons if not c.same] == []
+    assert [c.compared for c in comparisons] == 7 * [60]
+    differing = {c.topic for c in ask_nodes(Run(tmp_path), {"law.k_p": 4.0}) if not c.same}
+    assert differing == {"joint_command"}
