@@ -35,6 +35,7 @@ from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.ros.node import SUBSCRIPTIONS, parse_peers
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
@@ -96,6 +97,30 @@ def refusal(recorder: ProcessUnderTest) -> str:
 def wait_for_recorder(*publishers: Publisher) -> None:
     """Wait until all publishers have a subscriber."""
     wait_until(lambda: all(p.get_subscription_count() for p in publishers))
+
+
+def wait_until_heard(node: Node, publishers: dict[str, int]) -> None:
+    """Wait until the recorder says that it knows of so many publishers of each topic.
+
+    That a publisher knows of the recorder is not enough where nothing is sent again.
+    """
+    heard: dict[str, int] = {}
+
+    def note(message: DiagnosticArray) -> None:
+        for values in _recorder_values(message):
+            heard.update(parse_peers(values.get(SUBSCRIPTIONS, "")))
+
+    subscription = node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+
+    def all_heard() -> bool:
+        executor.spin_once(timeout_sec=0.1)
+        return all(heard.get(topic, 0) >= count for topic, count in publishers.items())
+
+    wait_until(all_heard, 60.0, f"the recorder to hear {publishers}")
+    executor.shutdown()
+    node.destroy_subscription(subscription)
 
 
 def at_1_khz(node: Node, publish: Callable[[int], None], count: int) -> None:
@@ -185,6 +210,7 @@ def test_offers_hash_and_times_are_recorded(
     before = time.time_ns()
     recorder = start(tmp_path / "bag")
     wait_for_recorder(latched, sensor, *mixed)
+    wait_until_heard(node, {"/sensor": 1, "/mixed": 2, "/robot_description": 1})
     for publisher in (sensor, *mixed):
         publisher.publish(Float64(data=1.5))
     end_well(recorder)
@@ -233,6 +259,7 @@ def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(
     wait_until(lambda: node.count_subscribers("/late") == 2)
     publisher = node.create_publisher(Float64, "late", SENSOR)
     wait_until(lambda: publisher.get_subscription_count() == 2)
+    wait_until_heard(node, {"/late": 1})
     publisher.publish(Float64(data=1.0))
     end_well(recorder, signal.SIGTERM)
     assert summarize(tmp_path / "bag").counts["/late"] == 1
@@ -249,6 +276,7 @@ def test_topics_are_chosen_by_patterns(
     wait_for_recorder(publishers[0])
     for publisher in publishers:
         publisher.publish(Float64(data=1.0))
+    assert publishers[0].wait_for_all_acked(Duration(seconds=30))
     end_well(recorder)
     assert summarize(tmp_path / "bag").counts == {"/left/a": 1}
 
