@@ -343,9 +343,8 @@ def test_recorder_continues_after_it_was_killed(
     wait_until(lambda: _on_disk(bag / "bag_0.mcap").get("/value"))
     first.send(signal.SIGKILL)
     assert first.wait() == -signal.SIGKILL
-    wait_until(lambda: publisher.get_subscription_count() == 0, 60.0)
     second = start(bag)
-    wait_for_recorder(publisher)
+    wait_until(lambda: _on_disk(bag / "bag_1.mcap").get("/value"), 30.0)
     publisher.publish(Float64(data=2.0))
     wait_until(lambda: _on_disk(bag / "bag_1.mcap").get("/value", 0) >= 2)
     end_well(second)
