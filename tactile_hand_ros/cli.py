@@ -177,7 +177,7 @@ def summary(
 
     name = opened.scenario.name if opened.scenario else "unknown scenario"
     columns = ("", "")
-    rows = tables.metrics_rows(opened.metrics)
+    rows = tables.metrics_rows(opened.metrics) + tables.recovery_rows(opened.recoveries)
     _print(tables.rich_table(f"{name}, {opened.path}", columns, rows))
     if lines := tables.ledger_rows(opened.ledger):
         _print(tables.rich_table("assumptions", tables.LEDGER_COLUMNS, lines))

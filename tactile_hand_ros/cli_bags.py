@@ -118,9 +118,10 @@ def replay(
 def _recompute(bag: Path, changes: list[str], law: str, namespace: str, *, nodes: bool) -> None:
     from tactile_hand_ros.analysis import Run
     from tactile_hand_ros.analysis import recompute as r
+    from tactile_hand_ros.core.config import parse_changes
 
     run = Run(bag, namespace=namespace or None)
-    values = r.parse_changes(changes)
+    values = parse_changes(changes, "law.name=contact")
     if nodes:
         comparisons = _ask_nodes(run, values, law)
         _print("recorded and said by the nodes", r.COLUMNS, r.rows(comparisons))

@@ -16,7 +16,7 @@ import copy
 import importlib
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,6 @@ from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.core.cone_optimizer import Cones
-from tactile_hand_ros.core.config import parse_yaml
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Controller
 from tactile_hand_ros.core.errors import ConfigurationError, MessageError, PoseError
@@ -180,23 +179,6 @@ def full_key(key: str) -> str:
             f"'{key}' may mean {' or '.join(f'{owner}.{key}' for owner in owners)}; say which"
         )
     return f"{owners[0]}.{key}" if owners else key
-
-
-def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
-    """Read ``key=value`` texts; values are YAML.
-
-    Raises:
-        ConfigurationError: If there is no ``=``, or the value is no YAML.
-    """
-    found: dict[str, Any] = {}
-    for change in changes:
-        key, separator, value = change.partition("=")
-        if not separator or not key:
-            raise ConfigurationError(
-                f"--set got '{change}', expected key=value such as law.name=contact"
-            )
-        found[key] = parse_yaml(value, f"--set {key}")
-    return found
 
 
 def reason(run: Run) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,15 @@ class Recovery:
     time: float
     last: float
 
+    def to_dict(self) -> dict[str, float]:
+        """Return plain data with units in the names."""
+        return {
+            "start_s": self.start,
+            "largest_error_m": self.largest,
+            "recovery_time_s": self.time,
+            "last_error_m": self.last,
+        }
+
 
 def recoveries(record: Record, scenario: Scenario) -> list[Recovery]:
     """Return the recovery from each disturbance and each change of friction of a run.
@@ -43,9 +53,10 @@ def recoveries(record: Record, scenario: Scenario) -> list[Recovery]:
     plant = scenario.plant
     events = {d.start for d in plant.disturbances} | {c.start for c in plant.friction_changes}
     starts = sorted(event for event in events if 0.0 < event < scenario.duration)
-    ends = [*starts[1:], scenario.duration + 1.0]
     errors = np.linalg.norm(record.desired_position - record.auxiliary_position, axis=1)
-    return [_recovery(record, errors, *span) for span in zip(starts, ends, strict=True)]
+    return [
+        _recovery(record, errors, *span) for span in pairwise([*starts, scenario.duration + 1.0])
+    ]
 
 
 def _recovery(record: Record, errors: NDArray[np.float64], start: float, end: float) -> Recovery:

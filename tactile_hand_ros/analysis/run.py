@@ -19,6 +19,7 @@ from tactile_hand_ros.analysis.events import Event, events
 from tactile_hand_ros.analysis.extras import optional
 from tactile_hand_ros.analysis.ledger import Assumption, ledger
 from tactile_hand_ros.analysis.metrics import Metrics, metrics
+from tactile_hand_ros.analysis.recovery import Recovery, recoveries
 from tactile_hand_ros.analysis.series import Series, read_series
 from tactile_hand_ros.analysis.topics import HandTopics, find_fingers, find_prefix
 from tactile_hand_ros.bag.errors import BagError
@@ -167,6 +168,11 @@ class Run:
         if self.scenario is None:
             return []
         return ledger(self.record, Hand.load(self.scenario.hand, self.scenario.layout))
+
+    @cached_property
+    def recoveries(self) -> list[Recovery]:
+        """How long each disturbance kept the object away; empty without a scenario."""
+        return recoveries(self.record, self.scenario) if self.scenario is not None else []
 
     @cached_property
     def bag_metrics(self) -> BagMetrics:

@@ -12,6 +12,7 @@ from tactile_hand_ros.analysis.claims import Claim, LawResult, Verdict
 from tactile_hand_ros.analysis.extras import optional
 from tactile_hand_ros.analysis.ledger import Assumption
 from tactile_hand_ros.analysis.metrics import Metrics
+from tactile_hand_ros.analysis.recovery import Recovery
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -65,6 +66,18 @@ def claim_table(title: str, claims: Sequence[Claim]) -> Table:
         color = _COLORS[claim.verdict]
         table.add_row(*map(_plain, row[:-1]), f"[{color}]{row[-1]}[/{color}]", end_section=True)
     return table
+
+
+def recovery_rows(recoveries: Sequence[Recovery]) -> list[list[str]]:
+    """Return a row for each disturbance: when, how far the object went, and when it was back."""
+    return [
+        [
+            f"event at {each.start:g} s",
+            f"{number(1e3 * each.largest, 'mm')} away, "
+            + (f"back after {each.time:.2f} s" if each.time < math.inf else "not back"),
+        ]
+        for each in recoveries
+    ]
 
 
 def metrics_rows(m: Metrics) -> list[list[str]]:

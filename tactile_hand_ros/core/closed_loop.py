@@ -48,6 +48,8 @@ class ClosedLoop:
         self._state = self.plant.state
         self._stamp = 0
         self._wishes = sorted(scenario.user_forces, key=lambda wish: wish.time)
+        self._desired: tuple[Array, Array] | None = None
+        self._targets = list(scenario.targets)
         for wish in scenario.targets:
             self.controller.command(wish.target(), wish.stamp)
 
@@ -74,7 +76,8 @@ class ClosedLoop:
         state, stamp = self._state, self._stamp
         true = true_reading(state)
         self._ask()
-        touch = self.sensor.step(stamp, true, sliding_speeds(state))
+        sliding = sliding_speeds(state)
+        touch = self.sensor.step(stamp, true, sliding)
         contacts = touch.contacts
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
         optimal = self.optimizer.solve(contacts, self._cones(contacts, touch.forces))
@@ -88,6 +91,7 @@ class ClosedLoop:
             touch.forces,
         )
         self._write(record, row, true, touch, grasp_force, optimal, command)
+        record.true_sliding[row] = sliding
         self._state = self.plant.advance(command.torque)
         self._stamp += self.scenario.plant.tick
 
@@ -130,17 +134,17 @@ class ClosedLoop:
         record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
         record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
         record.true_forces[row] = true.forces
-        record.true_sliding[row], record.true_slid[row] = sliding_speeds(state), state.slid
+        record.true_slid[row] = state.slid
         record.friction[row] = self.regulator.friction
         record.slip_evidence[row] = self.regulator.slip_likelihood
         record.grip[row] = self.regulator.state
 
     def _write_desired(self, record: Record, row: int) -> None:
-        due = [wish for wish in self.scenario.targets if wish.stamp <= self._stamp]
-        if due:
-            target = due[-1].target()
-            record.desired_position[row] = target.position
-            record.desired_quaternion[row] = quaternion_from_rotation(target.orientation)
+        while self._targets and self._targets[0].stamp <= self._stamp:
+            target = self._targets.pop(0).target()
+            self._desired = target.position, quaternion_from_rotation(target.orientation)
+        if self._desired is not None:
+            record.desired_position[row], record.desired_quaternion[row] = self._desired
 
 
 def sliding_speeds(state: PlantState) -> Array:

@@ -10,7 +10,7 @@ import functools
 import re
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -208,6 +208,25 @@ def parse_yaml(text: str, source: str = "") -> Any:
         message = f"{_before(source)}{place} is not valid YAML: {problem}."
         raise ConfigurationError(message, source=source, place=place) from None
     return {} if data is None else data
+
+
+def parse_changes(changes: Sequence[str], example: str = "plant.rate=250") -> dict[str, Any]:
+    """Read ``key=value`` texts of a command line; values are YAML.
+
+    Args:
+        changes: The texts.
+        example: A good one, for the error.
+
+    Raises:
+        ConfigurationError: If there is no ``=``, or the value is no YAML.
+    """
+    found: dict[str, Any] = {}
+    for change in changes:
+        key, separator, value = change.partition("=")
+        if not separator or not key:
+            raise ConfigurationError(f"--set got '{change}', expected key=value such as {example}")
+        found[key] = parse_yaml(value, f"--set {key}")
+    return found
 
 
 @functools.lru_cache(maxsize=64)

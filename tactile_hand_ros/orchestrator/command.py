@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
 
-from tactile_hand_ros.core.config import parse_yaml
+from tactile_hand_ros.core.config import parse_changes
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
@@ -102,23 +102,6 @@ def _checked(name: str, changes: dict[str, Any]) -> Scenario:
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
     warm_up()
     return scenario
-
-
-def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
-    """Read ``key=value`` texts; values are YAML.
-
-    Raises:
-        ConfigurationError: If there is no ``=``, or the value is no YAML.
-    """
-    found: dict[str, Any] = {}
-    for change in changes:
-        key, separator, value = change.partition("=")
-        if not separator or not key:
-            raise ConfigurationError(
-                f"--set got '{change}', expected key=value such as plant.rate=250"
-            )
-        found[key] = parse_yaml(value, f"--set {key}")
-    return found
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from rich.table import Table
 from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.analysis.metrics import json_ready
 from tactile_hand_ros.analysis.report import write_report
+from tactile_hand_ros.analysis.tables import recovery_rows
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
@@ -30,6 +31,7 @@ class Results:
         recording: Message counts against ticks, empty without a bag or a tick.
         problems: A sentence for each thing that is wrong with the bag.
         assumptions: `Run.ledger` as plain data.
+        recoveries: `Run.recoveries` as plain data.
         run: The run as it was read, None without a bag or a tick.
     """
 
@@ -37,6 +39,7 @@ class Results:
     recording: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     assumptions: list[dict[str, Any]] = field(default_factory=list)
+    recoveries: list[dict[str, Any]] = field(default_factory=list)
     run: Run | None = None
 
 
@@ -56,6 +59,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
         results.metrics = run.metrics.to_dict()
         results.recording = run.bag_metrics.to_dict()
         results.assumptions = [line.to_dict() for line in run.ledger]
+        results.recoveries = [each.to_dict() for each in run.recoveries]
         results.run = run
     except TactileHandError as error:
         results.problems.append(str(error))
@@ -167,6 +171,7 @@ def write_summary(
         },
         "metrics": results.metrics,
         "assumptions": results.assumptions,
+        "recoveries": results.recoveries,
         "recording": results.recording,
         "startup_s": outcome.startup,
         "seed": scenario.seed,
@@ -208,6 +213,7 @@ def table(plan: Plan, outcome: Outcome, results: Results) -> Table:
 
 def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str, str]]:
     goal, m, r = plan.scenario.goal, results.metrics, results.recording
+    recovered = recovery_rows(results.run.recoveries) if results.run is not None else []
     position, rotation = m["final_position_error_m"], m["final_rotation_error_rad"]
     rows = [
         ("simulated time", f"{m['simulated_time_s']:.3f} s", ""),
@@ -234,6 +240,7 @@ def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str
         *rows,
         ("required friction, peak", f"{max(friction):.3f}" if friction else "-", ""),
         ("peak joint rate", f"{_number(m['peak_joint_rate_rad_per_s'])} rad/s", ""),
+        *((name, text, "") for name, text in recovered),
         ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
         ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
         ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),

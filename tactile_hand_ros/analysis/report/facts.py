@@ -91,6 +91,7 @@ def all_tables(run: Run) -> list[dict[str, Any]]:
     recording.insert(1, ["messages lost", "not told" if lost is None else str(lost)])
     found = [
         {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
+        {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},
         {"title": "Recording", "rows": recording},
         {"title": "Versions and seed", "rows": versions},
     ]

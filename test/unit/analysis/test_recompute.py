@@ -14,7 +14,7 @@ from support.recorded import PERIOD, START, RunWriter, message, pose_stamped, wr
 
 from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.analysis.audit import audit
-from tactile_hand_ros.analysis.recompute import full_key, load_law, parse_changes, recompute
+from tactile_hand_ros.analysis.recompute import full_key, load_law, recompute
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.core.closed_loop import ClosedLoop
@@ -153,9 +153,6 @@ def test_keys_of_controllers_may_be_short() -> None:
     assert full_key("law.k_p") == "manipulation_controller.law.k_p"
     assert full_key("weights") == "force_optimizer.weights"
     assert full_key("plant.rate") == "plant.rate"
-    assert parse_changes(["law.k_p=2", "a.b=[1, 2]"]) == {"law.k_p": 2, "a.b": [1, 2]}
-    with pytest.raises(ConfigurationError, match="key=value"):
-        parse_changes(["law.k_p"])
 
 
 def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:

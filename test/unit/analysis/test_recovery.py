@@ -43,3 +43,7 @@ def test_what_never_comes_back_takes_forever():
 def test_an_unknown_pose_is_not_back():
     hold = record_of(lambda t: math.nan if 2.0 <= t < 3.0 else 0.0)
     assert recoveries(hold, SCENARIO)[0].time == pytest.approx(1.0, abs=0.011)
+
+
+def test_a_run_in_which_nothing_happens_has_nothing_to_recover_from() -> None:
+    assert recoveries(record_of(lambda t: 0.0), load_scenario("paper")) == []

@@ -12,10 +12,10 @@ from ament_index_python.packages import get_package_prefix
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros.core.config import parse_changes
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.command import (
     full_namespace,
-    parse_changes,
     split_ros_arguments,
 )
 from tactile_hand_ros.orchestrator.monitor import Look, stamp_of
