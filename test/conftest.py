@@ -4,9 +4,20 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
 
 
 def pytest_configure() -> None:
     """Let child processes be interrupted: in a shell's background jobs SIGINT is ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_shared_memory() -> Iterator[None]:
+    """Insist on sockets: processes that tests kill would leave traps in shared memory."""
+    yield
+    assert "/dev/shm/fastrtps" not in Path("/proc/self/maps").read_text()

@@ -2,14 +2,16 @@
 """How the middleware is set up: by sockets alone, so that no dead process stops a living one.
 
 Fast DDS also passes messages through shared memory by default. A process that is killed while it
-holds a lock there leaves it locked, and the next process that meets this lock waits for ever, with
-nothing that could end the wait from within. It is a little faster; a hand must not depend on it.
+sets up its part there leaves it half made, and the next process that opens it waits for ever, in
+native code, with nothing that could end the wait. It is a little faster; a hand must not depend
+on it.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.paths import config_directory
@@ -29,11 +31,15 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
         environment: Variables in force.
     """
     reach = environment.get(_RANGE, "SUBNET")
-    if any(name in environment for name in _PROFILES) or reach == "OFF":
-        return {}
     try:
         folder = config_directory() / "middleware"
     except ConfigurationError:  # whoever needs the configuration will say so
+        return {}
+    chosen = [environment[name] for name in _PROFILES if name in environment]
+    # Ours, in force already, unless somebody has narrowed the range since.
+    if chosen and (Path(chosen[0]).parent != folder or reach != "LOCALHOST"):
+        return {}
+    if reach == "OFF":
         return {}
     name = "localhost" if reach == "LOCALHOST" else "subnet"
     return {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}

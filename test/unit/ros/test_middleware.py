@@ -23,6 +23,13 @@ def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str
     assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would bring shared memory back
 
 
+def test_it_is_chosen_once_and_narrowed_at_need() -> None:
+    first = socket_settings({RANGE: "LOCALHOST"})
+    assert socket_settings(first) == {}  # a child process has nothing to change
+    assert socket_settings({**first, RANGE: "LOCALHOST"}) == first
+    assert socket_settings({**socket_settings({}), RANGE: "LOCALHOST"}) == first
+
+
 @pytest.mark.parametrize(
     "given", [{PROFILE: "mine.xml"}, {"FASTDDS_DEFAULT_PROFILES_FILE": "m.xml"}, {RANGE: "OFF"}]
 )
