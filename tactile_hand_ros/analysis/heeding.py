@@ -16,8 +16,9 @@ class Heeding:
     """Steps a block through a recording and gives it the wishes of users where they belong.
 
     Where a wish may have been heeded at several ticks, copies of the block are kept. As soon as an
-    answer differs from the recorded one, the ticks since are answered again with the wish heeded at
-    each of those ticks, nearest to its place in the bag first, until all answers agree.
+    answer differs from the recorded one, and at the last of those ticks, all ticks since are
+    answered again with the wish heeded at each of them, nearest to its place in the bag first,
+    until all answers agree.
     """
 
     def __init__(
@@ -55,11 +56,13 @@ class Heeding:
         if not self._wishes or self._wishes[0].first > row:
             act(row)
             return
-        if row <= self._wishes[0].last:
+        last = self._wishes[0].last
+        if row <= last or not self._copies:  # the latter after a silence
             self._copies[row] = self._copy(self.block)
         self._acts.append((row, act))
         act(row)
-        if not self._agrees(row):
+        # Past its last tick a wish that made no difference is not the reason of later ones.
+        if row >= last or not self._agrees(row):
             self._search()
 
     def finish(self) -> None:
@@ -68,7 +71,7 @@ class Heeding:
             self._settle()
 
     def _search(self) -> None:
-        """Find the tick that explains all answers so far."""
+        """Take the tick that explains all answers so far."""
         wish = self._wishes[0]
         for row in sorted(self._copies, key=lambda row: abs(row - wish.guess)):
             if self._again(row, wish, insist=True):
