@@ -40,7 +40,7 @@ class SnapshotBuffer:
                 self._latched[old.topic.name] = old
 
     def take(self) -> list[Kept]:
-        """Return all messages in the order of their reception, and forget them.
+        """Return all messages in the order of their reception, and forget all but the latched.
 
         Old latched ones come first, as if received together with the first of the others: a late
         joiner would have got them then.
@@ -51,4 +51,5 @@ class SnapshotBuffer:
         latched = [
             kept._replace(received=begin or kept.received) for kept in self._latched.values()
         ]
+        self._latched |= {kept.topic.name: kept for kept in fresh if kept.topic.latched}
         return [*latched, *fresh]
