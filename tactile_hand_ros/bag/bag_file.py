@@ -72,11 +72,6 @@ class BagFile:
         self._do(self._writer.start, profile, library)
 
     @property
-    def is_open(self) -> bool:
-        """Whether records are accepted."""
-        return not self._stream.closed
-
-    @property
     def size(self) -> int:
         """Number of bytes on the disk."""
         return self._stream.tell()

@@ -76,7 +76,7 @@ def parse_qos(text: str) -> tuple[OfferedQos, ...]:
     try:
         profiles = yaml.safe_load(text) if text.strip() else []
         return tuple(_offer(profile) for profile in profiles)
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
+    except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return ()
 
 
@@ -94,7 +94,7 @@ def _offer(profile: dict[str, Any]) -> OfferedQos:
         for name, names in _POLICIES.items()
     }
     times: dict[str, Any] = {
-        name: profile[name]["sec"] * 10**9 + profile[name]["nsec"]
+        name: int(profile[name]["sec"]) * 10**9 + int(profile[name]["nsec"])
         for name in ("deadline", "lifespan", "liveliness_lease_duration")
     }
     plain = bool(profile.get("avoid_ros_namespace_conventions", False))

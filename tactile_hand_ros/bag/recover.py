@@ -303,9 +303,11 @@ def _told(record: Mapping[str, str]) -> dict[str, Any]:
     """Return what the writer's own metadata says that messages do not."""
     try:
         tree = yaml.safe_load(record[RECORD_KEY])
-        return {key: tree[key] for key in ("custom_data", "ros_distro") if tree.get(key)}
+        custom = {str(key): str(value) for key, value in (tree.get("custom_data") or {}).items()}
+        distro = tree.get("ros_distro")
     except (yaml.YAMLError, KeyError, AttributeError, TypeError):
         return {}
+    return {"custom_data": custom} | ({"ros_distro": str(distro)} if distro else {})
 
 
 def _bag_metadata(
@@ -317,7 +319,7 @@ def _bag_metadata(
     custom: dict[str, str] = {}
     distro = os.environ.get("ROS_DISTRO") or "jazzy"
     for tree in told:
-        custom |= {str(key): str(value) for key, value in tree.get("custom_data", {}).items()}
+        custom |= tree.get("custom_data", {})
         distro = tree.get("ros_distro", distro)
     return BagMetadata(files, merge_topics(topics), custom | dict(more or {}), distro)
 

@@ -29,6 +29,7 @@ from tactile_hand_ros.bag.errors import BagError
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_COMPRESSIONS = ("", "zstd", "lz4")
 _PIECE = 512  # bytes that are decompressed at a time where the rest may be broken
 
 
@@ -137,19 +138,20 @@ class _Salvage:
         except (struct.error, UnicodeDecodeError):
             self._tally.left += len(frame.body)
             return
-        if self._compression is None:
+        if self._compression is None and compression in _COMPRESSIONS:
             self._compression = self._tally.compression = compression
         cut = len(frame.body) < frame.length
         data = _unpack(packed, compression, size)
+        # A damaged head must not announce more than there can be.
+        expected = size if size < 2**40 else len(packed)
         if not cut and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
-            self._tally.left += size
+            self._tally.left += expected
             return
         used = 0
         for inner, end in _frames(data):
             used = end
             yield from self._record(inner)
-        # A cut-off head must not announce more than there can be.
-        self._tally.left += max(0, size - used) if size < 2**40 else len(packed)
+        self._tally.left += max(0, expected - used)
 
     def _record(self, frame: _Frame) -> Iterator[McapRecord]:
         parser = _PARSERS.get(frame.opcode)
@@ -205,20 +207,17 @@ def _frames(data: bytes) -> Iterator[tuple[_Frame, int]]:
 
 
 def _unpack(packed: bytes, compression: str, size: int) -> bytes:
-    """Decompress as far as possible."""
+    """Decompress as far as possible; nothing if nobody knows how."""
     if compression == "":
         return packed
+    if compression not in _COMPRESSIONS:
+        return b""
     try:
         if compression == "zstd":
             return zstandard.decompress(packed, size)
-        if compression == "lz4":
-            return bytes(lz4.frame.decompress(packed))
-    except (zstandard.ZstdError, RuntimeError, MemoryError):
+        return bytes(lz4.frame.decompress(packed))
+    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError):
         return _unpack_front(packed, compression)
-    raise BagError(
-        f"A chunk is compressed by '{compression}', expected zstd, lz4 or none; convert the bag "
-        "with the tool that wrote it."
-    )
 
 
 def _unpack_front(packed: bytes, compression: str) -> bytes:

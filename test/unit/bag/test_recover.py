@@ -284,3 +284,38 @@ def test_qos_text_is_read_back() -> None:
     old = qos_text(offers[:1]).replace("reliability: reliable", "reliability: 1")
     assert parse_qos(old) == offers[:1]
     assert parse_qos("") == parse_qos("- 1") == parse_qos("{") == ()
+    wrong = [
+        qos_text(offers[:1]).replace("reliability: reliable", "reliability: 9"),
+        qos_text(offers[:1]).replace("depth: 0", "depth: .inf"),
+    ]
+    assert [parse_qos(text) for text in wrong] == [(), ()]
+
+
+@pytest.mark.parametrize("part", ["compression", "size"])
+def test_garbled_head_of_a_chunk_costs_that_chunk_only(tmp_path: Path, part: str) -> None:
+    """Nobody knows what is in it, but all else is there; the loss is not exaggerated."""
+    write_bag(tmp_path / "run")
+    file = tmp_path / "run" / "run_0.mcap"
+    data = bytearray(file.read_bytes())
+    mark = b"\4\0\0\0zstd"
+    name = data.index(mark, data.index(mark) + 1) + 4  # in the second chunk
+    if part == "compression":
+        data[name] ^= 1
+    else:
+        data[name - 9] ^= 0x80  # highest byte of the size
+    file.write_bytes(data)
+    recovery = recover(tmp_path / "run")
+    assert COUNT - 60 < recovery.messages < COUNT
+    assert 0 < recovery.left < 10_000
+
+
+def test_odd_custom_data_is_left_out(tmp_path: Path) -> None:
+    """A record that says nonsense does not keep the messages back."""
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_metadata("rosbag2", {"serialized_metadata": "custom_data: [1]"})
+        writer.add_message(writer.register_channel("/a", "cdr", 0), 0, b"x", 0)
+        writer.finish()
+    assert recover(file, tmp_path / "out").messages == 1
