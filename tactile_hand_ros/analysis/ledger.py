@@ -22,7 +22,13 @@ from tactile_hand_ros.core.grasp import (
     net_wrench,
 )
 from tactile_hand_ros.core.hand import Hand
-from tactile_hand_ros.core.margins import REACTION, cone_distances, tip_angles
+from tactile_hand_ros.core.margins import (
+    REACTION,
+    TIP,
+    angles_between,
+    cone_distances,
+    local_normals,
+)
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.slip_detector import Grip
 
@@ -128,24 +134,23 @@ def _each(record: Record, value: Any) -> Array:
     return out
 
 
-def _directions(record: Record, hand: Hand) -> tuple[Array, Array]:
-    """Return contact normals and fingertip axes, both of shape (n, k, 3), in the palm frame."""
-    normals = np.full((len(record), hand.fingers, 3), np.nan)
-    axes = np.full_like(normals, np.nan)
+def _on_tips(record: Record, hand: Hand) -> Array:
+    """Return contact normals in the frames of their fingertips, shape (n, k, 3)."""
+    seen = np.full((len(record), hand.fingers, 3), np.nan)
     for row in range(len(record)):
         contacts = _contacts(record, row)
         if contacts is not None:
-            normals[row], axes[row] = contacts.normals, hand.tip_axes(record.theta[row])
-    return normals, axes
+            tips = hand.tip_rotations(record.theta[row])
+            seen[row] = local_normals(contacts.normals, tips)
+    return seen
 
 
 def _rolled(record: Record, hand: Hand) -> Assumption:
     """How far the contacts wandered over their fingertips; faces end where touch cannot see."""
-    normals, axes = _directions(record, hand)
-    angles = tip_angles(normals, axes)
-    first = np.flatnonzero(~np.isnan(angles[:, 0]))
-    start = angles[first[0]] if len(first) else np.nan
-    wander = (hand.radii * np.abs(angles - start)).max(axis=1)
+    seen = _on_tips(record, hand)
+    first = np.flatnonzero(~np.isnan(seen[:, 0, 0]))
+    start = seen[first[0]] if len(first) else np.full(3, np.nan)
+    wander = (hand.radii * angles_between(seen, start)).max(axis=1)
     return _line(
         "A1", "rigid polyhedron, contacts on its faces", "contacts wandered over the tips, m",
         record, wander, math.nan, below=True,
@@ -153,8 +158,7 @@ def _rolled(record: Record, hand: Hand) -> Assumption:
 
 
 def _on_hemisphere(record: Record, hand: Hand) -> Assumption:
-    normals, axes = _directions(record, hand)
-    angles = tip_angles(normals, axes)
+    angles = angles_between(_on_tips(record, hand), TIP)
     return _line(
         "A2", "contacts on the hemispheres of the tips", "angle left to their rim, rad",
         record, (0.5 * np.pi - angles).min(axis=1), 0.0,

@@ -27,6 +27,8 @@ from tactile_hand_ros.core.safe_hold import HoldConfig, SafeHold
 
 Array = NDArray[np.float64]
 
+_LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
+
 
 class ControllerConfig(Config):
     """Parameters of the manipulation controller."""
@@ -156,6 +158,11 @@ class Controller:
             raise GraspError("there is no grasp to let go of; let all fingers touch first")
         self._regrasp.leave(self._grasp[0], self._grasp[1])
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the fingers are open, opening or closing."""
+        return self._regrasp.active
+
     def grasp(self) -> None:
         """Close the fingers until all of them touch, and take what they hold as a new grasp."""
         if self._regrasp.active:
@@ -213,6 +220,7 @@ class Controller:
         """Answer a tick without what the law needs: keep posture and last good squeeze."""
         self._last_torque = None
         self._drove = False
+        self._open_stamp = None
         self._reference.reset()
         if not self.enabled:
             return self._disabled(theta, rates)
@@ -224,6 +232,7 @@ class Controller:
         self._hold.release()
         self._last_torque = None
         self._drove = False
+        self._open_stamp = None
         self._squeeze = np.zeros(self.hand.joints)
         torque = self._gravity(theta) - self.config.law.damping * rates
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
@@ -240,12 +249,15 @@ class Controller:
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
-        dt = 0.0 if self._open_stamp is None else max(0.0, 1e-9 * (stamp - self._open_stamp))
+        # After a gap the fingers go on from where they are, and do not make up for it at once.
+        dt = 0.0 if self._open_stamp is None else 1e-9 * (stamp - self._open_stamp)
         self._open_stamp = stamp
         self._drove = False
         self._last_torque = None
         self._squeeze = np.zeros(self.hand.joints)
-        self._hold.move(self._regrasp.posture(contacts, dt), self._squeeze)
+        self._hold.move(
+            self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
+        )
         torque = self._hold.torque(theta, rates) + self._gravity(theta)
         return Command(torque, Mode.OPEN, None, "let go by the user")
 

@@ -124,7 +124,9 @@ class FrictionEstimator:
         gain = weight / (1.0 + _INERTIA * confidence)
         self.estimate = estimate + gain * (ratio - estimate)
         agrees = abs(ratio - estimate) < _AGREE * estimate
-        self.confidence = 1.0 - (1.0 - confidence) * (1.0 - weight) if agrees else gain
+        # A weak contrary reading shakes what is known a little, a strong one replaces it.
+        shaken = max(gain, confidence * (1.0 - weight))
+        self.confidence = 1.0 - (1.0 - confidence) * (1.0 - weight) if agrees else shaken
         self._mean = None
 
     def hear(self, other: FrictionEstimator) -> None:

@@ -135,10 +135,10 @@ class Hand:
         """Return the potential energy of the links in J."""
         return float(pin.computePotentialEnergy(self._model, self._data, theta))
 
-    def tip_axes(self, theta: Array) -> Array:
-        """Return where the fingertips point, the x axes of their links, shape (k, 3), palm axes."""
+    def tip_rotations(self, theta: Array) -> Array:
+        """Return the frames of the tip links, which point along their x axes, shape (k, 3, 3)."""
         pin.framesForwardKinematics(self._model, self._data, theta)
-        return np.array([self._data.oMf[frame].rotation[:, 0] for frame in self._tips])
+        return np.array([self._data.oMf[frame].rotation for frame in self._tips])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
         """Return the chain of joint and tip positions of every finger, for drawings, m."""

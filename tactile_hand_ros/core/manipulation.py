@@ -152,11 +152,6 @@ class ManipulationLaw:
         """Wrench of the integral action, shape (6,), N and N m."""
         return self._integral.copy()
 
-    @property
-    def observed_load(self) -> Array:
-        """Wrench that the observer carries, shape (6,), N and N m."""
-        return self._observer.wrench.copy()
-
     def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
         """Return what the hand believes of the object's pose.
 

@@ -23,14 +23,23 @@ REACTION = 0.02
 """Time within which slip prevention must have ended a slip (A6) [s]."""
 
 
-def tip_angles(normals: Array, axes: Array) -> Array:
-    """Return the angles of contacts from the tops of their fingertips, rad.
+TIP = np.array([1.0, 0.0, 0.0])
+"""Direction of a fingertip in the frame of its link."""
+
+
+def local_normals(normals: Array, tips: Array) -> Array:
+    """Return contact normals in the frames of their fingertips, shape (..., k, 3).
 
     Args:
-        normals: Contact normals, shape (..., k, 3).
-        axes: Directions of the fingertips, shape (..., k, 3).
+        normals: Contact normals in the palm frame, shape (..., k, 3).
+        tips: Frames of the fingertips in the palm frame, shape (..., k, 3, 3).
     """
-    return np.asarray(np.arccos(np.clip((normals * axes).sum(axis=-1), -1.0, 1.0)))
+    return np.asarray(np.einsum("...ji,...j->...i", tips, normals))
+
+
+def angles_between(a: Array, b: Array) -> Array:
+    """Return the angles between unit vectors, shape (...), rad."""
+    return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
 def cone_distances(forces: Array, friction: Array) -> Array:
@@ -63,6 +72,10 @@ class GraspMargins:
     collinearity: float
 
 
+UNKNOWN_MARGINS = GraspMargins(np.nan, np.nan, np.nan, 0.0)
+"""Without contacts: nothing is known, and three contacts off a line (A7) are not there."""
+
+
 class GraspWatch:
     """Computes the margins of a grasp, and remembers where its contacts began."""
 
@@ -84,15 +97,15 @@ class GraspWatch:
         """
         if not contacts.touching.all():
             self._first = None
-            return GraspMargins(np.nan, np.nan, np.nan, 0.0)
+            return UNKNOWN_MARGINS
         tips = self._hand.fingertips(theta)
         joint = joint_margin(hand_jacobian(tips, contacts.positions))
-        angles = tip_angles(contacts.normals, self._hand.tip_axes(theta))
+        seen = local_normals(contacts.normals, self._hand.tip_rotations(theta))
         if self._first is None:
-            self._first = angles
+            self._first = seen
         return GraspMargins(
-            face_travel=float((self._hand.radii * np.abs(angles - self._first)).max()),
-            hemisphere=float(0.5 * np.pi - angles.max()),
+            face_travel=float((self._hand.radii * angles_between(seen, self._first)).max()),
+            hemisphere=float(0.5 * np.pi - angles_between(seen, TIP).max()),
             joint=joint,
             collinearity=collinearity_margin(contacts.positions),
         )

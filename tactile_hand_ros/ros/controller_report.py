@@ -12,7 +12,7 @@ from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Command, Mode
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.manipulation import Target
-from tactile_hand_ros.core.margins import GraspWatch
+from tactile_hand_ros.core.margins import UNKNOWN_MARGINS, GraspWatch
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import TactileNode
@@ -63,8 +63,11 @@ class ControllerReport:
             error = float(np.linalg.norm(target.position - last.pose.position))
             put("position_error_m", error)
         if self._contacts is None or self._theta is None:
-            return
-        margins = self._watch.margins(self._theta, self._contacts)
+            if last is None:
+                return
+            margins = UNKNOWN_MARGINS
+        else:
+            margins = self._watch.margins(self._theta, self._contacts)
         put("A1 face_travel_m", margins.face_travel)
         put("A2 hemisphere_margin_rad", margins.hemisphere)
         put("A5 joint_singularity_margin_m_per_rad", margins.joint)

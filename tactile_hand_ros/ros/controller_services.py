@@ -52,5 +52,8 @@ class ControllerServices:
         except GraspError as error:
             response.success, response.message = False, str(error)
             return response
-        response.success, response.message = True, "closing" if request.data else "opening"
+        if request.data and not self._controller.is_open:
+            response.success, response.message = True, "the hand is not open, nothing to close"
+        else:
+            response.success, response.message = True, "closing" if request.data else "opening"
         return response

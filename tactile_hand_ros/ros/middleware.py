@@ -18,19 +18,25 @@ from tactile_hand_ros.core.paths import config_directory
 
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_ALONE = "ROS_LOCALHOST_ONLY"
+_MIDDLEWARE, _FAST_DDS = "RMW_IMPLEMENTATION", "rmw_fastrtps"
 
 
 def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the variables that make Fast DDS use sockets only, in the range that is set.
 
-    Nothing where the user has chosen a profile, switched discovery off, or there is no
-    configuration. The range ``LOCALHOST`` becomes a profile that means the same: with the variable
-    itself, ROS adds shared memory to every profile.
+    Nothing where the user has chosen a profile or another middleware, switched discovery off, or
+    there is no configuration. The range ``LOCALHOST`` becomes a profile that means the same: with
+    the variable itself, ROS adds shared memory to every profile.
 
     Args:
         environment: Variables in force.
     """
-    reach = environment.get(_RANGE, "SUBNET")
+    if not environment.get(_MIDDLEWARE, _FAST_DDS).startswith(_FAST_DDS):
+        return {}
+    # The older variable overrules the range, and so must go with it.
+    alone = environment.get(_ALONE) == "1"
+    reach = "LOCALHOST" if alone else environment.get(_RANGE, "SUBNET")
     try:
         folder = config_directory() / "middleware"
     except ConfigurationError:  # whoever needs the configuration will say so
@@ -42,7 +48,8 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     if reach == "OFF":
         return {}
     name = "localhost" if reach == "LOCALHOST" else "subnet"
-    return {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}
+    settings = {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}
+    return {**settings, _ALONE: "0"} if alone else settings
 
 
 def use_sockets() -> None:

@@ -65,9 +65,12 @@ def values(graph: Graph) -> dict[str, float]:
 
 def test_opens_says_so_closes_and_holds_again(graph: Graph) -> None:
     every = sum(MARGINS.values(), ())
-    graph.wait(lambda: set(values(graph)) == set(every), "a margin of each assumption")
+    graph.wait(
+        # Of a contact that has just been made nothing is known yet.
+        lambda: set(every) == {key for key, value in values(graph).items() if math.isfinite(value)},
+        "a margin of each assumption",
+    )
     held = values(graph)
-    assert all(math.isfinite(value) for value in held.values())
     assert held["A7 collinearity_margin"] > 0.5 and held["A2 hemisphere_margin_rad"] > 0.5
     assert held["A5 joint_singularity_margin_m_per_rad"] > 0.01
     assert 0.0 < held["A4 slip_margin"] <= 1.0 and held["A6 slip_time_left_s"] > 0.0

@@ -8,6 +8,7 @@ from support.plants import plant
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.margins import REACTION, GraspWatch, SlipWatch, cone_distances
+from tactile_hand_ros.core.rotations import rotation_from_vector
 from tactile_hand_ros.core.slip_detector import Grip
 
 MS = 1_000_000
@@ -41,6 +42,12 @@ def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
     bent = theta.copy()
     bent[2] += 0.1  # turns the fingertip under its contact by 0.1 rad: 6 mm of 60
     assert watch.margins(bent, contacts).face_travel == pytest.approx(0.006, rel=0.05)
+    # Rolling round the axis of the tip leads to an edge of the face as well.
+    axis = Hand.load("paper").tip_rotations(theta)[0][:, 0]
+    rolled = contacts.rotations.copy()
+    rolled[0] = rotation_from_vector(0.1 * axis) @ rolled[0]
+    turned = watch.margins(theta, Contacts(contacts.positions, rolled)).face_travel
+    assert turned == pytest.approx(0.006 * np.sin(np.radians(30.0)), rel=0.05)
     gone = contacts.positions.copy()
     gone[1] = np.nan
     lost = watch.margins(bent, Contacts(gone, contacts.rotations))

@@ -23,6 +23,12 @@ def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str
     assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would bring shared memory back
 
 
+def test_the_older_variable_means_this_machine_too() -> None:
+    settings = socket_settings({"ROS_LOCALHOST_ONLY": "1"})
+    assert Path(settings[PROFILE]).stem == "localhost"
+    assert (settings[RANGE], settings["ROS_LOCALHOST_ONLY"]) == ("SUBNET", "0")
+
+
 def test_it_is_chosen_once_and_narrowed_at_need() -> None:
     first = socket_settings({RANGE: "LOCALHOST"})
     assert socket_settings(first) == {}  # a child process has nothing to change
@@ -31,7 +37,13 @@ def test_it_is_chosen_once_and_narrowed_at_need() -> None:
 
 
 @pytest.mark.parametrize(
-    "given", [{PROFILE: "mine.xml"}, {"FASTDDS_DEFAULT_PROFILES_FILE": "m.xml"}, {RANGE: "OFF"}]
+    "given",
+    [
+        {PROFILE: "mine.xml"},
+        {"FASTDDS_DEFAULT_PROFILES_FILE": "m.xml"},
+        {RANGE: "OFF"},
+        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
+    ],
 )
 def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
     assert socket_settings(given) == {}
