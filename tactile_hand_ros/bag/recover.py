@@ -7,7 +7,7 @@ import contextlib
 import os
 import re
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from tactile_hand_ros.bag.writer import write_whole
 BROKEN = ".broken"
 _CHUNK_SIZE = 2**20
 _SUFFIX = "_recovered"
+_COMPRESSED = (".zstd", ".lz4")  # what rosbag2 adds to the names of compressed files
 
 
 @dataclass(frozen=True)
@@ -88,25 +89,76 @@ def recover(bag: Path | str, out: Path | str | None = None, *, in_place: bool = 
             disk refuses the data.
     """
     source = find_bag(Path(bag))
-    files = _files_of(source)
     if in_place:
         if not source.is_dir():
             raise BagError(f"{source} is a file, expected a folder to repair; give --out instead.")
         return repair(source)
-    plain = source if source.is_dir() else source.with_suffix("")
-    target = Path(out) if out is not None else plain.with_name(plain.resolve().name + _SUFFIX)
-    _create(target)
-    name = target.resolve().name
-    copies = []
-    for number, file in enumerate(files):
-        copies.append(_copy(file, target / f"{name}_{number}.mcap"))
-    return _finish(source, target, copies)
+    with _sentences(source):
+        files = _files_of(source)
+        plain = source if source.is_dir() else source.with_suffix("")
+        if plain.name in ("", ".."):
+            plain = plain.resolve()
+        target = Path(out) if out is not None else plain.with_name(plain.resolve().name + _SUFFIX)
+        _create(target)
+        try:
+            name = target.resolve().name
+            names = [target / f"{name}_{number}.mcap" for number in range(len(files))]
+            return _finish(source, target, [_copy(*pair) for pair in zip(files, names)])
+        except BaseException:  # half a bag would only be in the way of the next attempt
+            shutil.rmtree(target, ignore_errors=True)
+            raise
+
+
+@contextlib.contextmanager
+def _sentences(bag: Path) -> Iterator[None]:
+    """Tell what the system refuses as an error of the user."""
+    try:
+        yield
+    except OSError as error:
+        raise BagError(
+            f"The bag {bag} could not be read or written ({error.strerror or error}: "
+            f"{error.filename or bag}); check disk and mode, free some space."
+        ) from error
 
 
 def is_whole(bag: Path) -> bool:
-    """Return whether a bag has everything that its writer gives it in the end."""
-    ends = all(_has_end(file) for file in _files_of(bag))
-    return ends and (not bag.is_dir() or (bag / FILE_NAME).exists())
+    """Return whether nothing is missing in a bag: every file is read to find that out.
+
+    Raises:
+        BagError: If there is no MCAP bag, it is still being recorded, or cannot be read.
+    """
+    with _sentences(bag):
+        files = _files_of(bag)
+        told = _old_metadata(bag)
+        if bag.is_dir() and not _names_all(told, files):
+            return False
+        if not all(_has_end(file) for file in files):
+            return False
+        tallies = [_walk(file) for file in files]
+    count = sum(tally.messages for tally in tallies)
+    return all(tally.whole for tally in tallies) and told.get("message_count", count) == count
+
+
+def _walk(file: Path) -> Tally:
+    tally = Tally()
+    for _ in salvage(file, tally):
+        pass
+    return tally
+
+
+def _old_metadata(bag: Path) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` says, nothing if it is missing or makes no sense."""
+    try:
+        tree = yaml.safe_load((bag / FILE_NAME).read_text(encoding="utf-8"))
+        return dict(tree["rosbag2_bagfile_information"])
+    except (FileNotFoundError, NotADirectoryError, yaml.YAMLError, KeyError, TypeError, ValueError):
+        return {}
+
+
+def _names_all(told: Mapping[str, Any], files: Sequence[Path]) -> bool:
+    named = told.get("relative_file_paths")
+    names = {Path(str(path)).name for path in named} if isinstance(named, list) else set()
+    return names == {file.name for file in files}
 
 
 def repair(folder: Path) -> Recovery:
@@ -118,17 +170,31 @@ def repair(folder: Path) -> Recovery:
         BagError: As `recover`.
     """
     copies, kept = [], []
-    for file in _files_of(folder):
-        draft = file.with_name(f".{file.name}")
-        draft.unlink(missing_ok=True)  # of a repair that was interrupted
-        copy = _copy(file, draft)
-        if copy.tally.whole:
-            draft.unlink()
-        else:
-            kept.append(_keep(file))
-            draft.replace(file)
-        copies.append(copy)
-    return _finish(folder, folder, copies, tuple(kept))
+    with _sentences(folder):
+        for file in _files_of(folder):
+            draft = file.with_name(f".{file.name}")
+            draft.unlink(missing_ok=True)  # of a repair that was interrupted
+            before = _state(file)
+            try:
+                copy = _copy(file, draft)
+                if _state(file) != before:
+                    raise BagError(
+                        f"The file {file} has changed meanwhile, so somebody still writes it; "
+                        "stop the recorder and try again."
+                    )
+                if not copy.tally.whole:
+                    kept.append(_keep(file))
+                    draft.replace(file)
+            finally:
+                draft.unlink(missing_ok=True)
+            copies.append(copy)
+        if (folder / FILE_NAME).exists():
+            kept.append(_keep(folder / FILE_NAME))
+        return _finish(folder, folder, copies, tuple(kept))
+
+
+def _state(file: Path) -> tuple[int, int]:
+    return file.stat().st_size, file.stat().st_mtime_ns
 
 
 def continue_bag(folder: Path) -> Recovery | None:
@@ -169,8 +235,12 @@ def find_bag(path: Path) -> Path:
 def _files_of(bag: Path) -> list[Path]:
     files = [bag] if bag.is_file() else sorted(bag.glob("*.mcap"), key=_natural)
     files = [file for file in files if not file.name.startswith(".")]
+    others = [bag] if bag.is_file() else bag.glob("*.mcap.*")
+    if any(file.suffix in _COMPRESSED for file in others):
+        raise _compressed(bag)
     if not files:
         raise BagError(f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered.")
+    _refuse_compressed(bag, _old_metadata(bag))
     for file in files:
         if is_being_written(file):
             raise BagError(
@@ -178,6 +248,23 @@ def _files_of(bag: Path) -> list[Path]:
                 "finishes it."
             )
     return files
+
+
+def _refuse_compressed(bag: Path, told: Mapping[str, Any]) -> None:
+    """Refuse messages that are compressed one by one; compressed files are known by their names.
+
+    Raises:
+        BagError: If they are.
+    """
+    if told.get("compression_format") and str(told.get("compression_mode")).upper() != "FILE":
+        raise _compressed(bag)
+
+
+def _compressed(bag: Path) -> BagError:
+    return BagError(
+        f"The bag {bag} has files or messages compressed by rosbag2, expected plain or chunk "
+        "compressed MCAP; decompress it with `ros2 bag convert` first."
+    )
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -273,7 +360,9 @@ class _Copier:
         elif isinstance(record, Metadata):
             file.add_metadata(record.name, record.metadata)
             if record.name == RECORD_NAME:
-                self._told.update(_told(record.metadata))
+                told = _tree(record.metadata)
+                _refuse_compressed(self._source, told)
+                self._told.update(_told(told))
         elif isinstance(record, Attachment):
             file.add_attachment(record)
 
@@ -299,15 +388,21 @@ class _Copier:
         ]
 
 
-def _told(record: Mapping[str, str]) -> dict[str, Any]:
-    """Return what the writer's own metadata says that messages do not."""
+def _tree(record: Mapping[str, str]) -> dict[str, Any]:
+    """Return the writer's own metadata, nothing if it makes no sense."""
     try:
-        tree = yaml.safe_load(record[RECORD_KEY])
-        custom = {str(key): str(value) for key, value in (tree.get("custom_data") or {}).items()}
-        distro = tree.get("ros_distro")
-    except (yaml.YAMLError, KeyError, AttributeError, TypeError):
+        return dict(yaml.safe_load(record[RECORD_KEY]))
+    except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return {}
-    return {"custom_data": custom} | ({"ros_distro": str(distro)} if distro else {})
+
+
+def _told(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what metadata says that messages do not."""
+    custom, distro = tree.get("custom_data"), tree.get("ros_distro")
+    told: dict[str, Any] = {"ros_distro": str(distro)} if distro else {}
+    if isinstance(custom, Mapping):
+        told["custom_data"] = {str(key): str(value) for key, value in custom.items()}
+    return told
 
 
 def _bag_metadata(
@@ -335,12 +430,7 @@ def _finish(
         [copy.told for copy in copies],
         {"recovered_bytes_left": str(left)},
     )
-    try:
-        write_whole(target / FILE_NAME, metadata.file_text())
-    except OSError as error:
-        raise BagError(
-            f"{target / FILE_NAME} cannot be written: {error.strerror}; free some space."
-        ) from error
+    write_whole(target / FILE_NAME, metadata.file_text())
     return Recovery(source, target, metadata, left, kept)
 
 
@@ -356,7 +446,11 @@ def _keep(file: Path) -> Path:
     try:
         os.link(file, kept)
     except OSError:  # a file system without links
-        shutil.copy2(file, kept)
+        try:
+            shutil.copy2(file, kept)
+        except OSError:
+            kept.unlink(missing_ok=True)
+            raise
     return kept
 
 

@@ -29,6 +29,8 @@ from tactile_hand_ros.bag.errors import BagError
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_FOOTER = struct.Struct("<BQQQI8s")  # start of the index, of its index, checksum; and the magic
+_UNCHECKED = 12  # bytes of the footer behind those that its checksum covers
 _COMPRESSIONS = ("", "zstd", "lz4")
 _PIECE = 512  # bytes that are decompressed at a time where the rest may be broken
 
@@ -118,8 +120,7 @@ class _Salvage:
                 self._tally.left += size - at
                 return
             if frame.opcode in _ENDS:  # what follows is the index
-                file.seek(max(0, size - len(MAGIC)))
-                self._tally.complete = file.read() == MAGIC
+                self._tally.complete = _has_index(file, size)
                 return
             if frame.opcode == Opcode.CHUNK:
                 yield from self._chunk(frame)
@@ -182,6 +183,18 @@ class _Salvage:
             self._tally.messages += 1
             self._tally.by_topic[topic] = self._tally.by_topic.get(topic, 0) + 1
         return True
+
+
+def _has_index(file: BinaryIO, size: int) -> bool:
+    """Return whether a file ends as it should, with the index that its footer knows."""
+    if size < _FOOTER.size:
+        return False
+    file.seek(size - _FOOTER.size)
+    opcode, _, start, _, checksum, magic = _FOOTER.unpack(file.read())
+    if opcode != Opcode.FOOTER or magic != MAGIC or start > size:
+        return False
+    file.seek(start)
+    return not (start and checksum) or zlib.crc32(file.read()[:-_UNCHECKED]) == checksum
 
 
 def _next(file: BinaryIO, size: int) -> _Frame | None:

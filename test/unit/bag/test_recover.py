@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -17,10 +19,11 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as ForeignWriter
 from rosbags.typesys import Stores, get_typestore
 
+from tactile_hand_ros.bag import recover as recover_module
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.qos import OfferedQos, parse_qos, qos_text
 from tactile_hand_ros.bag.reader import read_raw, summarize
-from tactile_hand_ros.bag.recover import continue_bag, is_whole, recover
+from tactile_hand_ros.bag.recover import continue_bag, is_whole, recover, repair
 from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.bag.writer import BagWriter
 
@@ -143,6 +146,7 @@ def test_bag_of_others(tmp_path: Path) -> None:
         connection = writer.add_connection("/talk", STRING, typestore=store)
         for i in range(30_000):
             writer.write(connection, i, payload(i))
+    assert is_whole(tmp_path / "run")
     file = next((tmp_path / "run").glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 3 // 4])
     recovery = recover(file)
@@ -319,3 +323,122 @@ def test_odd_custom_data_is_left_out(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/a", "cdr", 0), 0, b"x", 0)
         writer.finish()
     assert recover(file, tmp_path / "out").messages == 1
+
+
+@pytest.mark.parametrize("place", ["message", "index", "metadata", "other files", "count"])
+def test_damage_behind_a_good_end_is_seen(tmp_path: Path, place: str) -> None:
+    """What `recover` calls whole has every byte that matters."""
+    sent = write_bag(tmp_path / "run", "none")
+    assert is_whole(tmp_path / "run")
+    file, metadata = tmp_path / "run" / "run_0.mcap", tmp_path / "run" / "metadata.yaml"
+    data = bytearray(file.read_bytes())
+    if place == "message":
+        data[data.index(sent[200]) + 10] ^= 1
+    elif place == "index":
+        data[-60] ^= 1
+    file.write_bytes(data)
+    text = metadata.read_text()
+    changed = {
+        "metadata": "",
+        "other files": text.replace("run_0", "run_1"),
+        "count": text.replace(f"message_count: {COUNT}", "message_count: 7"),
+    }
+    metadata.write_text(changed.get(place, text))
+    assert not is_whole(tmp_path / "run")
+    assert recover(tmp_path / "run", in_place=True).messages > COUNT - 60
+    assert is_whole(tmp_path / "run")
+
+
+@pytest.mark.parametrize("where", ["metadata.yaml", "record", "file"])
+def test_compression_of_rosbag2_is_refused(tmp_path: Path, where: str) -> None:
+    """Its messages are not what they are declared to be, or its files would be passed over."""
+    folder = tmp_path / "run"
+    told = "compression_format: zstd\ncompression_mode: MESSAGE"
+    with BagWriter(folder) as writer:
+        if where == "record":
+            writer.add_metadata("rosbag2", {"serialized_metadata": told})
+        writer.write(writer.add_channel("/a", STRING), payload(0), 0, 0)
+    metadata = folder / "metadata.yaml"
+    if where == "metadata.yaml":
+        text = metadata.read_text().replace('compression_format: ""', "compression_format: zstd")
+        metadata.write_text(text.replace('compression_mode: ""', "compression_mode: MESSAGE"))
+    elif where == "file":
+        (folder / "run_1.mcap.zstd").write_bytes(b"(/")
+    before = {file: file.read_bytes() for file in folder.iterdir()}
+    for in_place in (False, True):
+        with pytest.raises(BagError, match="decompress it with `ros2 bag convert`"):
+            recover(folder, in_place=in_place)
+    assert {file: file.read_bytes() for file in folder.iterdir()} == before
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("name", [".", "..", "../bag"])
+def test_relative_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """The output is beside the bag from wherever one looks at it."""
+    write_bag(tmp_path / "bag")
+    cut(tmp_path / "bag", 9000)
+    here = tmp_path / "bag" / "sub" if name == ".." else tmp_path / "bag"
+    here.mkdir(exist_ok=True)
+    monkeypatch.chdir(here)
+    assert recover(name).target.resolve() == tmp_path / "bag_recovered"
+
+
+def test_failure_leaves_nothing_behind(tmp_path: Path) -> None:
+    """What cannot be read is told in a sentence; the next attempt finds the way free."""
+    write_bag(tmp_path / "run")
+    before = cut(tmp_path / "run", 9000).read_bytes()
+    (tmp_path / "run" / "run_1.mcap").mkdir()  # no file, so it cannot be read
+    for call in (recover, is_whole, repair):
+        with pytest.raises(BagError, match="run_1.mcap"):
+            call(tmp_path / "run")
+    (tmp_path / "run" / "run_1.mcap").rmdir()
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert (tmp_path / "run" / "run_0.mcap").read_bytes() == before
+    assert recover(tmp_path / "run").messages > 0
+
+
+def test_full_disk_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Neither a draft nor a folder that blocks the next attempt; the broken bag is as it was."""
+    write_bag(tmp_path / "run", "none", 20_000)
+    size = (tmp_path / "run" / "run_0.mcap").stat().st_size
+    cut(tmp_path / "run", size * 3 // 4)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size // 2, limits[1]))
+    try:
+        for call in (recover, repair):
+            with pytest.raises(BagError, match="free some space"):
+                call(tmp_path / "run")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "run"]
+
+
+def test_in_place_keeps_the_metadata_too(tmp_path: Path) -> None:
+    """Somebody may have written into it by hand."""
+    write_bag(tmp_path / "run")
+    (tmp_path / "run" / "metadata.yaml").write_text("mine: [")
+    recovery = recover(tmp_path / "run", in_place=True)
+    assert [file.name for file in recovery.kept] == ["metadata.yaml.broken"]
+    assert recovery.kept[0].read_text() == "mine: ["
+
+
+def test_file_that_grows_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other recorders lock nothing; one that writes meanwhile loses nothing."""
+    write_bag(tmp_path / "run")
+    file = cut(tmp_path / "run", 9000)
+    copy = recover_module._copy
+
+    def copy_while_somebody_writes(source: Path, target: Path) -> object:
+        done = copy(source, target)
+        with source.open("ab") as stream:
+            stream.write(b"more")
+        return done
+
+    monkeypatch.setattr(recover_module, "_copy", copy_while_somebody_writes)
+    with pytest.raises(BagError, match="has changed meanwhile"):
+        repair(tmp_path / "run")
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert file.stat().st_size == 9004
