@@ -163,8 +163,10 @@ def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = N
     """
     from tactile_hand_ros.analysis import Run
     from tactile_hand_ros.analysis import audit as a
+    from tactile_hand_ros.analysis.recompute import reason
 
-    checks = a.audit(Run(bag, namespace=namespace))
+    run = Run(bag, namespace=namespace)
+    checks = a.audit(run)
     _print("audit", a.COLUMNS, a.rows(checks))
     wrong = [check for check in checks if not check.ok]
     for check in wrong:
@@ -174,6 +176,7 @@ def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = N
             file=sys.stderr,
         )
     if wrong:
+        print("Not all agrees with the configuration" + reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
 
 

@@ -4,6 +4,9 @@
 Both are worked out anew from the recorded inputs by other formulas and solvers than those of the
 nodes. What they share with the nodes is the hand's kinematics, and the small filters that have a
 memory: reference and load observer.
+
+Where the hand did not drive, torques are not checked. Calls of services (grasp, reset) and live
+gains are no messages, so that a bag does not hold them: ticks after one disagree.
 """
 
 from __future__ import annotations
@@ -15,14 +18,17 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.analysis import optimum
 from tactile_hand_ros.analysis.recompute import heeded_inputs, scenario_of
-from tactile_hand_ros.analysis.recorded_inputs import Inputs, read_inputs
+from tactile_hand_ros.analysis.recorded_inputs import Inputs, Wish, read_inputs
 from tactile_hand_ros.analysis.run import Run
+from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import ControllerConfig
+from tactile_hand_ros.core.errors import PoseError
 from tactile_hand_ros.core.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.load_observer import LoadObserver
 from tactile_hand_ros.core.manipulation import AuxiliaryPose, Target
+from tactile_hand_ros.core.reach import check_reach
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.reference import SmoothReference
 from tactile_hand_ros.core.rotations import rotation_from_quaternion
@@ -72,16 +78,21 @@ def audit(run: Run) -> list[Check]:
     """Audit a run whose scenario is known.
 
     Raises:
-        BagError: If it is not known, or the bag cannot be read.
+        BagError: If it is not known, the bag cannot be read, or the hand never had a grasp.
     """
     scenario, inputs = scenario_of(run), read_inputs(run)
+    if not _grasped(inputs.record).any():
+        raise BagError(
+            f"{run.bag} has no tick at which all fingers touch, expected one: there is nothing to "
+            "audit; record a run with a grasp."
+        )
     if not all(wish.certain for wish in inputs.poses):
         inputs = heeded_inputs(run)
     hand = Hand.load(
         scenario.hand, scenario.layout, np.array(scenario.manipulation_controller.gravity)
     )
     forces = _audit_forces(scenario.force_optimizer, inputs.record)
-    return [*forces, *_audit_torques(scenario, hand, inputs)]
+    return [*forces, _audit_absence(inputs), *_audit_torques(scenario, hand, inputs)]
 
 
 def _check(
@@ -120,11 +131,25 @@ def _spread(positions: Array) -> Array:
     return np.asarray(extents[:, 1] / extents[:, 0])
 
 
+def _grasped(record: Record) -> Flags:
+    """Return at which ticks all fingers touch, and not on one line, shape (n,)."""
+    grasped: Flags = np.asarray(np.isfinite(record.contact_positions).all(axis=(1, 2)))
+    grasped[grasped] = _spread(record.contact_positions[grasped]) >= _COLLINEAR
+    return grasped
+
+
+def _audit_absence(inputs: Inputs) -> Check:
+    """Check that no f*, such as an old one, was given for contacts that are no grasp."""
+    record = inputs.record
+    heard = np.array([contacts is not None for contacts in inputs.contacts], dtype=np.bool_)
+    rows = np.flatnonzero(heard & ~_grasped(record))
+    given = np.isfinite(record.optimal_forces[rows]).any(axis=(1, 2))
+    return _check("no f* where there is no grasp", record, rows, np.asarray(1.0 * given), 0.5, "1")
+
+
 def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
     """Check every f* that was given, and that one was given wherever there is one."""
-    touching = np.isfinite(record.contact_positions).all(axis=(1, 2))
-    rows = np.flatnonzero(touching)
-    rows = rows[_spread(record.contact_positions[rows]) >= _COLLINEAR]
+    rows = np.flatnonzero(_grasped(record))
     k = len(record.finger_names)
     positions = record.contact_positions[rows]
     rotations = _rotations(record.contact_quaternions[rows])
@@ -135,47 +160,70 @@ def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
     answered = np.isfinite(given).all(axis=1)
     wanted = np.isfinite(best.forces).all(axis=1)
     residual, gap = optimum.gaps(problem, given, best.multipliers)
-    shaped = np.zeros(len(rows), dtype=np.bool_)
-    violation = np.zeros(0)
+    both: Flags = np.asarray(answered & wanted)
+    plain, checks = both, list[Check]()
     if config.cones:
-        shaped = answered & wanted & (np.abs(given - best.forces).max(axis=1) > FORCE_TOLERANCE)
-        violation = _cone_violations(config, record, problem, rows, given, shaped)
-    plain = np.flatnonzero(answered & wanted & ~shaped)
-    checks = [
-        _check("(13), optimality conditions", record, rows[plain], residual[plain], 1e-6, "1"),
-        _check("(13), duality gap per cost", record, rows[plain], gap[plain], 1e-6, "1"),
+        pyramids = _pyramids(config, record, rows)
+        known = np.array([p is not None for p in pyramids], dtype=np.bool_)
+        felt: Flags = np.asarray(np.isfinite(record.forces[rows]).all(axis=(1, 2)))
+        felt &= np.isfinite(record.friction[rows]).all(axis=1)
+        differs: Flags = np.asarray(np.abs(given - best.forces).max(axis=1) > FORCE_TOLERANCE)
+        # Without a message that the bag has lost nobody knows the cones.
+        plain = both & ~(differs & (known | ~felt))
+        checks = _audit_cones(problem, record, rows, given, pyramids, both, differs)
+    at = np.flatnonzero(plain)
+    return [
+        _check("(13), optimality conditions", record, rows[at], residual[at], 1e-6, "1"),
+        _check("(13), duality gap per cost", record, rows[at], gap[at], 1e-6, "1"),
         _check("f* where (13) has one", record, rows, 1.0 * (answered != wanted), 0.5, "1"),
+        *checks,
     ]
-    if config.cones:
-        inside = np.flatnonzero(shaped)
-        name = "(13) with cones, optimality conditions"
-        checks.append(_check(name, record, rows[inside], violation, CONE_TOLERANCE, "1"))
-    return checks
 
 
-def _cone_violations(
-    config: ForceOptimizerConfig,
-    record: Record,
-    problem: optimum.Problem,
-    rows: NDArray[np.intp],
-    given: Array,
-    shaped: Flags,
-) -> Array:
-    """Return the violation of the conditions with cones at the ticks where they shape f*."""
+def _pyramids(
+    config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp]
+) -> list[optimum.Pyramids | None]:
+    """Return the friction pyramids at some ticks, None where load or friction is not known."""
     loads = _loads(config, record, rows)
     friction = config.cone_share * record.friction[rows]
-    return np.array(
-        [
-            optimum.cone_violation(
-                problem.equal[i],
-                problem.weights,
-                problem.minimum,
-                optimum.Pyramids(friction[i], loads[i], _SIDES, _PENALTY),
-                given[i],
-            )
-            for i in np.flatnonzero(shaped)
-        ]
+    known: Flags = np.asarray(
+        np.isfinite(loads).all(axis=(1, 2)) & np.isfinite(friction).all(axis=1)
     )
+    return [
+        optimum.Pyramids(friction[i], loads[i], _SIDES, _PENALTY) if known[i] else None
+        for i in range(len(rows))
+    ]
+
+
+def _audit_cones(
+    problem: optimum.Problem,
+    record: Record,
+    rows: NDArray[np.intp],
+    given: Array,
+    pyramids: list[optimum.Pyramids | None],
+    both: Flags,
+    differs: Flags,
+) -> list[Check]:
+    """Check f* where cones shape it, and that it is inside them where they do not."""
+    shaped: Array = np.full(len(rows), np.nan)
+    others = shaped.copy()
+    for i, p in enumerate(pyramids):
+        if p is None or not both[i]:
+            continue
+        if differs[i]:
+            shaped[i] = optimum.cone_violation(
+                problem.equal[i], problem.weights, problem.minimum, p, given[i]
+            )
+        else:
+            others[i] = max(0.0, p.excess(given[i]))
+    checks = []
+    for name, worst in (
+        ("(13) with cones, optimality conditions", shaped),
+        ("cones that did not shape f*", others),
+    ):
+        at = np.flatnonzero(np.isfinite(worst))
+        checks.append(_check(name, record, rows[at], worst[at], CONE_TOLERANCE, "1"))
+    return checks
 
 
 def _loads(config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp]) -> Array:
@@ -221,11 +269,13 @@ def _audit_torques(scenario: Scenario, hand: Hand, inputs: Inputs) -> list[Check
     answered = np.isfinite(record.command).all(axis=1)
     known = np.isfinite(record.contact_positions).all(axis=(1, 2))
     rows = np.flatnonzero(drove & answered & known)
+    name = {"optimal": "(14)", "contact": "(10)", "kawamura": "(8)"}[config.law.name]
+    name = f"torque of law {name}"
+    if not len(rows):
+        return [_check(name, record, rows, np.zeros(0), TORQUE_TOLERANCE, "N m")]
     tips = [hand.fingertips(record.theta[row]) for row in rows]
     linear, angular = np.array([t.linear for t in tips]), np.array([t.angular for t in tips])
     centres = np.array([t.positions for t in tips])
-    if not len(rows):
-        return []
     points = record.contact_positions[rows]
     if config.law.name == "kawamura":
         points = centres
@@ -236,10 +286,7 @@ def _audit_torques(scenario: Scenario, hand: Hand, inputs: Inputs) -> list[Check
     if len(record.finger_names) == 3:
         turned = _frame_errors(points, record.auxiliary_quaternion[rows])
         checks.append(_check("virtual frame", record, rows, turned, POSE_TOLERANCE, "rad"))
-    name = {"optimal": "(14)", "contact": "(10)", "kawamura": "(8)"}[config.law.name]
-    checks.append(
-        _check(f"torque of law {name}", record, rows, difference, TORQUE_TOLERANCE, "N m")
-    )
+    checks.append(_check(name, record, rows, difference, TORQUE_TOLERANCE, "N m"))
     return checks
 
 
@@ -269,7 +316,7 @@ def _law_torques(
     linear, angular, centres = tips
     points, k = record.contact_positions[rows], len(record.finger_names)
     n, m = len(rows), linear.shape[-1]
-    drive, carry = _wrenches(config, record, rows, inputs)
+    drive, carry = _wrenches(config, hand, record, rows, inputs)
     squeeze = record.grasp_force[rows][:, None, None]
     if config.law.name == "kawamura":
         pull = squeeze / hand.radii.sum() * (centres.mean(axis=1, keepdims=True) - centres)
@@ -301,7 +348,11 @@ def _law_torques(
 
 
 def _wrenches(
-    config: ControllerConfig, record: Record, rows: NDArray[np.intp], inputs: Inputs
+    config: ControllerConfig,
+    hand: Hand,
+    record: Record,
+    rows: NDArray[np.intp],
+    inputs: Inputs,
 ) -> tuple[Array, Array]:
     """Return what moves and what carries the object at some ticks, both of shape (n, 6)."""
     frames = _rotations(record.auxiliary_quaternion[rows])
@@ -309,7 +360,9 @@ def _wrenches(
     integral = np.zeros(6)
     drive, carry = np.zeros((len(rows), 6)), np.zeros((len(rows), 6))
     target: Target | None = None
-    pending = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
+    grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
+    unsaid = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
+    queue: list[Wish] = []
     for i, row in enumerate(rows):
         follows = i > 0 and rows[i - 1] == row - 1
         dt = 1e-9 * float(record.stamps[row] - record.stamps[row - 1]) if follows else 0.0
@@ -317,10 +370,20 @@ def _wrenches(
             reference.reset()
         now = AuxiliaryPose(record.auxiliary_position[row], frames[i])
         target = target or Target(now.position, now.orientation)
-        due = [w for w in pending if w.first <= row and w.stamp <= int(record.stamps[row])]
-        for wish in due:
-            pending.remove(wish)
-            target = wish.value
+        # As in the controller: judged by the grasp when it is said, and again when it is due.
+        for wish in [w for w in unsaid if w.first <= row]:
+            unsaid.remove(wish)
+            if grasp is None or _within_reach(hand, *grasp, wish.value):
+                queue.append(wish)
+        contacts = Contacts(
+            record.contact_positions[row],
+            rotation_from_quaternion(record.contact_quaternions[row]),
+        )
+        grasp = record.theta[row], contacts, now
+        for wish in [w for w in queue if w.stamp <= int(record.stamps[row])]:
+            queue.remove(wish)
+            if _within_reach(hand, *grasp, wish.value):
+                target = wish.value
         wanted = reference.step(target, now, config.reference_time, dt)
         error = np.concatenate(
             [
@@ -332,12 +395,19 @@ def _wrenches(
         integral = _integrated(config, integral, error, dt)
         carry[i] = integral
         if config.law.observer.time > 0.0:
-            contacts = Contacts(
-                record.contact_positions[row],
-                rotation_from_quaternion(record.contact_quaternions[row]),
-            )
             carry[i] += observer.step(config.law.observer, contacts, record.forces[row], dt)
     return drive, carry
+
+
+def _within_reach(
+    hand: Hand, theta: Array, contacts: Contacts, pose: AuxiliaryPose, target: Target
+) -> bool:
+    """Return whether the controller took a desired pose."""
+    try:
+        check_reach(hand, theta, contacts, pose, target)
+    except PoseError:
+        return False
+    return True
 
 
 def _integrated(config: ControllerConfig, integral: Array, error: Array, dt: float) -> Array:

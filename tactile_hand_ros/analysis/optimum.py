@@ -155,6 +155,11 @@ class Pyramids:
         flat = rows.reshape(k * self.sides, 3 * k)
         return flat, -flat @ self.load.ravel()
 
+    def excess(self, forces: Array) -> float:
+        """Return how far f*, shape (3k,), is outside; negative inside."""
+        rows, bound = self.rows()
+        return float((rows @ forces - bound).max())
+
 
 def cone_violation(equal: Array, weights: Array, minimum: float, p: Pyramids, f: Array) -> float:
     """Return how far f*, shape (3k,), is from the optimality conditions with cones.

@@ -5,8 +5,8 @@ With the configuration of the run every number must come out as it was recorded,
 another configuration or law the difference shows what that controller would have answered at the
 same ticks (a shadow controller: its answers do not move the hand).
 
-Calls of services (enable, grasp, reset) are no messages, so that a bag does not hold them: ticks
-after one differ from what was recorded.
+Calls of services (enable, grasp, reset) and live parameters are no messages, so that a bag does not
+hold them: ticks after one differ from what was recorded.
 """
 
 from __future__ import annotations
@@ -194,8 +194,8 @@ def reason(run: Run) -> str:
     if int(told.get("lost_messages", 0)):
         return f": {told['lost_messages']} messages are missing from the bag."
     return (
-        "; a service call (enable, grasp, reset), which a bag does not hold, or changed code may "
-        "be the reason."
+        "; a service call (enable, grasp, reset) or a live parameter, neither of which a bag "
+        "holds, or changed code may be the reason."
     )
 
 

@@ -202,7 +202,9 @@ def test_audit_names_the_first_wrong_tick(
     assert stamp in [c.first for c in checks if name in c.name]
     assert all(c.first in (None, stamp) for c in checks)
     assert main(["audit", str(tmp_path)]) == 1
-    assert f"first at tick {stamp} ns" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert f"first at tick {stamp} ns" in told
+    assert "a service call (enable, grasp, reset) or a live parameter" in told
 
 
 def test_audit_knows_an_f_that_is_feasible_but_not_optimal(tmp_path: Path) -> None:
@@ -213,6 +215,94 @@ def test_audit_knows_an_f_that_is_feasible_but_not_optimal(tmp_path: Path) -> No
     by_name = {c.name: c for c in checks}
     assert by_name["(13), duality gap per cost"].wrong == 20
     assert by_name["torque of law (14)"].ok
+
+
+@pytest.mark.parametrize("said", [-0.001, 0.2])
+def test_audit_drops_poses_out_of_reach(tmp_path: Path, said: float) -> None:
+    """A pose that the hand refused, when it was said or when it was due, is no target."""
+    targets = [
+        {"time": 0.0, "position": [0.0, 0.05, 0.4]},
+        {"time": 0.3, "position": [0.0, 0.5, 0.4]},
+    ]
+    scenario = load_scenario("paper", {"duration": 0.5, "targets": targets[:1]})
+    record = ClosedLoop(scenario).run(TICKS)
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
+        for wish in targets:
+            stamp = round(1e9 * wish["time"])
+            at = START + (round(said / 0.002) * PERIOD if stamp else -(10**9))
+            bag.write("/desired_pose", pose_stamped(stamp, wish["position"], (0, 0, 0, 1)), at)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD)
+    run = Run(tmp_path)
+    assert recompute(run).same
+    assert [c for c in audit(run) if not c.ok] == []
+
+
+@pytest.mark.parametrize("lost", ["contact", "line"])
+def test_audit_knows_an_f_without_a_grasp(
+    paper: tuple[Scenario, Record], tmp_path: Path, lost: str
+) -> None:
+    """An old f* at a tick at which (13) cannot have an answer."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    if lost == "contact":
+        record.contact_positions[40, 1] = record.contact_quaternions[40, 1] = np.nan
+    else:
+        record.contact_positions[40] = np.outer([0.0, 0.1, 0.2], [1.0, 0.0, 0.0])
+    record.auxiliary_position[40] = np.nan
+    record.auxiliary_quaternion[40] = np.nan
+    checks = audit(write(tmp_path / "stale", scenario, record))
+    [check] = [c for c in checks if c.name == "no f* where there is no grasp"]
+    assert (check.ticks, check.wrong, check.first) == (1, 1, int(record.stamps[40]))
+    record.optimal_forces[40] = np.nan
+    checks = audit(write(tmp_path / "none", scenario, record))
+    [check] = [c for c in checks if c.name == "no f* where there is no grasp"]
+    assert check.ok and check.ticks == 1
+
+
+def test_audit_knows_an_optimizer_that_ignores_its_cones(tmp_path: Path) -> None:
+    """The optimum of (13) is none where it leaves a cone."""
+    changes = GRIP | {"force_optimizer.cone_share": 0.2}
+    scenario = load_scenario("user_grip", changes | {"force_optimizer.cones": True})
+    plain = load_scenario("user_grip", changes | {"force_optimizer.cones": False})
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, ClosedLoop(plain).run(TICKS)))}
+    assert checks["(13), optimality conditions"].ok
+    assert checks["cones that did not shape f*"].wrong > 100
+
+
+def test_audit_of_an_f_that_no_load_explains_is_a_table(tmp_path: Path) -> None:
+    """Where the squeeze is too small for cones, f* must be the optimum without."""
+    scenario = load_scenario("user_grip", GRIP | {"force_optimizer.cones": True})
+    record = ClosedLoop(scenario).run(TICKS)
+    record.forces[70] *= 1e-3
+    record.optimal_forces[70, 0, 0] += 0.1
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, record))}
+    assert checks["(13), optimality conditions"].first == int(record.stamps[70])
+
+
+def test_audit_of_nothing_is_an_error(
+    paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hand that never touched with all fingers proves nothing."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.contact_positions[:, 0] = record.contact_quaternions[:, 0] = np.nan
+    with pytest.raises(BagError, match="no tick at which all fingers touch"):
+        audit(write(tmp_path, scenario, record))
+    assert main(["audit", str(tmp_path)]) == 2
+    assert "no tick" in capsys.readouterr().err
+
+
+def test_audit_says_where_no_torque_was_checked(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """A hand that held all the time has torques, but none of a law."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.auxiliary_position[:] = np.nan
+    record.auxiliary_quaternion[:] = np.nan
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, record))}
+    assert checks["torque of law (14)"].ticks == 0
 
 
 def test_commands_tell_by_their_exit_code(
