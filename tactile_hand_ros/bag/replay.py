@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_namespace import validate_namespace
 from rosbags.interfaces import Connection
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -51,7 +53,8 @@ class Replay:
             options: How to replay.
 
         Raises:
-            BagError: If the bag cannot be read, or no topic of it is left to publish.
+            BagError: If the bag cannot be read, no topic of it is left to publish, or it does not
+                reach to the start offset.
         """
         self._node, self._options = node, options
         self._changed = threading.Condition()
@@ -61,13 +64,19 @@ class Replay:
         self._opened = open_bag(bag)
         self._reader = self._opened.__enter__()
         try:
+            _check_namespace(options.namespace)
             self._connections = self._choose(bag)
+            self._begin = self._reader.start_time
+            self._end = self._reader.end_time
+            self.progress.duration = 1e-9 * (self._end - self._begin)
+            if not 0.0 <= options.start_offset <= self.progress.duration:
+                raise BagError(
+                    f"The start offset is {options.start_offset:g} s, expected 0 to "
+                    f"{self.progress.duration:g} s, the length of the bag {bag}."
+                )
         except BaseException:
             self.close()
             raise
-        self._begin = self._reader.start_time
-        self._end = self._reader.end_time
-        self.progress.duration = 1e-9 * (self._end - self._begin)
         self._timeline = Timeline(self._start, options.rate)
         self._clock = node.create_publisher(Clock, CLOCK, 10) if options.clock > 0.0 else None
         self._next_clock = 0.0
@@ -97,10 +106,13 @@ class Replay:
         if not self._options.paused:
             self.pause(False)
         while not stop():
+            round_end = time.monotonic() + _LOOK
             self._publish_latched()
             self._timeline.jump(self._start, time.monotonic())
             if not self._pass(watch, stop) or not self._options.loop:
                 break
+            # What lasts no time must not be repeated as fast as the machine can.
+            self._pause_for(round_end - time.monotonic(), watch, stop)
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(_LAST_CALL)
         watch(self.progress)
@@ -229,6 +241,16 @@ class Replay:
         self.pause(request.data)
         response.success, response.message = True, "paused" if request.data else "running"
         return response
+
+
+def _check_namespace(namespace: str) -> None:
+    try:
+        validate_namespace(namespace or "/")
+    except InvalidNamespaceException:
+        raise BagError(
+            f"'{namespace}' is no namespace, expected letters, digits and underscores that begin "
+            "with no digit, as /left."
+        ) from None
 
 
 def offered_qos(offers: Sequence[Any], count: int) -> QoSProfile:

@@ -14,7 +14,7 @@ class ReplayOptions:
     Attributes:
         rate: Seconds of the bag per second on the wall.
         start_offset: Where to begin, s after the first message.
-        loop: Begin again at the end, until stopped.
+        loop: Begin again at the end, until stopped; a round takes at least 0.1 s.
         topics: Regular expressions, one of which matches the whole name of a chosen topic.
         exclude: Regular expressions, none of which matches it.
         clock: Messages on ``/clock`` per second with the time of the bag, 0 for none; those of the

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import signal
 import sys
 import time
@@ -185,6 +186,22 @@ def test_pause_loop_clock_and_interrupt(
     assert "Traceback" not in process.stderr
 
 
+def test_loop_of_one_instant_does_not_spin(
+    replay: Callable[..., ProcessUnderTest], listener: Listener
+) -> None:
+    """Rounds without duration come ten times a second, not as fast as the machine can."""
+    listener.listen("/robot_description", String, LATCHED)
+    process = replay("--loop", "--topics=/robot_description")
+    listener.until(heard_of(listener, "/robot_description"))
+    begin = time.monotonic()
+    listener.call(paused=False)
+    listener.until(lambda: len(listener.heard["/robot_description"]) >= 4)
+    process.send(signal.SIGINT)
+    assert process.wait() == 130
+    [count] = re.findall(r"published (\d+) messages", process.stderr)
+    assert 4 <= int(count) <= 10.0 * (time.monotonic() - begin) + 1.0
+
+
 def test_space_key_goes_on(
     replay: Callable[..., ProcessUnderTest], listener: Listener, tmp_path: Path
 ) -> None:
@@ -227,6 +244,10 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
         (["--rate=0"], "expected a number above 0"),
         (["--exclude=("], "no regular expression"),
         (["--set=a=1"], "expected --recompute too"),
+        (["--start-offset=100", "--loop"], "expected 0 to 0.995"),
+        (["--start-offset=nan"], "offset"),
+        (["--start-offset=inf"], "expected 0 to 0.995"),
+        (["--namespace=1x"], "is no namespace"),
     ):
         process = replay(*arguments)
         assert process.wait() == 2
