@@ -19,9 +19,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import osqp
 from numpy.typing import NDArray
 from scipy import sparse
+
+from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
 
@@ -91,14 +92,12 @@ class ConeOptimizer:
         pattern[:6, n] = 0.0
         self._pattern = sparse.csc_matrix(pattern)
         self._columns = np.repeat(np.arange(n + 1), np.diff(self._pattern.indptr))
-        self._solver = osqp.OSQP()
-        self._solver.setup(
+        self._solver = WarmSolver(
             sparse.diags(2.0 * self._weights, format="csc"),
             self._price,
             self._pattern.copy(),
             self._lower,
             self._upper,
-            verbose=False,
             eps_abs=_TOLERANCE,
             eps_rel=_TOLERANCE,
             polishing=True,
@@ -142,9 +141,7 @@ class ConeOptimizer:
             rows[cone, 3 * i + 1] = -slope
             x, normal, z = cones.load[i]
             upper[cone] = slope * normal - _DIRECTIONS @ np.array([x, z])
-        self._solver.update(Ax=rows[self._pattern.indices, self._columns], u=upper)
-        result = self._solver.solve(raise_error=False)
-        x, y = np.asarray(result.x), np.asarray(result.y)
+        x, y, _ = self._solver.solve(rows[self._pattern.indices, self._columns], upper)
         if not np.isfinite(x).all() or not np.isfinite(y).all():
             return np.full((k, 3), np.nan), np.inf
         gradient = np.abs(2.0 * self._weights * x + self._price + rows.T @ y).max()

@@ -39,8 +39,9 @@ class Contacts:
     def touching(self) -> NDArray[np.bool_]:
         """Which fingers touch, shape (k,)."""
         # A sum is finite only if all its terms are; a point without a frame is of no use either.
-        sums = self.positions.sum(axis=1) + self.rotations.sum(axis=(1, 2))
-        return np.asarray(np.isfinite(sums))
+        k = len(self.positions)
+        add = np.add.reduce
+        return np.isfinite(add(self.positions, 1) + add(self.rotations.reshape(k, 9), 1))
 
     @property
     def normals(self) -> Array:
@@ -50,7 +51,7 @@ class Contacts:
     @cached_property
     def centroid(self) -> Array:
         """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
-        return np.asarray(self.positions.sum(axis=0) / len(self.positions))
+        return np.asarray(np.add.reduce(self.positions) / len(self.positions))
 
 
 def contact_frame(normal: Array) -> Array:

@@ -18,13 +18,14 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts, skew
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, collinearity_margin
+from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
 
+_SOLVED = osqp.SolverStatus.OSQP_SOLVED
+_INFEASIBLE = osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
 _MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
 _GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
-
-
 _MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
 
 
@@ -180,8 +181,7 @@ class ForceOptimizer:
             )
         balance = self._balance(contacts)
         self._values[self._balance_slots] = balance.ravel()
-        self._solver.update(Ax=self._values)
-        solved = self._judge(self._solver.solve(raise_error=False), balance)
+        solved = self._judge(*self._solver.solve(self._values), balance)
         return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
 
     def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
@@ -230,14 +230,12 @@ class ForceOptimizer:
         self._shaper = None
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
-        self._solver = osqp.OSQP()
-        self._solver.setup(
+        self._solver = WarmSolver(
             sparse.diags(2.0 * self._weights, format="csc"),
             np.zeros(n),
             matrix,
             lower,
             upper,
-            verbose=False,
             eps_abs=_MAX_RESIDUAL,
             eps_rel=_MAX_RESIDUAL,
             polishing=True,
@@ -247,21 +245,19 @@ class ForceOptimizer:
             adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
         )
 
-    def _judge(self, result: object, balance: Array) -> OptimalForces:
-        info = result.info  # type: ignore[attr-defined]
-        if info.status_val == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE:
+    def _judge(self, x: Array, y: Array, info: Any, balance: Array) -> OptimalForces:
+        if info.status_val == _INFEASIBLE:
             self._set_up()  # the certificate is a bad start for the next grasp
             return self._without_answer(
                 Status.UNBALANCED,
                 "no pushing forces at these contacts balance; place a finger on an opposing face",
             )
-        x, y = result.x, result.y  # type: ignore[attr-defined]
         solved = self._measured(x, y, balance, info)
         if solved.residual > _GOOD_RESIDUAL and (exact := self._sharpened(x, y, balance)):
             solved = min(
                 solved, self._measured(*exact, balance, info), key=lambda forces: forces.residual
             )
-        if info.status_val != osqp.SolverStatus.OSQP_SOLVED or not solved.residual < _MAX_RESIDUAL:
+        if info.status_val != _SOLVED or not solved.residual < _MAX_RESIDUAL:
             self._set_up()
             return self._without_answer(
                 Status.FAILED,

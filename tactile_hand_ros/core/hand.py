@@ -97,6 +97,12 @@ class Hand:
         pin.computeJointJacobians(self._model, self._data, theta)
         return self._read_fingertips()
 
+    def tip_positions(self, theta: Array) -> Array:
+        """Return the centres of the fingertips alone, shape (k, 3), m."""
+        pin.forwardKinematics(self._model, self._data, theta)
+        update = pin.updateFramePlacement
+        return np.array([update(self._model, self._data, tip).translation for tip in self._tips])
+
     def _read_fingertips(self) -> Fingertips:
         k, m = self.fingers, self.joints
         positions, jacobians = np.empty((k, 3)), np.empty((k, 6, m))

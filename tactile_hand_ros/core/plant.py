@@ -137,9 +137,9 @@ class Plant:
 
     def _geometry(self) -> tuple[Array, Array, Array]:
         """Return contact points, frames and gaps now."""
-        tips = self.hand.fingertips(self._theta)
+        tips = self.hand.tip_positions(self._theta)
         return contact_geometry(
-            self.solid.shape, self._position, self._rotation, tips.positions, self.hand.radii
+            self.solid.shape, self._position, self._rotation, tips, self.hand.radii
         )
 
     def advance(self, torque: Array) -> PlantState:
