@@ -41,7 +41,8 @@ class Contacts:
         # A sum is finite only if all its terms are; a point without a frame is of no use either.
         k = len(self.positions)
         add = np.add.reduce
-        return np.isfinite(add(self.positions, 1) + add(self.rotations.reshape(k, 9), 1))
+        sums = add(self.positions, 1) + add(self.rotations.reshape(k, 9), 1)
+        return np.asarray(np.isfinite(sums))
 
     @property
     def normals(self) -> Array:
