@@ -212,9 +212,11 @@ class ForceOptimizer:
         """
         arms = contacts.positions - contacts.centroid
         size = math.sqrt(np.vdot(arms, arms) / self._k)
-        axes = contacts.rotations.transpose(0, 2, 1)
-        torques = axes @ skew(arms / -size)  # t skew(-d) = d x t
-        return np.concatenate([axes, torques], axis=2).reshape(self._columns, 6)
+        balance = np.empty((self._k, 3, 6))
+        axes = balance[:, :, :3]
+        axes[:] = contacts.rotations.transpose(0, 2, 1)
+        np.matmul(axes, skew(arms / -size), out=balance[:, :, 3:])  # t skew(-d) = d x t
+        return balance.reshape(self._columns, 6)
 
     def _set_up(self) -> None:
         k, n = self._k, self._columns

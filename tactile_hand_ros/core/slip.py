@@ -118,7 +118,8 @@ class SlipRegulator:
         self.needed = math.nan
         self._last_stamp: int | None = None
         self._need.reset()
-        self._squeezes: deque[float] = deque(maxlen=_MEMORY)
+        self._squeezes: deque[float] = deque(maxlen=3)
+        self._bends: deque[float] = deque(maxlen=_MEMORY - 2)
         for detector, estimator in zip(self._detectors, self._estimators, strict=True):
             detector.reset()
             estimator.reset()
@@ -220,8 +221,10 @@ class SlipRegulator:
     def _own_change(self) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
         self._squeezes.append(self.grasp_force)
-        s = list(self._squeezes)
-        return max((abs(c - 2.0 * b + a) for a, b, c in zip(s, s[1:], s[2:])), default=0.0)
+        if len(self._squeezes) == 3:
+            a, b, c = self._squeezes
+            self._bends.append(abs(c - 2.0 * b + a))
+        return max(self._bends, default=0.0)
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
