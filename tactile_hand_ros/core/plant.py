@@ -21,8 +21,6 @@ from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant_config import PlantConfig
 from tactile_hand_ros.core.rotations import (
-    quaternion_from_rotation,
-    rotation_from_quaternion,
     rotation_from_vector,
 )
 
@@ -151,8 +149,10 @@ class Plant:
         self._torque = np.minimum(np.maximum(torque, -limit), limit)
         for _ in range(self.config.steps_per_tick):
             self._step(self.config.time_step)
-        # Back onto the rotations, before rounding errors of many products add up.
-        self._rotation = rotation_from_quaternion(quaternion_from_rotation(self._rotation))
+        # Back onto the rotations, before rounding errors of many products add up: one step of
+        # Newton's iteration to the nearest rotation (Higham 1986).
+        r = self._rotation
+        self._rotation = 1.5 * r - 0.5 * (r @ (r.T @ r))
         return self.state
 
     def _step(self, h: float) -> None:
