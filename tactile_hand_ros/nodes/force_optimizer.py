@@ -19,15 +19,14 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 
 from tactile_hand_ros.core.cone_optimizer import Cones
-from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.optimizer_inputs import Felt, OptimizerInputs
 from tactile_hand_ros.ros.optimizer_report import OptimizerReport
 from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.touch_inputs import Touch, TouchInputs
 from tactile_hand_ros.ros.wire import WrenchCodec
 
 
@@ -66,7 +65,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             self.tick_publisher(WrenchStamped, interfaces.optimal_force(name)) for name in fingers
         ]
         self._cone_watch = ConeWatch(self.config.load_time)
-        self._inputs = OptimizerInputs(self, fingers, self, cones=self.config.cones)
+        shapes = self.config.cones
+        self._inputs = TouchInputs(self, fingers, self, forces=shapes, friction=shapes)
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
         """Refuse weights that do not fit the hand."""
@@ -85,14 +85,14 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._optimizer.reset()
         self._cone_watch.reset()
 
-    def on_tick(self, stamp: int, contacts: Contacts, felt: Felt | None) -> None:
+    def on_tick(self, stamp: int, touch: Touch) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         cones: Cones | None = None
-        if felt is not None:
-            usable = self.config.cone_share * felt.friction
-            cones = self._cone_watch.step(stamp, contacts, felt.forces, usable)
-        optimal = self._optimizer.solve(contacts, cones)
+        if touch.forces is not None and touch.friction is not None:
+            usable = self.config.cone_share * touch.friction
+            cones = self._cone_watch.step(stamp, touch.contacts, touch.forces, usable)
+        optimal = self._optimizer.solve(touch.contacts, cones)
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()

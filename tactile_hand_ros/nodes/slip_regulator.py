@@ -17,22 +17,19 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.hand_config import load_hand_config
 from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.conversions import feedback_to_ros, number_from_ros
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.regulator_inputs import RegulatorInputs
 from tactile_hand_ros.ros.regulator_report import GripState, RegulatorReport
 from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.touch_inputs import Touch, TouchInputs
 from tactile_hand_ros.ros.wire import GripCodec, WrenchCodec
 
 HAPTIC_PERIOD_NS = 20_000_000
@@ -84,7 +81,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._felt, self._strongest = -1, 0.0
         qos = interfaces.user_qos()
         self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
-        self._inputs = RegulatorInputs(self, fingers, self)
+        self._inputs = TouchInputs(self, fingers, self, forces=True)
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
@@ -108,10 +105,12 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def on_tick(self, stamp: int, contacts: Contacts, forces: NDArray[np.float64]) -> None:
+    def on_tick(self, stamp: int, touch: Touch) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         regulator = self._regulator
+        contacts, forces, _ = touch
+        assert forces is not None  # asked for above
         grasp_force = regulator.step(stamp, contacts, forces)
         state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
         self._grip_sent = self._grips.encode(

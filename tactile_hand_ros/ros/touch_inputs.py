@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the force optimizer hears: contacts, and with cones also forces and grip, of one tick."""
+"""What optimizer and regulator hear: contacts and, if asked, forces and grip, of one tick."""
 
 from __future__ import annotations
 
@@ -21,22 +21,24 @@ from tactile_hand_ros.ros.wire import ContactsCodec, GripCodec, WrenchCodec
 Array = NDArray[np.float64]
 
 
-class Felt(NamedTuple):
-    """What cones are made of.
+class Touch(NamedTuple):
+    """What was heard of a tick.
 
     Attributes:
-        forces: Measured forces in contact frames, shape (k, 3), N.
-        friction: Learned friction of each contact, shape (k,).
+        contacts: Contact points and frames.
+        forces: Measured forces in contact frames, shape (k, 3), N; None unless asked for.
+        friction: Learned friction of each contact, shape (k,); None unless asked for.
     """
 
-    forces: Array
-    friction: Array
+    contacts: Contacts
+    forces: Array | None
+    friction: Array | None
 
 
-class OptimizerListener(Protocol):
+class TouchListener(Protocol):
     """Who answers ticks."""
 
-    def on_tick(self, stamp: int, contacts: Contacts, felt: Felt | None) -> None:
+    def on_tick(self, stamp: int, touch: Touch) -> None:
         """Answer a tick."""
 
     def on_repeat(self) -> None:
@@ -46,19 +48,20 @@ class OptimizerListener(Protocol):
         """Forget the past: ticks begin anew."""
 
 
-class OptimizerInputs:
-    """Subscribes to contacts and, for cones only, to what else they need.
+class TouchInputs:
+    """Subscribes to touch and joins what belongs to one stamp.
 
-    Without cones an answer waits for the contacts alone, and so comes as early as it can.
+    What is not asked for is not waited for, so that an answer comes as early as it can.
     """
 
     def __init__(
         self,
         node: TactileNode[Any],
         fingers: Sequence[str],
-        listener: OptimizerListener,
+        listener: TouchListener,
         *,
-        cones: bool,
+        forces: bool,
+        friction: bool = False,
     ) -> None:
         """Create the subscriptions.
 
@@ -66,20 +69,22 @@ class OptimizerInputs:
             node: The node.
             fingers: Names of the fingers.
             listener: Gets the ticks.
-            cones: Whether forces and grip belong to a tick.
+            forces: Whether the measured forces belong to a tick.
+            friction: Whether the learned friction does.
         """
         self._listener = listener
         self._contacts = ContactsCodec(len(fingers))
         self._grips = GripCodec(fingers)
-        wrenches = [interfaces.wrench(name) for name in fingers]
-        more = (interfaces.GRIP_STATE, *wrenches) if cones else ()
-        self._matcher = StampMatcher((interfaces.CONTACTS, *more), on_restart=listener.on_restart)
+        self._has_friction = friction
+        felt = {interfaces.wrench(name): name for name in fingers} if forces else {}
+        grip = (interfaces.GRIP_STATE,) if friction else ()
+        keys = (interfaces.CONTACTS, *grip, *felt)
+        self._matcher = StampMatcher(keys, on_restart=listener.on_restart)
         subscribe = partial(node.subscribe, sensor=True, raw=True)
         subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts)
-        if not cones:
-            return
-        node.subscribe(JointState, interfaces.GRIP_STATE, self._on_grip, raw=True)
-        for name, topic in zip(fingers, wrenches, strict=True):
+        if friction:
+            node.subscribe(JointState, interfaces.GRIP_STATE, self._on_grip, raw=True)
+        for topic, name in felt.items():
             codec = WrenchCodec(interfaces.contact_frame(name))
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec))
 
@@ -100,7 +105,7 @@ class OptimizerInputs:
         if matched is REPEAT:
             self._listener.on_repeat()
         elif matched is not None:
-            contacts, *felt = matched
-            self._listener.on_tick(
-                stamp, contacts, Felt(np.array(felt[1:]), felt[0]) if felt else None
-            )
+            contacts, *rest = matched
+            friction = rest.pop(0) if self._has_friction else None
+            forces = np.array(rest) if rest else None
+            self._listener.on_tick(stamp, Touch(contacts, forces, friction))
