@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rclpy.clock import Clock
@@ -38,11 +37,11 @@ class RecorderNode(TactileNode[RecorderConfig]):
     Parameters: the fields of `RecorderConfig`; `output` is required.
     """
 
-    def __init__(self, stop: threading.Event | None = None, **kwargs: Any) -> None:
+    def __init__(self, is_over: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
         """Create the bag and begin.
 
         Args:
-            stop: When set, the node finishes the bag and ends its context.
+            is_over: Asked again and again; then the node finishes the bag and ends its context.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
@@ -50,7 +49,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             BagError: If the output exists or cannot be written.
         """
         super().__init__("recorder", RecorderConfig, **kwargs)
-        self._stop = stop or threading.Event()
+        self._is_over = is_over
         self._recording = Recording(self, self.config)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self.create_timer(self.config.drain_period, self._step, clock=steady)
@@ -85,7 +84,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.diagnostics.fault(key, f"{count} {text}", WARN)
 
     def _step(self) -> None:
-        if self._stop.is_set():
+        if self._is_over():
             self.close()
             self.context.try_shutdown()
         elif self._recording.step():
@@ -108,11 +107,12 @@ def _node_that_ends_with_a_signal() -> RecorderNode:
     rclpy's own handlers would end the context first, and with it the access to what the
     publishers of the last messages offer.
     """
-    stop = threading.Event()
+    came: list[int] = []
     uninstall_signal_handlers()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    return RecorderNode(stop)
+        # No event: its lock, taken in a handler that a second signal interrupts, never comes free.
+        signal.signal(number, lambda which, _: came.append(which))
+    return RecorderNode(lambda: bool(came))
 
 
 _node_that_ends_with_a_signal.__doc__ = RecorderNode.__doc__  # shown by --help

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import signal
 import threading
 from types import FrameType
@@ -27,7 +29,9 @@ class Signals:
         """Begin without a signal."""
         self.number = 0
         self.count = 0
-        self._came = threading.Event()
+        # Its put may interrupt its get in the same thread, as a handler does. An event's set would
+        # wait for ever for the lock that the interrupted wait holds.
+        self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def install(self) -> None:
         """Take over the handlers; a SIGHUP that is ignored stays so, as ``nohup`` means it.
@@ -42,7 +46,7 @@ class Signals:
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.number = self.number or number
         self.count += 1
-        self._came.set()
+        self._came.put(number)
 
     @property
     def name(self) -> str:
@@ -65,7 +69,9 @@ class Signals:
         Raises:
             Interrupted: If a signal came.
         """
-        self._came.wait(seconds)
+        self.check()
+        with contextlib.suppress(queue.Empty):
+            self._came.get(timeout=seconds)
         self.check()
 
 

@@ -31,6 +31,8 @@ _DOMAINS = range(60, 102)
 
 _POLL_SECONDS = 0.002
 _STOP_SECONDS = 5.0
+# With a fault handler, SIGABRT makes a process that hangs say where.
+_TALKATIVE = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}
 _SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
@@ -158,7 +160,7 @@ class ProcessUnderTest:
             stdin=subprocess.DEVNULL,
             stdout=self._files[0],
             stderr=self._files[1],
-            env={**child_environment(), "PYTHONUNBUFFERED": "1", **(env or {})},
+            env={**child_environment(), **_TALKATIVE, **(env or {})},
             cwd=cwd,
             start_new_session=True,
         )
@@ -201,11 +203,14 @@ class ProcessUnderTest:
         """Wait for the end and return the exit code.
 
         Raises:
-            TimeoutError: With all output so far.
+            TimeoutError: With all output so far and where each of its threads stood.
         """
         try:
             return self._process.wait(timeout)
         except subprocess.TimeoutExpired:
+            self.send(signal.SIGABRT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_STOP_SECONDS)
             raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
 
     def wait_for_output(self, text: str, timeout: float = 20.0) -> None:

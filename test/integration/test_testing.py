@@ -76,13 +76,13 @@ def test_output_and_exit_code_are_kept():
             process.wait_for_output("never", 0.05)
 
 
-def test_a_process_that_does_not_end_is_reported():
-    with ProcessUnderTest([sys.executable, "-c", "import signal; signal.pause()"]) as process:
-        with pytest.raises(TimeoutError, match="still running after 0.05 s"):
+def test_a_process_that_does_not_end_says_where_it_stands():
+    program = "import signal\ndef stuck(): print(1); signal.pause()\nstuck()"
+    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+        process.wait_for_output("1")
+        with pytest.raises(TimeoutError, match="still running after 0.05 s(.|\n)*in stuck"):
             process.wait(0.05)
-        assert process.returncode is None
-        process.send(signal.SIGKILL)
-        assert process.wait() == -signal.SIGKILL
+        assert process.wait() == -signal.SIGABRT
 
 
 def test_an_exception_in_the_spinning_thread_reaches_the_test():

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signals that come at the worst moment of a wait."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+
+FLOOD = """
+import os, signal, threading, time
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+
+signals = Signals()
+signals.install()
+
+def send():
+    for _ in range(5000):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(2e-5)
+
+sender = threading.Thread(target=send)
+sender.start()
+woken = 0
+while sender.is_alive():
+    signals.count = 0
+    try:
+        signals.wait(1e-5)
+    except Interrupted:
+        woken += 1
+print(woken)
+"""
+
+
+def test_wait_without_a_signal_ends_and_says_nothing() -> None:
+    """It is a pause."""
+    Signals().wait(0.001)
+
+
+def test_wait_after_a_signal_raises_at_once() -> None:
+    """Also again and again: the wish to end does not wear off."""
+    signals = Signals()
+    signals._note(2, None)
+    for _ in range(3):
+        with pytest.raises(Interrupted, match="SIGINT"):
+            signals.wait(1000.0)
+    assert signals.exit_code == 130
+
+
+def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
+    """A handler runs between any two steps of the wait; what both use must bear that."""
+    result = subprocess.run(
+        [sys.executable, "-c", FLOOD], capture_output=True, text=True, timeout=60.0
+    )
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) > 0
