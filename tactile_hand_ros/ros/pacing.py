@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tactile_hand_ros.ros.histogram import Histogram
+
 _WINDOW = 4096
 """Latest delays of which percentiles are reported."""
 
@@ -21,6 +23,8 @@ class Pace:
     Attributes:
         missed: Ticks that came due together with a later one, so that nobody saw them.
         lost_ns: Wall time that was given up because the machine could not follow [ns].
+        jitter: How far from its time each tick came.
+        ages: How old a tick was when its command came, of all ticks that were answered.
     """
 
     def __init__(self, tick_ns: int, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -29,6 +33,7 @@ class Pace:
         self._clock = clock
         self.missed = 0
         self.lost_ns = 0
+        self.jitter, self.ages = Histogram(), Histogram()
         self._delays = np.zeros(_WINDOW)
         self._delay_count = 0
         self.start()
@@ -43,6 +48,7 @@ class Pace:
         if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
             return 0
         count = max(1, behind // self._tick + 1)
+        self.jitter.note(1e-9 * abs(behind))
         if behind > _MOST_BEHIND_NS:
             self.lost_ns += behind
             self._due_at += behind
@@ -62,3 +68,6 @@ class Pace:
             late = 1e6 * np.percentile(np.abs(self._delays[:count]), (50.0, 99.0, 100.0))
             for name, value in zip(("p50", "p99", "max"), late, strict=True):
                 put(f"jitter_{name}_us", f"{value:.0f}")
+            put("jitter_histogram_us", self.jitter.text())
+        if self.ages.count:
+            put("age_histogram_us", self.ages.text())

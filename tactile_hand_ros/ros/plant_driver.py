@@ -99,6 +99,8 @@ class PlantDriver:
         run.command(torque)
         if stamp == run.stamp:
             self._diagnostics.latency(self._answered_at - self._sent_at)
+        # A tick that others have followed is older than the newest by their number.
+        self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
         if self._is_lockstep:
             self._advance(1)
 
