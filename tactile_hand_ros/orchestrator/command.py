@@ -27,6 +27,7 @@ from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
+from tactile_hand_ros.ros.scheduling import Scheduling, parse_cpus, parse_priority
 
 EXIT_REFUSED = 2
 _WIDTH = 100  # of tables in logs and pipes
@@ -61,6 +62,12 @@ def orchestrate(
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
     ] = 30.0,
+    priority: Annotated[
+        int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")
+    ] = 0,
+    cpus: Annotated[
+        str, typer.Option(help="Processors for the nodes, as 0,2-3; not for the recorder.")
+    ] = "",
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
 ) -> None:
     """Run a scenario: start the nodes, record them, command the poses, sum up.
@@ -80,6 +87,7 @@ def orchestrate(
             interactive=interactive,
             composed=composed,
             startup_timeout=startup_timeout,
+            scheduling=Scheduling(parse_priority(str(priority)), parse_cpus(cpus) if cpus else ()),
         )
         with (
             ros_context(ros_arguments) as ros,

@@ -32,6 +32,7 @@ from tactile_hand_ros.orchestrator.wiring import (
     Gap,
     Wiring,
 )
+from tactile_hand_ros.ros.scheduling import Scheduling
 
 START_ORDER = (RECORDER, CONTROLLER, OPTIMIZER, SENSOR, REGULATOR, PLANT)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
@@ -66,6 +67,7 @@ class Plan:
         interactive: Whether to go on until a signal.
         composed: Whether the nodes share one process, all but the recorder.
         startup_timeout: Longest wait for the graph [s].
+        scheduling: How the nodes are scheduled, all but the recorder: it may be late.
     """
 
     scenario: Scenario
@@ -74,6 +76,7 @@ class Plan:
     interactive: bool = False
     composed: bool = False
     startup_timeout: float = 30.0
+    scheduling: Scheduling = Scheduling()
 
     @property
     def end(self) -> int | None:
@@ -179,7 +182,8 @@ class Session:
             self.signals.check()
             files = [self.directory.write_parameters(*pair).resolve() for pair in configs.items()]
             parameters = [word for file in files for word in ("--params-file", str(file))]
-            self._processes.start(name, self.directory.log(name), *common, *parameters)
+            own = () if name == RECORDER else self.plan.scheduling.arguments
+            self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
         self.outcome.done("processes_started")
 
     def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:

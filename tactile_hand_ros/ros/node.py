@@ -21,6 +21,7 @@ from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.parameters import ConfigParameters
+from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
 
@@ -182,6 +183,7 @@ class TactileNode(Node, Generic[C]):
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may at any time."""
         self.on_report()
+        report_scheduling(self.diagnostics)
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

@@ -19,6 +19,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling
 from tactile_hand_ros.ros.spinning import spin
 
 EXIT_OK = 0
@@ -38,7 +39,8 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
 
     Args:
         factories: Node classes or functions that make a node.
-        args: Command line with program name; None takes ``sys.argv``.
+        args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
+            ask for SCHED_FIFO and for processors, see `scheduling`.
 
     Returns:
         0 after a normal end, 1 when a node gave up while running, 2 when the configuration
@@ -105,32 +107,33 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
-    """Initialise rclpy.
+    """Let the kernel schedule the process as asked, and initialise rclpy.
 
     Raises:
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
     use_sockets()
     try:
+        scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
+        scheduling.apply()  # before there are threads that should inherit it
         rclpy.init(args=line)
     except (_rclpy.RCLError, RuntimeError) as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
-    extra = remove_ros_args(args=line)[1:]
     if extra and extra[0] in ("-h", "--help"):
         print(_help(factories))
         raise SystemExit(EXIT_OK)
     if extra:
         raise ConfigurationError(
-            f"unknown argument '{extra[0]}', expected ROS arguments such as"
-            " --ros-args -p name:=value or --params-file FILE."
+            f"unknown argument '{extra[0]}', expected {USAGE} or ROS arguments"
+            " such as --ros-args -p name:=value or --params-file FILE."
         )
 
 
 def _help(factories: Sequence[Callable[[], Any]]) -> str:
     texts = [(factory.__doc__ or "").strip() for factory in factories]
-    usage = "Arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
-    return "\n\n".join([*texts, usage])
+    usage = "ROS arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
+    return "\n\n".join([*texts, f"Arguments: {USAGE}", usage])
 
 
 def _check_ready(node: Node) -> None:

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the kernel schedules this process: SCHED_FIFO and the processors it may run on.
+
+Both are asked for on the command line and set before ROS starts: the threads of the middleware
+inherit them. What the system does not permit is no reason to stop: the node runs as
+before and says so in its diagnostics.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics
+
+PRIORITY, CPUS = "--priority", "--cpus"
+USAGE = f"{PRIORITY} N (SCHED_FIFO, 1 to 99), {CPUS} LIST (as 0,2-3)"
+
+_POLICIES = {
+    number: name
+    for name in ("SCHED_OTHER", "SCHED_FIFO", "SCHED_RR", "SCHED_BATCH", "SCHED_IDLE")
+    if (number := getattr(os, name, None)) is not None
+}
+_HIGHEST = 99
+_refusals: list[str] = []
+
+
+@dataclass(frozen=True)
+class Scheduling:
+    """What is asked of the kernel.
+
+    Attributes:
+        priority: Priority among SCHED_FIFO processes, 1 to 99; 0 leaves the policy as it is.
+        cpus: Processors to run on; empty leaves them as they are.
+    """
+
+    priority: int = 0
+    cpus: tuple[int, ...] = ()
+
+    @property
+    def arguments(self) -> list[str]:
+        """The words that ask an executable for it."""
+        priority = [PRIORITY, str(self.priority)] if self.priority else []
+        return priority + ([CPUS, format_cpus(self.cpus)] if self.cpus else [])
+
+    def apply(self) -> None:
+        """Set it for all threads and those that they will start; remember what was refused."""
+        _refusals.clear()
+        if self.priority:
+            wish = f"{PRIORITY} {self.priority}"
+            _ask(wish, self._set_policy, "run as root, or allow rtprio in limits.conf")
+        if self.cpus:
+            wish = f"{CPUS} {format_cpus(self.cpus)}"
+            here = format_cpus(range(os.cpu_count() or 1))
+            _ask(wish, self._set_cpus, f"this machine has the processors {here}")
+
+    def _set_policy(self) -> None:
+        for thread in _threads():
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(self.priority))
+
+    def _set_cpus(self) -> None:
+        for thread in _threads():
+            os.sched_setaffinity(thread, self.cpus)
+
+
+def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
+    """Read the options out of a command line.
+
+    Args:
+        words: Arguments without those of ROS.
+
+    Returns:
+        What is asked for, and the words that are left.
+
+    Raises:
+        ConfigurationError: If a value is missing or none of those allowed.
+    """
+    left, values = [], {PRIORITY: "0", CPUS: ""}
+    rest = iter(words)
+    for word in rest:
+        name, equals, value = word.partition("=")
+        if name in values:
+            values[name] = value if equals else next(rest, "")
+        else:
+            left.append(word)
+    asked = any(word.partition("=")[0] == CPUS for word in words)
+    cpus = parse_cpus(values[CPUS]) if asked else ()
+    return Scheduling(parse_priority(values[PRIORITY]), cpus), left
+
+
+def parse_priority(text: str) -> int:
+    """Read a priority.
+
+    Raises:
+        ConfigurationError: If it is no whole number from 0 to 99.
+    """
+    if not text.isdecimal() or int(text) > _HIGHEST:
+        raise ConfigurationError(
+            f"{PRIORITY} is '{text}', expected a whole number from 1 to {_HIGHEST}, or 0 for"
+            " ordinary scheduling."
+        )
+    return int(text)
+
+
+def parse_cpus(text: str) -> tuple[int, ...]:
+    """Read a list of processors such as ``0,2-3``.
+
+    Raises:
+        ConfigurationError: If it is no such list.
+    """
+    found: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = part.partition("-")
+        last = last if dash else first
+        if not (first.isdecimal() and last.isdecimal()) or int(last) < int(first):
+            raise ConfigurationError(
+                f"{CPUS} is '{text}', expected numbers of processors such as 0,2-3."
+            )
+        found.update(range(int(first), int(last) + 1))
+    return tuple(sorted(found))
+
+
+def format_cpus(cpus: Sequence[int]) -> str:
+    """Write processors as `parse_cpus` reads them."""
+    return ",".join(map(str, cpus))
+
+
+def report_scheduling(diagnostics: Diagnostics) -> None:
+    """Put policy, priority and processors in force into diagnostics, and what was refused."""
+    number = os.sched_getscheduler(0)
+    diagnostics.value("scheduling_policy", _POLICIES.get(number, str(number)))
+    diagnostics.value("scheduling_priority", os.sched_getparam(0).sched_priority)
+    diagnostics.value("scheduling_cpus", format_cpus(sorted(os.sched_getaffinity(0))))
+    diagnostics.judge("scheduling", bool(_refusals), "; ".join(_refusals), WARN)
+
+
+def _threads() -> list[int]:
+    """Return the threads of this process; libraries start some when they are loaded."""
+    return [int(name) for name in os.listdir("/proc/self/task")]
+
+
+def _ask(wish: str, request: Callable[[], None], advice: str) -> None:
+    try:
+        request()
+    except (OSError, ValueError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        _refusals.append(f"{wish} was refused ({reason}): {advice}")

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node runs as it was asked to run where the system permits it, and says so where not."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.testing import (
+    ProcessUnderTest,
+    find_executable,
+    isolated_domain,
+    private_context,
+    spinning,
+    start_executable,
+    wait_until,
+)
+
+PRIORITY = 7
+CPU = min(os.sched_getaffinity(0))
+NODE = "force_optimizer"
+
+# Becomes another program that may not use SCHED_FIFO, whoever starts it.
+_WITHOUT_RIGHT = """
+import ctypes, os, resource, sys
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+PR_CAPBSET_DROP, CAP_SYS_NICE = 24, 23
+ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_NICE)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+_TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIORITY}))"
+
+
+@pytest.fixture
+def reports() -> Iterator[list[DiagnosticStatus]]:
+    """What the node says of itself."""
+    heard: list[DiagnosticStatus] = []
+    with isolated_domain() as domain, private_context(domain) as context:
+        node = rclpy.create_node("listener", context=context)
+        node.create_subscription(
+            DiagnosticArray, interfaces.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
+        )
+        with spinning(node):
+            yield heard
+        node.destroy_node()
+
+
+def start(*words: str, permitted: bool = True) -> ProcessUnderTest:
+    """Start a node, on wish without the right to use SCHED_FIFO."""
+    command = [str(find_executable(NODE)), *words]
+    wrapper = [] if permitted else [sys.executable, "-c", _WITHOUT_RIGHT]
+    return ProcessUnderTest([*wrapper, *command])
+
+
+def first(reports: list[DiagnosticStatus]) -> tuple[DiagnosticStatus, dict[str, str]]:
+    """Wait for a report; return it and its facts."""
+    status = wait_until(lambda: reports and reports[-1], 30.0, "diagnostics")
+    return status, {pair.key: pair.value for pair in status.values}
+
+
+def threads(pid: int) -> list[int]:
+    """Return the threads of a process; there are several, of the middleware."""
+    found = [int(path.name) for path in Path(f"/proc/{pid}/task").iterdir()]
+    assert len(found) > 1
+    return found
+
+
+def test_all_threads_stay_on_the_processor_that_was_asked_for(reports):
+    with start("--cpus", str(CPU)) as process:
+        status, facts = first(reports)
+        assert status.level == DiagnosticStatus.OK
+        assert facts["scheduling_cpus"] == str(CPU)
+        assert facts["scheduling_policy"] == "SCHED_OTHER"
+        assert all(os.sched_getaffinity(thread) == {CPU} for thread in threads(process.pid))
+
+
+def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports):
+    tried = subprocess.run([sys.executable, "-c", _TRY], capture_output=True)
+    with start("--priority", str(PRIORITY)) as process:
+        status, facts = first(reports)
+        policies = {os.sched_getscheduler(thread) for thread in threads(process.pid)}
+        if tried.returncode == 0:
+            assert (status.level, facts["scheduling_policy"]) == (DiagnosticStatus.OK, "SCHED_FIFO")
+            assert facts["scheduling_priority"] == str(PRIORITY)
+            assert policies == {os.SCHED_FIFO}
+        else:
+            assert status.level == DiagnosticStatus.WARN
+            assert policies == {os.SCHED_OTHER}
+
+
+def test_a_refusal_is_a_warning_and_the_node_works_on(reports):
+    with start("--priority", str(PRIORITY), permitted=False) as process:
+        status, facts = first(reports)
+        assert status.level == DiagnosticStatus.WARN
+        assert f"--priority {PRIORITY} was refused" in status.message
+        assert facts["scheduling_policy"] == "SCHED_OTHER"
+        assert process.stop() == 0
+
+
+def test_a_processor_that_is_not_there_is_a_warning(reports):
+    with start("--cpus", "9999"):
+        status, _ = first(reports)
+        assert status.level == DiagnosticStatus.WARN
+        assert "--cpus 9999 was refused" in status.message
+
+
+def test_nonsense_ends_the_start():
+    with start("--cpus", "all") as process:
+        assert process.wait() == 2
+        assert "--cpus is 'all'" in process.stderr
+
+
+def test_orchestrator_pins_the_nodes_and_not_the_recorder(tmp_path: Path) -> None:
+    words = ("--duration", "0.2", "--quiet", "--no-report", "--cpus", str(CPU))
+    with isolated_domain(), start_executable("orchestrator", "--out", str(tmp_path), *words) as run:
+        assert run.wait(90.0) in (0, 1), run.stderr  # 1: so short a run reaches no goal
+    said = {each.name: each.values for each in Run(tmp_path / "latest").diagnostics}
+    recorder = said.pop("/recorder")["scheduling_cpus"]
+    assert {values["scheduling_cpus"] for values in said.values()} == {str(CPU)}
+    assert recorder == ",".join(map(str, sorted(os.sched_getaffinity(0))))
+
+
+def test_orchestrator_refuses_nonsense(tmp_path: Path) -> None:
+    with start_executable("orchestrator", "--out", str(tmp_path), "--priority", "100") as run:
+        assert run.wait(90.0) == 2
+        assert "--priority is '100'" in run.stderr
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The options for the kernel's scheduler are read, written and refused with a reason."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.ros.scheduling import Scheduling, format_cpus, parse_cpus, take_scheduling
+
+
+@given(st.integers(0, 99), st.sets(st.integers(0, 300)).map(sorted).map(tuple))
+def test_what_is_written_is_read(priority, cpus):
+    asked = Scheduling(priority, cpus)
+    assert take_scheduling(asked.arguments) == (asked, [])
+
+
+def test_other_words_are_left_alone():
+    words = ["--priority=7", "-h", "--cpus", "1", "other"]
+    assert take_scheduling(words) == (Scheduling(7, (1,)), ["-h", "other"])
+    assert take_scheduling([]) == (Scheduling(), [])
+
+
+def test_ranges():
+    assert parse_cpus("3,0-1,1") == (0, 1, 3)
+    assert format_cpus((0, 1, 3)) == "0,1,3"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--priority"],
+        ["--priority", "100"],
+        ["--priority", "-1"],
+        ["--priority=high"],
+        ["--cpus"],
+        ["--cpus", "2-1"],
+        ["--cpus=0,,1"],
+        ["--cpus", "a-b"],
+    ],
+)
+def test_nonsense_is_refused(words):
+    with pytest.raises(ConfigurationError, match=words[0].partition("=")[0]):
+        take_scheduling(words)
