@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -22,9 +22,11 @@ from tactile_hand_ros.cli_bags import COMMANDS as BAG_COMMANDS
 from tactile_hand_ros.core.errors import TactileHandError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
     from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.bench.results import Result
 
 EXIT_FAILED = 2
 EXIT_INTERRUPTED = 130
@@ -217,25 +219,80 @@ def bench(
     blocks: Annotated[
         bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
     ] = False,
+    realtime: Annotated[
+        float | None,
+        typer.Option(help="Only real time: how long each way to run is measured [s].", min=1.0),
+    ] = None,
+    sizes: Annotated[
+        bool, typer.Option("--sizes", help="Only the cost against fingers, joints and steps.")
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Folder for figures, with --realtime and --sizes.")
+    ] = None,
+    formats: FormatOption = None,
 ) -> None:
     """Measure speed and compare it with the goals."""
-    from tactile_hand_ros import bench as b
     from tactile_hand_ros.analysis import tables
     from tactile_hand_ros.bench.results import COLUMNS, rows, to_json
-    from tactile_hand_ros.bench.workload import Workload
 
-    if out is not None:
-        _check_writable(out.parent)
-    results = []
-    with _progress("measuring", len(b.BLOCKS if blocks else b.MEASUREMENTS)) as advance:
-        work = Workload.prepare(ticks, repeats)
-        for measurement in b.BLOCKS if blocks else b.MEASUREMENTS:
-            results += list(b.run_measurements(work, [measurement]))
-            advance(results[-1].name)
+    _formats(formats)
+    for folder in (None if out is None else out.parent, figures):
+        if folder is not None:
+            _check_writable(folder)
+    results: list[Result] = []
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if realtime is not None:
+        results, drawn["realtime"] = _bench_realtime(realtime)
+    if sizes:
+        costs, drawn["sizes"] = _bench_sizes(ticks, repeats)
+        results += costs
+    if not drawn:
+        results = _bench_all(ticks, repeats, blocks)
     _print(tables.rich_table("bench", COLUMNS, rows(results)))
     if out is not None:
         out.write_text(json.dumps(to_json(results), indent=2) + "\n", encoding="utf-8")
         print(out)
+    if figures is not None:
+        from tactile_hand_ros.analysis.style import save
+
+        for name, draw in drawn.items():
+            print(*save(draw(), figures, name, _formats(formats)))
+
+
+def _bench_all(ticks: int | None, repeats: int, blocks: bool) -> list[Result]:
+    """Measure everything, or what needs no processes."""
+    from tactile_hand_ros import bench as b
+    from tactile_hand_ros.bench.workload import Workload
+
+    chosen, results = b.BLOCKS if blocks else b.MEASUREMENTS, []
+    with _progress("measuring", len(chosen)) as advance:
+        work = Workload.prepare(ticks, repeats)
+        for measurement in chosen:
+            results += list(b.run_measurements(work, [measurement]))
+            advance(results[-1].name)
+    return results
+
+
+def _bench_realtime(seconds: float) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure real time in all ways; return results and what draws them."""
+    from tactile_hand_ros.bench import realtime as r
+    from tactile_hand_ros.bench.figures import realtime_figure
+
+    cases = r.cases()
+    with _progress("real time", len(cases)) as advance:
+        runs = list(r.run_cases(cases, seconds, advance))
+    return r.results(runs), lambda: realtime_figure(runs)
+
+
+def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure hands of all sizes; return results and what draws them."""
+    from tactile_hand_ros.bench import sizes as s
+    from tactile_hand_ros.bench.figures import sizes_figure
+
+    chosen = s.sizes()
+    with _progress("sizes", repeats * len(chosen)) as advance:
+        costs = s.measure_sizes(chosen, ticks or s.TICKS, repeats, advance)
+    return s.results(costs), lambda: sizes_figure(costs)
 
 
 for _command in BAG_COMMANDS:

@@ -14,6 +14,7 @@ from tactile_hand_ros.bench.blocks import (
 from tactile_hand_ros.bench.graph import measure_graph, measure_idle
 from tactile_hand_ros.bench.hops import measure_hops
 from tactile_hand_ros.bench.peers import measure_solvers, measure_steps
+from tactile_hand_ros.bench.realtime import measure_realtime
 from tactile_hand_ros.bench.recording import measure_recompute, measure_recorder
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import Workload
@@ -35,6 +36,7 @@ MEASUREMENTS: tuple[Measurement, ...] = (
     measure_hops,
     measure_idle,
     measure_graph,
+    measure_realtime,
     measure_recorder,
     measure_recompute,
 )

@@ -3,21 +3,15 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import psutil
 
-from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.bench.results import Goal, Result
+from tactile_hand_ros.bench.runs import run_graph
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.core.scenario import NODES
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable, wait_until
 
@@ -25,17 +19,13 @@ _IDLE_SECONDS = 3.0
 _TIMEOUT = 600.0  # s
 
 
-class BenchError(TactileHandError):
-    """A run that was to be measured did not come to its end."""
-
-
 def measure_graph(work: Workload) -> list[Result]:
-    """Run the scenario in lockstep in six processes and in two, turn by turn, then in real time."""
+    """Run the scenario in lockstep in six processes and in two, turn by turn."""
     seconds = float(work.record.times[-1])
     five, single = [], []
     for _ in range(work.repeats):
-        five.append(_run(seconds))
-        single.append(_run(seconds, "--composed"))
+        five.append(run_graph(seconds).summary)
+        single.append(run_graph(seconds, "--composed").summary)
     fast = Goal("median", at_least=300.0)
     separate = _results(five, "five processes", fast, Goal("median", at_most=5.0))
     composed = _results(single, "composed", None, None)
@@ -43,7 +33,6 @@ def measure_graph(work: Workload) -> list[Result]:
     return [
         *separate,
         *(one.against(other) if other.median else one for one, other in pairs),
-        *_realtime(_run(seconds, "--pacing", "realtime")),
     ]
 
 
@@ -63,29 +52,16 @@ def measure_idle(work: Workload) -> list[Result]:
         psutil.cpu_percent(_IDLE_SECONDS)
         used = [sum(node.cpu_times()[:2]) - b for node, b in zip(nodes, before, strict=True)]
         memory = [node.memory_info().rss / 2**20 for node in nodes]
+        private = [node.memory_full_info().uss / 2**20 for node in nodes]
     shares = [100.0 * seconds / _IDLE_SECONDS for seconds in used]
     return [
         Result.of("idle node, share of a core", "%", shares, Goal("largest", at_most=1.0)),
-        Result.of("idle node, resident memory", "MiB", memory),
+        *(
+            Result.of(f"resident memory, {name}", "MiB", [all_of_it])
+            for name, all_of_it in zip(NODES, memory, strict=True)
+        ),
+        Result.of("memory that no other process shares, all nodes", "MiB", [sum(private)]),
     ]
-
-
-def _run(seconds: float, *options: str) -> dict[str, Any]:
-    """Run the orchestrator and return its summary, with the plant's last diagnostics."""
-    with isolated_domain(), tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
-        fixed = ["--quiet", "--no-report", "--out", folder, "--duration", str(seconds)]
-        ended = subprocess.run(
-            [*command, *fixed, *options], capture_output=True, text=True, timeout=_TIMEOUT
-        )
-        path = Path(folder) / "latest"
-        file = path / "summary.json"
-        if ended.returncode not in (0, 1) or not file.is_file():
-            raise BenchError(f"a run to be measured ended with {ended.returncode}: {ended.stderr}")
-        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        said = [each for each in Run(path).diagnostics if each.name == "/plant"]
-        summary["plant"] = said[-1].values if said else {}
-        return summary
 
 
 def _results(
@@ -110,26 +86,4 @@ def _results(
             *goals(start),
         ),
         Result.of(f"messages lost, {where}", "", over(record, "lost_messages"), none),
-    ]
-
-
-def _realtime(run: dict[str, Any]) -> list[Result]:
-    """Sum up a run at the pace of the wall clock, as plant and bag saw it."""
-    record, plant = run["recording"], run["plant"]
-    wanted = {
-        "late commands": ("late_commands", 100.0 / run["metrics"]["ticks"], "%"),
-        "jitter, p50": ("jitter_p50_us", 1.0, "us"),
-        "jitter, p99": ("jitter_p99_us", 1.0, "us"),
-    }
-    found = [
-        Result.of(f"real time, {name}", unit, [factor * float(plant[key])])
-        for name, (key, factor, unit) in wanted.items()
-        if key in plant
-    ]
-    return [
-        Result.of(
-            "real time, tick to command, p50", "us", [1e6 * record["command_latency_median_s"]]
-        ),
-        Result.of("real time, tick to command, p99", "us", [1e6 * record["command_latency_p99_s"]]),
-        *found,
     ]

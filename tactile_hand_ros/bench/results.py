@@ -25,7 +25,7 @@ class Goal:
     """A bound on one statistic of a measurement.
 
     Attributes:
-        statistic: ``median``, ``p99`` or ``largest``.
+        statistic: ``median``, ``p99``, ``p999`` or ``largest``.
         at_most: Upper bound; None for none.
         at_least: Lower bound; None for none.
     """
@@ -57,6 +57,7 @@ class Result:
         count: Number of samples.
         median: Median.
         p99: 99th percentile.
+        p999: 99.9th percentile; of fewer than a thousand samples hardly more than the largest.
         largest: Largest sample.
         goals: What is asked of it.
         beside: Name of what was measured beside it, in the same run and turn by turn.
@@ -68,6 +69,7 @@ class Result:
     count: int
     median: float
     p99: float
+    p999: float
     largest: float
     goals: tuple[Goal, ...] = ()
     beside: str = ""
@@ -76,8 +78,9 @@ class Result:
     @classmethod
     def of(cls, name: str, unit: str, samples: Sequence[float] | Array, *goals: Goal) -> Result:
         """Sum up samples."""
-        median, p99, largest = (float(v) for v in np.percentile(samples, [50, 99, 100]))
-        return cls(name, unit, len(samples), median, p99, largest, goals)
+        marks = np.percentile(samples, [50.0, 99.0, 99.9, 100.0])
+        median, p99, p999, largest = (float(mark) for mark in marks)
+        return cls(name, unit, len(samples), median, p99, p999, largest, goals)
 
     def against(self, other: Result) -> Result:
         """Return the result with its ratio to another."""
@@ -89,7 +92,18 @@ class Result:
         return all(goal.met(self) for goal in self.goals) if self.goals else None
 
 
-COLUMNS = ("measurement", "unit", "median", "p99", "largest", "samples", "ratio", "goal", "met")
+COLUMNS = (
+    "measurement",
+    "unit",
+    "median",
+    "p99",
+    "p99.9",
+    "largest",
+    "samples",
+    "ratio",
+    "goal",
+    "met",
+)
 
 
 def rows(results: Sequence[Result]) -> list[list[str]]:
@@ -99,7 +113,7 @@ def rows(results: Sequence[Result]) -> list[list[str]]:
         [
             r.name,
             r.unit,
-            *(tables.number(value) for value in (r.median, r.p99, r.largest)),
+            *(tables.number(value) for value in (r.median, r.p99, r.p999, r.largest)),
             str(r.count),
             f"{r.ratio:.2f} x {r.beside}" if r.beside else "",
             ", ".join(map(str, r.goals)),

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of the orchestrator that are measured: what they achieved and what they took."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from tactile_hand_ros.analysis.run import Run
+from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.core.scenario import NODES
+from tactile_hand_ros.ros.testing import ProcessUnderTest, isolated_domain
+
+PROCESSES = (*NODES, "recorder", "composed")
+_TIMEOUT = 600.0  # s, on top of the simulated time
+_LOOK = 0.5  # s between two looks at the processes
+
+
+class BenchError(TactileHandError):
+    """A run that was to be measured did not come to its end."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What the processes of a run had taken at some time.
+
+    Attributes:
+        at: When [s].
+        cpu: Processor time by process [s].
+        memory: Resident memory by process [MiB].
+    """
+
+    at: float
+    cpu: dict[str, float]
+    memory: dict[str, float]
+
+
+@dataclass(frozen=True)
+class GraphRun:
+    """A run with all its processes.
+
+    Attributes:
+        summary: The orchestrator's summary.
+        plant: The last facts in the plant's diagnostics.
+        usage: What the processes took, over time.
+    """
+
+    summary: dict[str, Any]
+    plant: dict[str, str]
+    usage: Sequence[Usage]
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """The largest resident memory by process [MiB]."""
+        names = {name for each in self.usage for name in each.memory}
+        return {n: max(each.memory.get(n, 0.0) for each in self.usage) for n in sorted(names)}
+
+    @property
+    def cores(self) -> float:
+        """How many cores all processes kept busy in the second half of the run."""
+        half = self.usage[max(0, len(self.usage) - 1) // 2 :]
+        passed = half[-1].at - half[0].at if half else 0.0
+        if passed <= 0.0:
+            return float("nan")
+        return (sum(half[-1].cpu.values()) - sum(half[0].cpu.values())) / passed
+
+
+def run_graph(seconds: float, *options: str) -> GraphRun:
+    """Run the orchestrator to its end.
+
+    Args:
+        seconds: Simulated time [s].
+        *options: Its further options.
+
+    Raises:
+        BenchError: If there is nothing to measure.
+    """
+    fixed = ["--quiet", "--no-report", "--duration", str(seconds)]
+    command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
+    with isolated_domain(), tempfile.TemporaryDirectory() as folder:
+        with ProcessUnderTest([*command, *fixed, "--out", folder, *options]) as orchestrator:
+            usage = _watch(orchestrator, _TIMEOUT + seconds)
+            code, said = orchestrator.wait(_TIMEOUT), orchestrator.stderr
+        path = Path(folder) / "latest"
+        file = path / "summary.json"
+        if code not in (0, 1) or not file.is_file():
+            raise BenchError(f"a run to be measured ended with {code}: {said}")
+        plant = [each for each in Run(path).diagnostics if each.name == "/plant"]
+        summary = json.loads(file.read_text(encoding="utf-8"))
+        return GraphRun(summary, plant[-1].values if plant else {}, usage)
+
+
+def _watch(orchestrator: ProcessUnderTest, timeout: float) -> list[Usage]:
+    """Look at the processes of a run until it ends."""
+    usage: list[Usage] = []
+    pause, end = threading.Event(), time.monotonic() + timeout
+    family = psutil.Process(orchestrator.pid)
+    while orchestrator.returncode is None and time.monotonic() < end:
+        seen = usage_of(family)
+        # While processes start and while they end, they tell little.
+        if not usage or len(seen.cpu) >= len(usage[-1].cpu):
+            usage.append(seen)
+        pause.wait(_LOOK)
+    return usage
+
+
+def usage_of(orchestrator: psutil.Process) -> Usage:
+    """Return what the processes that an orchestrator has started take now."""
+    cpu, memory = {}, {}
+    try:
+        children = orchestrator.children(recursive=True)
+    except psutil.NoSuchProcess:
+        children = []
+    for child in children:
+        try:
+            words = {Path(word).name for word in child.cmdline()[:2]}
+            name = next((name for name in PROCESSES if name in words), None)
+            if name is not None:
+                cpu[name] = sum(child.cpu_times()[:2])
+                memory[name] = child.memory_info().rss / 2**20
+        except psutil.Error:  # it ended in the meantime
+            continue
+    return Usage(time.monotonic(), cpu, memory)
+
+
+@contextmanager
+def busy_cores(count: int) -> Iterator[None]:
+    """Let processes that do nothing but count compete for the cores inside the block."""
+    command = [sys.executable, "-c", "while True: pass"]
+    with ExitStack() as stack:
+        for _ in range(count):
+            stack.enter_context(ProcessUnderTest(command))
+        yield

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured runs are real runs: the plant's counts, and memory and time of every process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.bench.realtime import LOADED, Case, run_case
+from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
+
+
+def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:
+    run = run_case(Case(100.0, True, LOADED), 1.0)
+    assert run.ticks == 100
+    assert 0.0 <= run.missed <= 1.0
+    assert len(run.ages) > 1 and np.isfinite(run.ages).all() and run.ages.min() > 0.0
+    assert np.isfinite(run.jitter).all()
+    assert set(run.run.memory) == {"composed", "recorder"}
+    assert min(run.run.memory.values()) > 1.0
+
+
+def test_six_processes_are_told_apart() -> None:
+    run = run_graph(0.2)
+    assert set(run.memory) == set(PROCESSES) - {"composed"}
+    assert run.plant["finished"] == "True"
+
+
+def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
+    with pytest.raises(BenchError, match="no_such"):
+        run_graph(0.2, "--set", "plant.no_such=1")

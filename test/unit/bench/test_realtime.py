@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What real-time runs are asked for, and how what the plant counted is summed up and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.analysis.style import save
+from tactile_hand_ros.bench.figures import realtime_figure
+from tactile_hand_ros.bench.realtime import (
+    ALONE,
+    FIRST,
+    LOADED,
+    RATES,
+    Case,
+    RealtimeRun,
+    cases,
+    may_go_first,
+    results,
+    summed_up,
+)
+from tactile_hand_ros.bench.runs import GraphRun, Usage
+from tactile_hand_ros.ros.histogram import Histogram
+
+USAGE = [Usage(float(t), {"plant": 0.5 * t, "recorder": 0.1 * t}, {"plant": 100.0}) for t in (0, 4)]
+
+
+def counted(durations: list[float]) -> str:
+    """Return what the plant would say of durations."""
+    histogram = Histogram()
+    for duration in durations:
+        histogram.note(duration)
+    return histogram.text()
+
+
+def run_of(case: Case, **said: str) -> RealtimeRun:
+    """Return a run of which the plant said something."""
+    plant = {
+        "late_commands": "1",
+        "missed_ticks": "2",
+        "lost_s": "0.004",
+        "age_histogram_us": counted([5e-4] * 998 + [0.05] * 2),
+        "jitter_histogram_us": counted([1e-5] * 1000),
+        **said,
+    }
+    return summed_up(case, 2.0, GraphRun({}, plant, USAGE))
+
+
+def test_every_way_to_run_is_asked_for() -> None:
+    found = cases()
+    conditions = {ALONE, LOADED} | ({FIRST} if may_go_first() else set())
+    assert {case.condition for case in found} == conditions
+    assert len(found) == len(RATES) * 2 * len(conditions) == len({str(case) for case in found})
+    options = Case(1000.0, True, FIRST).options
+    assert "--composed" in options and "plant.rate=1000" in options and "--priority" in options
+    assert "--priority" not in Case(1000.0, True, LOADED).options
+
+
+def test_what_was_late_skipped_or_given_up_is_missed() -> None:
+    run = run_of(Case(500.0, False))
+    assert run.ticks == 1000
+    assert run.missed == pytest.approx((1 + 2 + 0.004 * 500) / 1000)
+    assert run.run.cores == pytest.approx(0.6)
+    assert run.run.memory == {"plant": 100.0}
+
+
+def test_a_plant_that_said_nothing_meets_no_goal() -> None:
+    run = summed_up(Case(500.0, False), 2.0, GraphRun({}, {}, []))
+    age, missed, *_ = results([run])
+    assert np.isnan(run.missed) and age.met is False and missed.met is False
+
+
+def test_goals_are_for_500_hz_alone() -> None:
+    alone, other = (
+        results([run_of(case)]) for case in (Case(500.0, True), Case(500.0, True, LOADED))
+    )
+    age = alone[0]
+    assert age.median == pytest.approx(500.0, rel=0.06) and age.met
+    assert age.p999 > 1000.0 and age.largest == pytest.approx(50_000.0, rel=0.06)
+    assert [r.met for r in alone[:2]] == [True, False]
+    assert all(result.met is None for result in other)
+
+
+def test_the_figure_takes_what_there_is(tmp_path: Path) -> None:
+    runs = [run_of(Case(500.0, False)), run_of(Case(1000.0, True, LOADED))]
+    (file,) = save(realtime_figure(runs), tmp_path, "realtime", ("png",))
+    assert file.stat().st_size > 1000
+    save(realtime_figure(runs[:1]), tmp_path, "one", ("svg",))
+    assert (tmp_path / "one.svg").exists()
