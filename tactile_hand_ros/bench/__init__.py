@@ -13,6 +13,7 @@ from tactile_hand_ros.bench.blocks import (
 )
 from tactile_hand_ros.bench.graph import measure_graph, measure_idle
 from tactile_hand_ros.bench.hops import measure_hops
+from tactile_hand_ros.bench.integrator import measure_integrator
 from tactile_hand_ros.bench.peers import measure_solvers, measure_steps
 from tactile_hand_ros.bench.realtime import measure_realtime
 from tactile_hand_ros.bench.recording import measure_recompute, measure_recorder
@@ -33,6 +34,7 @@ MEASUREMENTS: tuple[Measurement, ...] = (
     *BLOCKS,
     measure_solvers,
     measure_steps,
+    measure_integrator,
     measure_hops,
     measure_idle,
     measure_graph,

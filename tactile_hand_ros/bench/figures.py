@@ -64,9 +64,9 @@ def _draw_rate(jitter: Axes, age: Axes, runs: Sequence[RealtimeRun]) -> None:
             "label": f"{run.case.where}, {run.case.condition}",
             "linewidth": 1.0,
         }
-        counts, _ = np.histogram(_MS * run.jitter, _BINS)
+        counts, _ = np.histogram(_MS * run.run.jitter, _BINS)
         jitter.step(_BINS[:-1], counts / max(1, counts.sum()), where="post", **style)
-        ages = np.sort(_MS * run.ages)
+        ages = np.sort(_MS * run.run.ages)
         age.plot(ages, 1.0 - np.arange(len(ages)) / len(ages), **style)
     for axes in (jitter, age):
         axes.set_xscale("log")

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any
 
+import numpy as np
 import psutil
 
 from tactile_hand_ros.bench.results import Goal, Result
-from tactile_hand_ros.bench.runs import run_graph
+from tactile_hand_ros.bench.runs import GraphRun, run_graph
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.core.scenario import NODES
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable, wait_until
@@ -22,10 +22,11 @@ _TIMEOUT = 600.0  # s
 def measure_graph(work: Workload) -> list[Result]:
     """Run the scenario in lockstep in six processes and in two, turn by turn."""
     seconds = float(work.record.times[-1])
-    five, single = [], []
+    five, single, speeds = [], [], []
     for _ in range(work.repeats):
-        five.append(run_graph(seconds).summary)
-        single.append(run_graph(seconds, "--composed").summary)
+        five.append(run_graph(seconds, load=True))
+        speeds.append(five[-1].summary["recording"]["messages"] / five[-1].load_time)
+        single.append(run_graph(seconds, "--composed"))
     fast = Goal("median", at_least=300.0)
     separate = _results(five, "five processes", fast, Goal("median", at_most=5.0))
     composed = _results(single, "composed", None, None)
@@ -33,6 +34,7 @@ def measure_graph(work: Workload) -> list[Result]:
     return [
         *separate,
         *(one.against(other) if other.median else one for one, other in pairs),
+        Result.of("bag loading, to arrays", "messages/s", speeds),
     ]
 
 
@@ -65,20 +67,20 @@ def measure_idle(work: Workload) -> list[Result]:
 
 
 def _results(
-    runs: Sequence[dict[str, Any]], where: str, rate: Goal | None, start: Goal | None
+    runs: Sequence[GraphRun], where: str, rate: Goal | None, start: Goal | None
 ) -> list[Result]:
-    def over(place: str, key: str, factor: float = 1.0) -> list[float]:
-        return [factor * run[place][key] for run in runs]
+    def over(place: str, key: str) -> list[float]:
+        return [run.summary[place][key] for run in runs]
 
     def goals(*given: Goal | None) -> tuple[Goal, ...]:
         return tuple(goal for goal in given if goal is not None)
 
     record = "recording"
     none = Goal("largest", at_most=0.0)
-    latency = "command_latency_median_s"
+    ages = 1e6 * np.concatenate([run.ages for run in runs])
     return [
         Result.of(f"lockstep, {where}", "ticks/s", over(record, "ticks_per_second"), *goals(rate)),
-        Result.of(f"tick to command, {where}", "us", over(record, latency, 1e6)),
+        Result.of(f"tick to command, {where}", "us", ages),
         Result.of(
             f"start to first tick, {where}",
             "s",

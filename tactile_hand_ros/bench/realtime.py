@@ -15,14 +15,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.runs import GraphRun, busy_cores, run_graph
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.ros.histogram import parse_histogram
-
-Array = NDArray[np.float64]
 
 RATES = (500.0, 1000.0)  # Hz
 ALONE, LOADED, FIRST = "alone", "loaded", "loaded, SCHED_FIFO"
@@ -73,16 +69,12 @@ class RealtimeRun:
         ticks: Number of ticks that should have been.
         missed: Share of them whose command came later than the next tick was due, or that came
             due together with a later one.
-        ages: From a tick to its command at the plant, of all that were answered, shape (n,), s.
-        jitter: How far from its time each tick came, shape (n,), s.
-        run: Memory and processor time.
+        run: Ages, jitter, memory and processor time.
     """
 
     case: Case
     ticks: int
     missed: float
-    ages: Array
-    jitter: Array
     run: GraphRun
 
 
@@ -130,14 +122,8 @@ def summed_up(case: Case, seconds: float, run: GraphRun) -> RealtimeRun:
     plant, ticks = run.plant, round(seconds * case.rate)
     given_up = float(plant.get("lost_s", "nan")) * case.rate
     missed = float(plant.get("late_commands", "nan")) + float(plant.get("missed_ticks", "nan"))
-    ages, jitter = (_samples(plant.get(f"{key}_histogram_us", "")) for key in ("age", "jitter"))
     share = float(np.minimum(1.0, (missed + given_up) / ticks))
-    return RealtimeRun(case, ticks, share, ages, jitter, run)
-
-
-def _samples(text: str) -> Array:
-    middles, counts = parse_histogram(text)
-    return np.repeat(middles, counts) if len(counts) else np.array([np.nan])
+    return RealtimeRun(case, ticks, share, run)
 
 
 def results(runs: Sequence[RealtimeRun]) -> list[Result]:
@@ -150,9 +136,9 @@ def _results_of(run: RealtimeRun) -> list[Result]:
     age = (Goal("median", at_most=1000.0), Goal("p99", at_most=2000.0)) if asked else ()
     few = (Goal("largest", at_most=0.1),) if asked else ()
     return [
-        Result.of(f"{name}: age of the data", "us", 1e6 * run.ages, *age),
+        Result.of(f"{name}: age of the data", "us", 1e6 * run.run.ages, *age),
         Result.of(f"{name}: missed deadlines", "%", [100.0 * run.missed], *few),
-        Result.of(f"{name}: jitter of the ticks", "us", 1e6 * run.jitter),
+        Result.of(f"{name}: jitter of the ticks", "us", 1e6 * run.run.jitter),
         Result.of(f"{name}: cores", "", [run.run.cores]),
         Result.of(f"{name}: resident memory", "MiB", [sum(run.run.memory.values())]),
     ]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
 import threading
@@ -14,12 +15,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
+from numpy.typing import NDArray
 
 from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.core.scenario import NODES
+from tactile_hand_ros.ros.histogram import parse_histogram
 from tactile_hand_ros.ros.testing import ProcessUnderTest, isolated_domain
+
+Array = NDArray[np.float64]
 
 PROCESSES = (*NODES, "recorder", "composed")
 _TIMEOUT = 600.0  # s, on top of the simulated time
@@ -53,17 +59,33 @@ class GraphRun:
         summary: The orchestrator's summary.
         plant: The last facts in the plant's diagnostics.
         usage: What the processes took, over time.
+        load_time: Time to read all of the bag's topics into arrays [s].
     """
 
     summary: dict[str, Any]
     plant: dict[str, str]
     usage: Sequence[Usage]
+    load_time: float = math.nan
 
     @property
     def memory(self) -> dict[str, float]:
         """The largest resident memory by process [MiB]."""
         names = {name for each in self.usage for name in each.memory}
         return {n: max(each.memory.get(n, 0.0) for each in self.usage) for n in sorted(names)}
+
+    @property
+    def ages(self) -> Array:
+        """From each tick to the arrival of its command at the plant, shape (n,), s."""
+        return self._durations("age_histogram_us")
+
+    @property
+    def jitter(self) -> Array:
+        """How far from its time each tick came in real time, shape (n,), s."""
+        return self._durations("jitter_histogram_us")
+
+    def _durations(self, key: str) -> Array:
+        middles, counts = parse_histogram(self.plant.get(key, ""))
+        return np.repeat(middles, counts) if len(counts) else np.array([np.nan])
 
     @property
     def cores(self) -> float:
@@ -75,12 +97,13 @@ class GraphRun:
         return (sum(half[-1].cpu.values()) - sum(half[0].cpu.values())) / passed
 
 
-def run_graph(seconds: float, *options: str) -> GraphRun:
+def run_graph(seconds: float, *options: str, load: bool = False) -> GraphRun:
     """Run the orchestrator to its end.
 
     Args:
         seconds: Simulated time [s].
         *options: Its further options.
+        load: Whether to measure how long its bag takes to load.
 
     Raises:
         BenchError: If there is nothing to measure.
@@ -97,7 +120,14 @@ def run_graph(seconds: float, *options: str) -> GraphRun:
             raise BenchError(f"a run to be measured ended with {code}: {said}")
         plant = [each for each in Run(path).diagnostics if each.name == "/plant"]
         summary = json.loads(file.read_text(encoding="utf-8"))
-        return GraphRun(summary, plant[-1].values if plant else {}, usage)
+        load_time = _load_time(path) if load else math.nan
+        return GraphRun(summary, plant[-1].values if plant else {}, usage, load_time)
+
+
+def _load_time(path: Path) -> float:
+    began = time.perf_counter()
+    len(Run(path).record)  # it is read when it is first asked for
+    return time.perf_counter() - began
 
 
 def _watch(orchestrator: ProcessUnderTest, timeout: float) -> list[Usage]:

@@ -14,8 +14,8 @@ def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:
     run = run_case(Case(100.0, True, LOADED), 1.0)
     assert run.ticks == 100
     assert 0.0 <= run.missed <= 1.0
-    assert len(run.ages) > 1 and np.isfinite(run.ages).all() and run.ages.min() > 0.0
-    assert np.isfinite(run.jitter).all()
+    assert len(run.run.ages) > 1 and np.isfinite(run.run.ages).all() and run.run.ages.min() > 0.0
+    assert np.isfinite(run.run.jitter).all()
     assert set(run.run.memory) == {"composed", "recorder"}
     assert min(run.run.memory.values()) > 1.0
 

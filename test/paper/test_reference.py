@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from paper.reference import Reference, State, World
 from scipy.spatial.transform import Rotation
 from support.plants import plant, torque_for
 
+from tactile_hand_ros.bench.reference import Reference, State, World
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.disturbance import Disturbance
 from tactile_hand_ros.core.scenario import load_scenario

@@ -27,24 +27,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class World:
-    """What the reference needs to know of hand and object."""
+    """What the reference needs to know of hand and object.
+
+    Attributes:
+        urdf: Text of the hand's URDF.
+        tips: Names of the fingertips' links.
+        radii: Radii of the fingertips, shape (k,), m.
+        mass: Mass of the object, kg.
+        inertia: Its inertia in its own frame, shape (3, 3), kg m^2.
+        gravity: Acceleration of gravity, palm frame, shape (3,), m/s^2.
+        faces: Outward normals of the faces in the object's frame, one per finger, shape (k, 3).
+    """
 
     urdf: str
     tips: list[str]
     radii: Array
     mass: float
-    inertia: Array  # (3, 3) in the object frame
+    inertia: Array
     gravity: Array
-    faces: Array  # (k, 3) outward normals in the object frame, one per finger
+    faces: Array
 
     @property
     def k(self) -> int:
+        """Number of fingers."""
         return len(self.tips)
 
 
 @dataclass(frozen=True)
 class State:
-    """Joints, object position, quaternion (x, y, z, w) and their rates."""
+    """Joints, object position, quaternion (x, y, z, w) and their rates, palm frame, SI units."""
 
     theta: Array
     rates: Array
@@ -54,6 +65,7 @@ class State:
     spin: Array
 
     def pack(self) -> Array:
+        """Return all of it as one vector."""
         return np.concatenate(
             [self.theta, self.rates, self.position, self.quaternion, self.velocity, self.spin]
         )
@@ -63,6 +75,7 @@ class Reference:
     """Integrates the sticking grasp with an adaptive method of order eight."""
 
     def __init__(self, world: World) -> None:
+        """Build the hand's model."""
         self.world = world
         self.model = pin.buildModelFromXML(world.urdf)
         self.model.gravity.linear = world.gravity
@@ -71,6 +84,7 @@ class Reference:
         self.m = self.model.nv
 
     def unpack(self, y: Array) -> State:
+        """Return a vector as a state."""
         m = self.m
         parts = np.split(y, np.cumsum([m, m, 3, 4, 3]))
         return State(*parts)
@@ -142,7 +156,8 @@ class Reference:
         pin.framesForwardKinematics(self.model, self.data, s.theta)
         rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
         tips = np.array([self.data.oMf[f].translation for f in self.frames])
-        return tips - self.world.radii[:, None] * (self.world.faces @ rotation.T)
+        normals = self.world.faces @ rotation.T
+        return np.asarray(tips - self.world.radii[:, None] * normals)
 
     def contact_jacobian(self, s: State) -> Array:
         """Return J_h of (2), shape (3k, m)."""
