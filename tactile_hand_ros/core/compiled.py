@@ -62,6 +62,15 @@ def _jit(function: F) -> F:
     return made
 
 
+def completeness() -> Path | None:
+    """Return the file that says whether everything is compiled and kept, None without Numba."""
+    if compiled is _without_numba:
+        return None
+    import numba
+
+    return Path(_cache_directory(numba.config.CACHE_DIR)) / "complete"
+
+
 def _choose() -> Callable[[F], F]:
     if os.environ.get(DISABLE):
         return _without_numba

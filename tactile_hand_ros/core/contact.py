@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.hand import Fingertips
 from tactile_hand_ros.core.rotations import rotation_from_quaternion
 
@@ -38,11 +39,7 @@ class Contacts:
     @cached_property
     def touching(self) -> NDArray[np.bool_]:
         """Which fingers touch, shape (k,)."""
-        # A sum is finite only if all its terms are; a point without a frame is of no use either.
-        k = len(self.positions)
-        add = np.add.reduce
-        sums = add(self.positions, 1) + add(self.rotations.reshape(k, 9), 1)
-        return np.asarray(np.isfinite(sums))
+        return _touching(self.positions, self.rotations)
 
     @property
     def normals(self) -> Array:
@@ -53,6 +50,19 @@ class Contacts:
     def centroid(self) -> Array:
         """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
         return np.asarray(np.add.reduce(self.positions) / len(self.positions))
+
+
+@compiled
+def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
+    """Return where all numbers are finite, shape (k,): a point without a frame is of no use."""
+    out = np.empty(len(positions), dtype=np.bool_)
+    for i in range(len(positions)):
+        total = 0.0  # finite only if all its terms are
+        for j in range(3):
+            row = rotations[i, j]
+            total += positions[i, j] + row[0] + row[1] + row[2]
+        out[i] = np.isfinite(total)
+    return out
 
 
 def contact_frame(normal: Array) -> Array:
@@ -107,3 +117,46 @@ def hand_jacobian(tips: Fingertips, points: Array) -> Array:
     Source: Shaw-Cortez et al., equation (2).
     """
     return tips.linear - skew(points - tips.positions) @ tips.angular
+
+
+@compiled
+def in_palm(rotations: Array, forces: Array, scale: float = 1.0) -> Array:
+    """Return forces in palm axes, shape (k, 3), N.
+
+    Args:
+        rotations: Contact frames, shape (k, 3, 3).
+        forces: Forces in contact frames, shape (k, 3), N.
+        scale: Factor for all of them.
+    """
+    out = np.empty_like(forces)
+    for i in range(len(forces)):
+        r, f = rotations[i], forces[i]
+        for j in range(3):
+            out[i, j] = scale * (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2])
+    return out
+
+
+@compiled
+def joint_torques(
+    linear: Array, angular: Array, centres: Array, points: Array, forces: Array
+) -> Array:
+    """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
+
+    Args:
+        linear: Jacobians of the fingertip centres, shape (k, 3, m).
+        angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
+        centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
+        points: Contact points p_c, palm frame, shape (k, 3), m.
+        forces: Forces f in palm axes, shape (k, 3), N.
+
+    Source: Shaw-Cortez et al., equation (2), without forming J_h.
+    """
+    out = np.zeros(linear.shape[2])
+    for i in range(len(points)):
+        x, y, z = forces[i]
+        a, b, c = points[i] - centres[i]
+        p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+        for j in range(len(out)):
+            out[j] += x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]
+            out[j] += p * angular[i, 0, j] + q * angular[i, 1, j] + r * angular[i, 2, j]
+    return out

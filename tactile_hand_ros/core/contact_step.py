@@ -15,6 +15,7 @@ from tactile_hand_ros.core.solid import Shape, closest_point
 
 Array = NDArray[np.float64]
 
+TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # share of a penetration that is removed in a step
 
@@ -23,9 +24,10 @@ _rodrigues = compiled(rotations.rodrigues)
 
 
 class HandTerms(NamedTuple):
-    """The hand half a step ahead.
+    """The hand: its posture at the start of a step, all else half a step ahead.
 
     Attributes:
+        theta: Joint angles at the start, shape (m,), rad.
         tips: Fingertip centres, shape (k, 3), m.
         linear: Jacobians of their velocities, shape (k, 3, m).
         angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
@@ -34,6 +36,7 @@ class HandTerms(NamedTuple):
         radii: Fingertip radii, shape (k,), m.
     """
 
+    theta: Array
     tips: Array
     linear: Array
     angular: Array
@@ -66,20 +69,39 @@ class StepResult(NamedTuple):
     """Outcome of a step.
 
     Attributes:
+        theta: Joint angles, shape (m,), rad.
         velocities: Joint rates, velocity and spin of the object after the step, shape (m + 6,).
         position: Centre of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         impulses: Impulses on the object in contact frames, shape (k, 3), N s.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
+        slid: Distance that each contact has slid since the start, shape (k,), m.
         residual: Largest relative violation of the contact laws.
     """
 
+    theta: Array
     velocities: Array
     position: Array
     rotation: Array
     impulses: Array
     sliding: Array
+    slid: Array
     residual: float
+
+
+@compiled
+def half_step(h: float, theta: Array, v: Array, before: Array) -> tuple[Array, Array]:
+    """Return joint angles and velocities half a step of h, in s, ahead.
+
+    Forces that grow with the square of the rates need the velocities there as well.
+
+    Args:
+        h: Length of the step, s.
+        theta: Joint angles at its start, shape (m,), rad.
+        v: Joint rates, velocity and spin of the object at its start, shape (m + 6,).
+        before: The same one step earlier.
+    """
+    return theta + 0.5 * h * v[: len(theta)], v + 0.5 * (v - before)
 
 
 @compiled
@@ -108,6 +130,29 @@ def contact_geometry(
         points[i] = tips[i] + radii[i] * normal
         frames[i] = _contact_frame(normal)
         gaps[i] = distance - radii[i]
+    return points, frames, gaps
+
+
+@compiled
+def observed(
+    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array, impulses: Array
+) -> tuple[Array, Array, Array]:
+    """Return contact points, frames and gaps as `contact_geometry`, NaN where nothing touches.
+
+    Args:
+        shape: The object.
+        position: Its centre of mass, palm frame, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        radii: Fingertip radii, shape (k,), m.
+        impulses: Of the last step, shape (k, 3), N s: what is pushed touches, whatever rounding
+            makes of its gap.
+    """
+    points, frames, gaps = contact_geometry(shape, position, rotation, tips, radii)
+    for i in range(len(gaps)):
+        if gaps[i] > TOUCH and impulses[i, 1] <= 0.0:
+            points[i] = np.nan
+            frames[i] = np.nan
     return points, frames, gaps
 
 
@@ -150,6 +195,7 @@ def step(
     shape: Shape,
     friction: Array,
     guess: Array,
+    slid: Array,
 ) -> StepResult:
     """Advance velocities by a step h, in s, so that the contact laws hold at its end.
 
@@ -161,6 +207,7 @@ def step(
         shape: Shape of the object.
         friction: Coulomb friction of each finger, shape (k,).
         guess: Impulses of the last step, shape (k, 3), N s.
+        slid: Distance that each contact has slid so far, shape (k,), m.
     """
     k, m = len(hand.tips), len(hand.push)
     position, rotation = _moved(body, 0.5 * h, v[m:])
@@ -189,8 +236,10 @@ def step(
             sliding[near[i], 0] = solved.velocities[i, 0]
             sliding[near[i], 1] = solved.velocities[i, 2]
         residual = solved.residual
+    theta = hand.theta + 0.5 * h * (v[:m] + free[:m])
     position, rotation = _moved(body, h, 0.5 * (v[m:] + free[m:]))
-    return StepResult(free, position, rotation, impulses, sliding, residual)
+    slid = slid + h * np.sqrt(sliding[:, 0] ** 2 + sliding[:, 1] ** 2)
+    return StepResult(theta, free, position, rotation, impulses, sliding, slid, residual)
 
 
 @compiled

@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.cone_optimizer import ConeOptimizer, Cones
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.contact import Contacts, skew
+from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, collinearity_margin
+from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, centred, collinearity_margin
 from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
@@ -78,8 +78,7 @@ class Status(enum.Enum):
     FAILED = "solver failed"
 
 
-@dataclass(frozen=True)
-class OptimalForces:
+class OptimalForces(NamedTuple):
     """The outcome of (13), with the means to judge it.
 
     Attributes:
@@ -179,7 +178,7 @@ class ForceOptimizer:
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        balance = self._balance(contacts)
+        balance = scaled_balance(contacts.positions, contacts.rotations)
         self._values[self._balance_slots] = balance.ravel()
         solved = self._judge(*self._solver.solve(self._values), balance)
         return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
@@ -188,15 +187,14 @@ class ForceOptimizer:
         """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
         margin = cones.margin(solved.forces)
         if cones.holds(solved.forces):
-            return replace(solved, cone_margin=margin)
+            return solved._replace(cone_margin=margin)
         if self._shaper is None:
             self._shaper = ConeOptimizer(self._weights, self.config.minimum_normal)
         forces, residual = self._shaper.solve(balance, cones)
         if not residual < _MAX_CONE_RESIDUAL:
             self._shaper = None
-            return replace(solved, cone_margin=margin)
-        return replace(
-            solved,
+            return solved._replace(cone_margin=margin)
+        return solved._replace(
             forces=forces,
             balance_residual=float(np.abs(forces.ravel() @ balance).max()),
             sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
@@ -204,19 +202,6 @@ class ForceOptimizer:
             cone_margin=cones.margin(forces),
             shaped=True,
         )
-
-    def _balance(self, contacts: Contacts) -> Array:
-        """Return G~^T for forces in contact frames, torques per size of the grasp, (3k, 6).
-
-        A unit force along an axis t of a contact frame is a wrench (t, d x t) about the centroid.
-        """
-        arms = contacts.positions - contacts.centroid
-        size = math.sqrt(np.vdot(arms, arms) / self._k)
-        balance = np.empty((self._k, 3, 6))
-        axes = balance[:, :, :3]
-        axes[:] = contacts.rotations.transpose(0, 2, 1)
-        np.matmul(axes, skew(arms / -size), out=balance[:, :, 3:])  # t skew(-d) = d x t
-        return balance.reshape(self._columns, 6)
 
     def _set_up(self) -> None:
         k, n = self._k, self._columns
@@ -269,15 +254,10 @@ class ForceOptimizer:
         return solved
 
     def _measured(self, x: Array, y: Array, balance: Array, info: Any) -> OptimalForces:
+        residuals = optimality(x, y, balance, self._weights)
+        forces = np.array(x).reshape(self._k, 3)
         return OptimalForces(
-            Status.SOLVED,
-            "",
-            np.array(x).reshape(self._k, 3),
-            float(np.abs(x @ balance).max()),
-            abs(float(x[1::3].sum()) - 1.0),
-            self._stationarity(x, y, balance),
-            float(info.run_time),
-            int(info.iter),
+            Status.SOLVED, "", forces, *residuals, float(info.run_time), int(info.iter)
         )
 
     def _sharpened(self, x: Array, y: Array, balance: Array) -> tuple[Array, Array] | None:
@@ -310,10 +290,51 @@ class ForceOptimizer:
             active = following
         return None
 
-    def _stationarity(self, x: Array, y: Array, balance: Array) -> float:
-        gradient = 2.0 * self._weights * x + balance @ y[:6]
-        gradient[1::3] += y[6] + np.minimum(y[7:], 0.0)  # a bound can only push upwards
-        return float(np.abs(gradient).max() / self._weights.max())
-
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
         return OptimalForces(status, reason, np.full((self._k, 3), np.nan))
+
+
+@compiled
+def scaled_balance(points: Array, rotations: Array) -> Array:
+    """Return G~^T for forces in contact frames, torques per size of the grasp, shape (3k, 6).
+
+    A unit force along an axis t of a contact frame is a wrench (t, d x t) about the centroid.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        rotations: Contact frames, shape (k, 3, 3).
+    """
+    k, arms = len(points), centred(points)
+    arms /= math.sqrt((arms * arms).sum() / k)
+    out = np.empty((3 * k, 6))
+    for i in range(k):
+        a, b, c = arms[i]
+        for axis in range(3):
+            x, y, z = rotations[i, 0, axis], rotations[i, 1, axis], rotations[i, 2, axis]
+            row = out[3 * i + axis]
+            row[0], row[1], row[2] = x, y, z
+            row[3], row[4], row[5] = b * z - c * y, c * x - a * z, a * y - b * x
+    return out
+
+
+@compiled
+def optimality(x: Array, y: Array, balance: Array, weights: Array) -> tuple[float, float, float]:
+    """Return the residuals of (13): balance, sum and stationarity.
+
+    Args:
+        x: Forces in contact frames, shape (3k,).
+        y: Multipliers of balance, sum and lower bounds, shape (7 + k,).
+        balance: G~^T, shape (3k, 6).
+        weights: Diagonal of W, shape (3k,).
+    """
+    unbalanced, total, slope = np.zeros(6), -1.0, 0.0
+    for i in range(len(x)):
+        gradient = 2.0 * weights[i] * x[i]
+        for j in range(6):
+            unbalanced[j] += balance[i, j] * x[i]
+            gradient += balance[i, j] * y[j]
+        if i % 3 == 1:
+            total += x[i]
+            gradient += y[6] + min(y[7 + i // 3], 0.0)  # a bound can only push upwards
+        slope = max(slope, abs(gradient))
+    return np.abs(unbalanced).max(), abs(total), slope / weights.max()

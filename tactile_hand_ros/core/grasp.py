@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.contact import Contacts, skew
 from tactile_hand_ros.core.errors import CollinearContactsError, GraspError
 
@@ -44,14 +45,19 @@ def net_wrench(contacts: Contacts, forces: Array) -> Array:
         contacts: Contact points and frames.
         forces: Forces on the object in contact frames, shape (k, 3), N.
     """
-    in_palm = (contacts.rotations @ forces[:, :, None])[:, :, 0]
-    arms = contacts.positions - contacts.centroid
-    # G~ f written out: a third of the time for a few contacts.
-    x = y = z = a = b = c = 0.0
-    for (u, v, w), (p, q, r) in zip(in_palm.tolist(), arms.tolist(), strict=True):
-        x, y, z = x + u, y + v, z + w
-        a, b, c = a + (q * w - r * v), b + (r * u - p * w), c + (p * v - q * u)
-    return np.array([x, y, z, a, b, c])
+    return _net_wrench(contacts.positions, contacts.rotations, forces)
+
+
+@compiled
+def _net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
+    arms, out = centred(points), np.zeros(6)
+    for i in range(len(points)):
+        f, d = rotations[i] @ forces[i], arms[i]
+        out[:3] += f
+        out[3] += d[1] * f[2] - d[2] * f[1]
+        out[4] += d[2] * f[0] - d[0] * f[2]
+        out[5] += d[0] * f[1] - d[1] * f[0]
+    return out
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:
@@ -70,17 +76,32 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
     Raises:
         CollinearContactsError: If the contacts lie on a line (A7).
     """
-    arms = points - points.sum(axis=0) / len(points)
-    if _margin(arms) < MIN_COLLINEARITY_MARGIN:
+    forces, margin = spread_wrench(points, wrench)
+    if margin < MIN_COLLINEARITY_MARGIN:
         raise CollinearContactsError.of(points)
-    x, y, z = _solve_spread((arms.T @ arms).tolist(), wrench[3:].tolist())
-    turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # arms @ turn = w x arms
-    return np.asarray(wrench[:3] / len(points) + arms @ turn)
+    return forces
 
 
-def _solve_spread(scatter: list[list[float]], right: list[float]) -> tuple[float, float, float]:
-    """Solve (trace(scatter) I - scatter) w = right by its adjugate, in a fifth of LAPACK's time."""
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = scatter
+@compiled
+def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
+    """Return the forces of `wrench_forces`, of no use on a line, and the collinearity margin."""
+    arms = centred(points)
+    k, margin = len(points), _margin(arms)
+    x, y, z = _solve_spread(arms.T @ arms, wrench[3:])
+    out = np.empty((k, 3))
+    for i in range(k):
+        a, b, c = arms[i]
+        out[i, 0] = wrench[0] / k + y * c - z * b
+        out[i, 1] = wrench[1] / k + z * a - x * c
+        out[i, 2] = wrench[2] / k + x * b - y * a
+    return out, margin
+
+
+@compiled
+def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
+    """Solve (trace(scatter) I - scatter) w = right by its adjugate."""
+    xx, xy, xz = scatter[0]
+    yy, yz, zz = scatter[1, 1], scatter[1, 2], scatter[2, 2]
     x, y, z = right
     a, b, c, d, e, f = yy + zz, -xy, -xz, xx + zz, -yz, xx + yy
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
@@ -93,27 +114,38 @@ def _solve_spread(scatter: list[list[float]], right: list[float]) -> tuple[float
     )
 
 
+@compiled
+def centred(points: Array) -> Array:
+    """Return the arms p_c,i - centroid, shape (k, 3), m."""
+    centroid = np.zeros(3)
+    for i in range(len(points)):
+        centroid += points[i]
+    return points - centroid / len(points)
+
+
+@compiled
 def collinearity_margin(points: Array) -> float:
     """Return how far the contacts are from lying on one line: 0 on a line, 1 for an even spread.
 
     It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
     assumption A7.
     """
-    return _margin(points - points.sum(axis=0) / len(points))
+    return _margin(centred(points))
 
 
+@compiled
 def _margin(arms: Array) -> float:
-    if len(arms) != 3:
-        values = np.linalg.svd(arms, compute_uv=False)
-        return float(values[1] / values[0]) if values[0] > 0.0 else 0.0
-    # Three arms from their mean have one cross product, whose square is a third of l1 l2, where l
-    # are the eigenvalues of the scatter; their sum is that of the squared arms.
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = arms.tolist()
-    total = ax * ax + ay * ay + az * az + bx * bx + by * by + bz * bz + cx * cx + cy * cy + cz * cz
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    product = 3.0 * (nx * nx + ny * ny + nz * nz)
-    largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
-    return math.sqrt(product) / largest if largest > 0.0 else 0.0
+    if len(arms) == 3:
+        # Three arms from their mean have one cross product, whose square is a third of l1 l2, where
+        # l are the eigenvalues of the scatter; their sum is that of the squared arms.
+        total = (arms * arms).sum()
+        (ax, ay, az), (bx, by, bz) = arms[0], arms[1]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        product = 3.0 * (nx * nx + ny * ny + nz * nz)
+        largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
+        return math.sqrt(product) / largest if largest > 0.0 else 0.0
+    squares = np.linalg.eigvalsh(arms.T @ arms)
+    return math.sqrt(max(squares[1], 0.0) / squares[2]) if squares[2] > 0.0 else 0.0
 
 
 def joint_margin(hand_jacobian: Array) -> float:

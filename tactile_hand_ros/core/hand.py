@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.core.errors import HandModelError
 from tactile_hand_ros.core.hand_config import HandConfig, MountConfig, load_hand_config
+from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Fingertips:
+class Fingertips(NamedTuple):
     """Fingertip centres and their Jacobians at one configuration, all in palm axes.
 
     Attributes:
@@ -60,8 +60,11 @@ class Hand:
         self.description = _describe(config, config.layout(layout))
         self._model = _model(self.description, config)
         self._data = self._model.createData()
-        self._lower = np.tril_indices(self._model.nv, -1)
         self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
+        self._support = _support(self._model, self._tips)
+        # Views of what Pinocchio writes.
+        self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
+        self._centres = [self._data.oMf[frame].translation for frame in self._tips]
         self._model.gravity.linear = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.finger_names = config.finger_names
         self.radii = np.array(config.radii)
@@ -100,19 +103,18 @@ class Hand:
     def tip_positions(self, theta: Array) -> Array:
         """Return the centres of the fingertips alone, shape (k, 3), m."""
         pin.forwardKinematics(self._model, self._data, theta)
-        update = pin.updateFramePlacement
-        return np.array([update(self._model, self._data, tip).translation for tip in self._tips])
+        return self._read_centres()
+
+    def _read_centres(self) -> Array:
+        pin.updateFramePlacements(self._model, self._data)
+        out = np.empty((len(self._tips), 3))
+        for i, centre in enumerate(self._centres):
+            out[i] = centre
+        return out
 
     def _read_fingertips(self) -> Fingertips:
-        k, m = self.fingers, self.joints
-        positions, jacobians = np.empty((k, 3)), np.empty((k, 6, m))
-        for i, frame in enumerate(self._tips):
-            placement = pin.updateFramePlacement(self._model, self._data, frame)
-            positions[i] = placement.translation
-            jacobians[i] = pin.getFrameJacobian(
-                self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED
-            )
-        return Fingertips(positions, jacobians[:, :3], jacobians[:, 3:])
+        centres = self._read_centres()
+        return Fingertips(centres, *tip_jacobians(self._spatial, self._support, centres))
 
     def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
@@ -124,10 +126,12 @@ class Hand:
         Returns:
             Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
         """
-        pin.computeAllTerms(self._model, self._data, theta, rates)
-        inertia = self._data.M.copy()
-        inertia[self._lower] = inertia.T[self._lower]  # Pinocchio promises the upper triangle only
-        return self._read_fingertips(), inertia, self._data.nle.copy()
+        pin.computeJointJacobians(self._model, self._data, theta)
+        tips = self._read_fingertips()
+        pin.crba(self._model, self._data, theta)
+        pin.nonLinearEffects(self._model, self._data, theta, rates)
+        # Pinocchio promises the upper triangle only.
+        return tips, mirrored(self._inertia), self._bias.copy()
 
     def gravity_torque(self, theta: Array) -> Array:
         """Return the torques that hold the links against gravity, shape (m,), N m."""
@@ -158,6 +162,17 @@ class Hand:
             points.append(self._data.oMi[joint].translation.copy())
             joint = self._model.parents[joint]
         return points[::-1]
+
+
+def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
+    """Return which joints move which tip frame, shape (k, m)."""
+    out = np.zeros((len(tips), model.nv), dtype=bool)
+    for i, frame in enumerate(tips):
+        joint = model.frames[frame].parentJoint
+        while joint > 0:
+            out[i, model.idx_vs[joint]] = True
+            joint = model.parents[joint]
+    return out
 
 
 def _describe(config: HandConfig, layout: Mapping[str, MountConfig]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.contact import Contacts, hand_jacobian
+from tactile_hand_ros.core.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.core.grasp import wrench_forces
 from tactile_hand_ros.core.hand import Fingertips
 from tactile_hand_ros.core.load_observer import LoadObserver, ObserverConfig, limit_length
@@ -191,15 +191,12 @@ class ManipulationLaw:
         Raises:
             CollinearContactsError: If the contacts lie on a line (A7).
         """
-        error = np.concatenate(
-            [
-                target.position - auxiliary.position,
-                orientation_error(auxiliary.orientation, target.orientation),
-            ]
-        )
-        self._integrate(error, dt)
         c = self.config
-        wrench = np.concatenate([c.k_p * error[:3], c.k_o * error[3:]])
+        error, wrench = np.empty(6), np.empty(6)
+        error[:3] = target.position - auxiliary.position
+        error[3:] = orientation_error(auxiliary.orientation, target.orientation)
+        self._integrate(error, dt)
+        wrench[:3], wrench[3:] = c.k_p * error[:3], c.k_o * error[3:]
         seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
         law = (self._factory or LAWS[c.name])(seen, c)
         carried = self._carried(contacts, forces, dt)
@@ -257,8 +254,6 @@ class ContactLaw:
     def __init__(self, seen: LawInput, config: LawConfig) -> None:
         """Take what the law sees at a tick."""
         self._seen = seen
-        jacobian = hand_jacobian(seen.tips, seen.contacts.positions)
-        self._transposed = jacobian.reshape(-1, jacobian.shape[-1]).T
 
     def squeezing_forces(self) -> Array:
         """Return the squeezing forces in palm axes, shape (k, 3), N."""
@@ -267,12 +262,16 @@ class ContactLaw:
 
     def squeeze(self) -> Array:
         """Return the squeezing torques, shape (m,), N m."""
-        return np.asarray(self._transposed @ self.squeezing_forces().ravel())
+        return self._pressing(self.squeezing_forces())
 
     def drive(self, wrench: Array) -> Array:
         """Return the torques for a wrench about the contact centroid, shape (6,)."""
-        forces = wrench_forces(self._seen.contacts.positions, wrench)
-        return np.asarray(self._transposed @ forces.ravel())
+        return self._pressing(wrench_forces(self._seen.contacts.positions, wrench))
+
+    def _pressing(self, forces: Array) -> Array:
+        tips = self._seen.tips
+        points = self._seen.contacts.positions
+        return joint_torques(tips.linear, tips.angular, tips.positions, points, forces)
 
 
 class OptimalLaw(ContactLaw):
@@ -281,8 +280,7 @@ class OptimalLaw(ContactLaw):
     def squeezing_forces(self) -> Array:
         """Return the squeezing forces in palm axes, shape (k, 3), N."""
         seen = self._seen
-        in_palm = (seen.contacts.rotations @ seen.optimal_forces[:, :, None])[:, :, 0]
-        return np.asarray(seen.grasp_force * in_palm)
+        return in_palm(seen.contacts.rotations, seen.optimal_forces, seen.grasp_force)
 
 
 LAWS: dict[str, LawFactory] = {

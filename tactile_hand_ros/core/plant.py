@@ -9,13 +9,20 @@ it moves over both bodies as the fingertip rolls; the acceleration form of (6) i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.contact_step import Body, HandTerms, contact_geometry, step
+from tactile_hand_ros.core.contact_step import (
+    Body,
+    HandTerms,
+    contact_geometry,
+    half_step,
+    observed,
+    step,
+)
 from tactile_hand_ros.core.disturbance import external_wrench
 from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
 from tactile_hand_ros.core.hand import Hand
@@ -26,12 +33,10 @@ from tactile_hand_ros.core.rotations import (
 
 Array = NDArray[np.float64]
 
-TOUCH = 1e-6  # gap below which a finger counts as touching, m
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
 
 
-@dataclass(frozen=True)
-class PlantState:
+class PlantState(NamedTuple):
     """Hand and object at one instant; vectors in palm axes unless they are in contact frames.
 
     Attributes:
@@ -119,7 +124,10 @@ class Plant:
     def _close_gaps(self) -> None:
         """Move the fingers so that tips within 5 mm of the object touch it exactly."""
         for _ in range(20):
-            _, frames, gaps = self._geometry()
+            tips = self.hand.tip_positions(self._theta)
+            _, frames, gaps = contact_geometry(
+                self.solid.shape, self._position, self._rotation, tips, self.hand.radii
+            )
             if gaps.min() < -_REACH:
                 finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
@@ -132,13 +140,6 @@ class Plant:
             moves = frames[:, :, 1] * missing[:, None]
             jacobian = self.hand.fingertips(self._theta).linear.reshape(-1, self.hand.joints)
             self._theta = self._theta + np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
-
-    def _geometry(self) -> tuple[Array, Array, Array]:
-        """Return contact points, frames and gaps now."""
-        tips = self.hand.tip_positions(self._theta)
-        return contact_geometry(
-            self.solid.shape, self._position, self._rotation, tips, self.hand.radii
-        )
 
     def advance(self, torque: Array) -> PlantState:
         """Move one tick ahead while the joints keep a torque, shape (m,), N m.
@@ -159,27 +160,17 @@ class Plant:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
-        # Forces that grow with the square of the rates need them half a step ahead as well.
-        ahead = v + 0.5 * (v - self._v_before)
-        tips, inertia, bias = self.hand.dynamics(self._theta + 0.5 * h * v[:m], ahead[:m])
-        hand = HandTerms(
-            tips.positions,
-            tips.linear,
-            tips.angular,
-            inertia,
-            self._torque - bias,
-            self.hand.radii,
-        )
+        theta, ahead = half_step(h, self._theta, v, self._v_before)
+        tips, inertia, bias = self.hand.dynamics(theta, ahead[:m])
+        hand = HandTerms(self._theta, *tips, inertia, self._torque - bias, self.hand.radii)
         wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + self._weight
         body = Body(
             self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
         )
-        after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses)
-        self._theta = self._theta + 0.5 * h * (v[:m] + after.velocities[:m])
-        self._position, self._rotation = after.position, after.rotation
+        after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses, self._slid)
         self._v_before, self._v = v, after.velocities
-        self._impulses, self._sliding = after.impulses, after.sliding
-        self._slid = self._slid + h * np.hypot(self._sliding[:, 0], self._sliding[:, 1])
+        self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
+        self._impulses, self._sliding, self._slid = after.impulses, after.sliding, after.slid
         self.contact_residual = after.residual
         self._steps += 1
         self.time = self._steps * h
@@ -188,11 +179,10 @@ class Plant:
     def state(self) -> PlantState:
         """Hand and object now; a step replaces its arrays and never writes into them."""
         m, h = self.hand.joints, self.config.time_step
-        points, frames, gaps = self._geometry()
-        apart = (gaps > TOUCH) & (self._impulses[:, 1] <= 0.0)
-        if apart.any():
-            points[apart] = np.nan
-            frames[apart] = np.nan
+        tips = self.hand.tip_positions(self._theta)
+        points, frames, gaps = observed(
+            self.solid.shape, self._position, self._rotation, tips, self.hand.radii, self._impulses
+        )
         return PlantState(
             self._theta,
             self._v[:m],

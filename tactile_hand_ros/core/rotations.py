@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations: quaternions (x, y, z, w), matrices and vectors, fast for a handful of contacts."""
+"""Rotations: quaternions (x, y, z, w), matrices and vectors."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_hand_ros.core.compiled import compiled
+
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
-_NAN_ROTATION = [[math.nan] * 3] * 3
-_NAN_QUATERNION = [math.nan] * 4
 
-
-def rotation_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
+def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     """Convert quaternions to rotation matrices.
 
     The length of a quaternion does not matter. Rows with NaN, and zero quaternions, give NaN.
@@ -25,28 +25,11 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     Returns:
         Rotation matrices. Shape (..., 3, 3).
     """
-    rows = np.asarray(quaternion, dtype=np.float64)
-    # Scalars beat array expressions by far for a few rows.
-    flat = [_rotation(*row) for row in rows.reshape(-1, 4).tolist()]
-    return np.array(flat, dtype=np.float64).reshape(rows.shape[:-1] + (3, 3))
+    rows = np.ascontiguousarray(quaternion, dtype=np.float64)
+    return _rotations(rows.reshape(-1, 4)).reshape(rows.shape[:-1] + (3, 3))
 
 
-def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
-    square = x * x + y * y + z * z + w * w
-    if not square > 0.0:
-        return _NAN_ROTATION
-    s = 2.0 / square
-    sx, sy, sz = s * x, s * y, s * z
-    xx, xy, xz, xw = x * sx, x * sy, x * sz, w * sx
-    yy, yz, zz, yw, zw = y * sy, y * sz, z * sz, w * sy, w * sz
-    return [
-        [1.0 - yy - zz, xy - zw, xz + yw],
-        [xy + zw, 1.0 - xx - zz, yz - xw],
-        [xz - yw, yz + xw, 1.0 - xx - yy],
-    ]
-
-
-def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
+def quaternion_from_rotation(rotation: ArrayLike) -> Array:
     """Convert rotation matrices to unit quaternions with w >= 0.
 
     Of the two quaternions of a half turn (w = 0) the one whose first non-zero component is
@@ -61,30 +44,54 @@ def quaternion_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     Source:
         S. W. Shepperd, Quaternion from rotation matrix, 1978: divides by the largest component.
     """
-    matrices = np.asarray(rotation, dtype=np.float64)
-    flat = [_quaternion(*row) for row in matrices.reshape(-1, 9).tolist()]
-    return np.array(flat, dtype=np.float64).reshape(matrices.shape[:-2] + (4,))
+    matrices = np.ascontiguousarray(rotation, dtype=np.float64)
+    return _quaternions(matrices.reshape(-1, 9)).reshape(matrices.shape[:-2] + (4,))
 
 
-def _quaternion(
-    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
-) -> list[float]:
-    trace = a + e + i
-    largest = max(trace, a, e, i)
-    if largest == trace:
-        x, y, z, w = h - f, c - g, d - b, 1.0 + trace
-    elif largest == a:
-        x, y, z, w = 1.0 + a - e - i, b + d, c + g, h - f
-    elif largest == e:
-        x, y, z, w = b + d, 1.0 - a + e - i, f + h, c - g
-    else:
-        x, y, z, w = c + g, f + h, 1.0 - a - e + i, d - b
-    square = x * x + y * y + z * z + w * w
-    if not square > 0.0:
-        return _NAN_QUATERNION
-    leading = w or x or y or z
-    scale = math.copysign(1.0 / math.sqrt(square), leading)
-    return [x * scale, y * scale, z * scale, w * scale]
+@compiled
+def _rotations(quaternions: Array) -> Array:
+    """Return the rotations of quaternions, shape (n, 4), as rows of nine, shape (n, 9)."""
+    out = np.empty((len(quaternions), 9))
+    for i in range(len(quaternions)):
+        x, y, z, w = quaternions[i]
+        square = x * x + y * y + z * z + w * w
+        s = 2.0 / square if square > 0.0 else np.nan
+        sx, sy, sz = s * x, s * y, s * z
+        xx, xy, xz, xw = x * sx, x * sy, x * sz, w * sx
+        yy, yz, zz, yw, zw = y * sy, y * sz, z * sz, w * sy, w * sz
+        out[i, 0], out[i, 1], out[i, 2] = 1.0 - yy - zz, xy - zw, xz + yw
+        out[i, 3], out[i, 4], out[i, 5] = xy + zw, 1.0 - xx - zz, yz - xw
+        out[i, 6], out[i, 7], out[i, 8] = xz - yw, yz + xw, 1.0 - xx - yy
+    return out
+
+
+@compiled
+def _quaternions(rotations: Array) -> Array:
+    """Return the quaternions, shape (n, 4), of rotations given as rows of nine, shape (n, 9)."""
+    out = np.empty((len(rotations), 4))
+    for row in range(len(rotations)):
+        a, b, c, d, e, f, g, h, i = rotations[row]
+        trace = a + e + i
+        largest = max(trace, a, e, i)
+        if largest == trace:
+            x, y, z, w = h - f, c - g, d - b, 1.0 + trace
+        elif largest == a:
+            x, y, z, w = 1.0 + a - e - i, b + d, c + g, h - f
+        elif largest == e:
+            x, y, z, w = b + d, 1.0 - a + e - i, f + h, c - g
+        else:
+            x, y, z, w = c + g, f + h, 1.0 - a - e + i, d - b
+        square = x * x + y * y + z * z + w * w
+        scale = 1.0 / math.sqrt(square) if square > 0.0 else np.nan
+        leading = w
+        for component in (x, y, z):
+            if leading == 0.0:
+                leading = component
+        if leading < 0.0:
+            scale = -scale
+        out[row, 0], out[row, 1], out[row, 2] = x * scale, y * scale, z * scale
+        out[row, 3] = w * scale
+    return out
 
 
 def cross(a: Vector, b: Vector) -> Vector:
@@ -92,13 +99,13 @@ def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
+def rotation_from_vector(vector: ArrayLike) -> Array:
     """Return the rotation by |vector| rad about vector, shape (3, 3) (Rodrigues 1840)."""
     x, y, z = np.asarray(vector, dtype=np.float64)
     return rodrigues(float(x), float(y), float(z))
 
 
-def rodrigues(x: float, y: float, z: float) -> NDArray[np.float64]:
+def rodrigues(x: float, y: float, z: float) -> Array:
     """Return the rotation about the vector (x, y, z) by its length in rad, shape (3, 3)."""
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -115,7 +122,7 @@ def rodrigues(x: float, y: float, z: float) -> NDArray[np.float64]:
     )
 
 
-def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def vector_from_rotation(rotation: Array) -> Array:
     """Return the rotation vector of a rotation matrix, of length 0 to pi, shape (3,), rad."""
     x, y, z, w = quaternion_from_rotation(rotation).tolist()
     sine = math.sqrt(x * x + y * y + z * z)

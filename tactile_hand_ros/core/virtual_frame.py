@@ -9,11 +9,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.grasp import check_spread, collinearity_margin
-from tactile_hand_ros.core.rotations import Vector, cross
 
 Array = NDArray[np.float64]
 
+_OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # turns r_z to the other side of the plane, and r_y
 _CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
 
 
@@ -59,14 +60,10 @@ class VirtualFrame:
 
     def _plane_frame(self, points: Array) -> Array:
         check_spread(points)
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = points.tolist()
-        x = _unit(ax - bx, ay - by, az - bz)
-        # cross(p_1 - p_2, p_1 - p_3) is normal to the plane of the contacts
-        z = _unit(*cross((ax - bx, ay - by, az - bz), (ax - cx, ay - cy, az - cz)))
+        frame = _frame_of_plane(points)
         if self._side == 0.0:
-            self._side = -1.0 if z[2] < 0.0 else 1.0
-        z = (self._side * z[0], self._side * z[1], self._side * z[2])
-        return np.array([x, cross(z, x), z]).T
+            self._side = -1.0 if frame[2, 2] < 0.0 else 1.0
+        return frame if self._side > 0.0 else frame * _OTHER_SIDE
 
 
 def _leading(points: Array) -> Array:
@@ -77,6 +74,7 @@ def _leading(points: Array) -> Array:
     return max(triples, key=collinearity_margin)
 
 
+@compiled
 def orientation_error(actual: Array, desired: Array) -> Array:
     """Return r_d = sum over the axes of r x r_desired, shape (3,).
 
@@ -88,14 +86,33 @@ def orientation_error(actual: Array, desired: Array) -> Array:
 
     Source: Shaw-Cortez et al., below equation (8).
     """
-    # sum of column cross products = vee(D A^T - A D^T)
-    m = desired @ actual.T
-    return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    out = np.zeros(3)
+    for axis in range(3):
+        a, b, c = actual[:, axis]
+        x, y, z = desired[:, axis]
+        out[0] += b * z - c * y
+        out[1] += c * x - a * z
+        out[2] += a * y - b * x
+    return out
 
 
-def _unit(x: float, y: float, z: float) -> Vector:
-    length = math.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
+@compiled
+def _frame_of_plane(points: Array) -> Array:
+    """Return [r_x r_y r_z] of the plane of three points with r_z = (p_1 - p_2) x (p_1 - p_3)."""
+    a, b, c = points[0] - points[1]
+    d, e, f = points[0] - points[2]
+    length = math.sqrt(a * a + b * b + c * c)
+    x0, x1, x2 = a / length, b / length, c / length
+    u, v, w = b * f - c * e, c * d - a * f, a * e - b * d
+    length = math.sqrt(u * u + v * v + w * w)
+    z0, z1, z2 = u / length, v / length, w / length
+    return np.array(
+        [
+            [x0, z1 * x2 - z2 * x1, z0],
+            [x1, z2 * x0 - z0 * x2, z1],
+            [x2, z0 * x1 - z1 * x0, z2],
+        ]
+    )
 
 
 def best_rotation(before: Array, after: Array) -> Array:

@@ -30,7 +30,7 @@ def problems(draw):
     return delassus, free, closing, friction
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(problems())
 def test_impulses_obey_both_laws(problem):
     delassus, free, closing, friction = problem
@@ -41,7 +41,7 @@ def test_impulses_obey_both_laws(problem):
     np.testing.assert_allclose(solved.velocities.ravel(), velocities, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(problems(), st.integers(0, 2**32 - 1))
 def test_the_guess_does_not_matter(problem, seed):
     """With little friction the problem has one solution, wherever the search begins."""
@@ -55,7 +55,7 @@ def test_the_guess_does_not_matter(problem, seed):
     np.testing.assert_allclose(second.impulses, first.impulses, atol=1e-6 * size)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(problems())
 def test_impulses_against_sliding_never_add_energy(problem):
     """P . w <= 0 for all contacts that touch: friction takes energy, contact gives none."""

@@ -18,7 +18,7 @@ def optimizer(contacts, values, least=0.0):
     return ForceOptimizer(config, len(contacts.positions))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(grasps(), weights, st.sampled_from([0.0, 0.0, 0.05]))
 def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, least):
     expected = best_forces(contacts, np.tile(values, len(contacts.positions)), least)
@@ -30,7 +30,7 @@ def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, least):
     np.testing.assert_allclose(found.forces, expected, atol=1e-7 * np.abs(expected).max())
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(grasps(), weights)
 def test_what_is_called_solved_satisfies_the_constraints(contacts, values):
     found = optimizer(contacts, values).solve(contacts)
@@ -41,7 +41,7 @@ def test_what_is_called_solved_satisfies_the_constraints(contacts, values):
     assert found.forces[:, 1].min() > -1e-8 * size
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(grasps(most=4), weights, rotations, vectors, st.floats(0.2, 5.0))
 def test_does_not_depend_on_place_direction_or_size(contacts, values, rotation, shift, scale):
     """One solver, warm-started from the first answer, must give the second grasp the same."""

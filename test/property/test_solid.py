@@ -13,7 +13,7 @@ from tactile_hand_ros.core.solid import ConvexPolyhedron, closest_point
 random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(random_numbers, st.integers(4, 30), normals, st.floats(0.15, 1.0))
 def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how_far):
     solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
@@ -31,7 +31,7 @@ def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how
         assert np.abs(solid.normals - normal).max(axis=1).min() < 1e-12
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(random_numbers, normals)
 def test_box_against_clipping(random, direction):
     """The nearest point of a box is the point, clipped to it."""
@@ -46,7 +46,7 @@ def test_box_against_clipping(random, direction):
     np.testing.assert_allclose(normal, (point - clipped) / distance, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(random_numbers, st.integers(4, 30))
 def test_inside_the_nearest_face_counts(random, corners):
     solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
@@ -57,7 +57,7 @@ def test_inside_the_nearest_face_counts(random, corners):
     assert on_face and depth == pytest.approx((solid.normals @ point - solid.offsets).max())
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(random_numbers, st.integers(4, 20))
 def test_every_corner_is_behind_every_face(random, corners):
     solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))

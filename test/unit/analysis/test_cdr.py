@@ -28,7 +28,7 @@ def cdr(content: Any, little: bool = True) -> bytes:
     return bytes(STORE.serialize_cdr(content, content.__msgtype__, little_endian=little))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(st.tuples(stamps, names, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))),
     st.booleans(),
@@ -47,7 +47,7 @@ def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> No
     assert seen == len(messages)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(names, max_size=4), st.booleans(), st.booleans(), st.booleans())
 def test_joint_states(joints: list[str], position: bool, velocity: bool, effort: bool) -> None:
     """Any of the three fields may be empty."""

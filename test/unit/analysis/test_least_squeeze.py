@@ -74,7 +74,7 @@ def test_a_lost_contact_carries_nothing() -> None:
     assert math.isinf(least_squeeze(lost, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.5))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), mu=st.floats(0.1, 1.5))
 def test_no_more_than_any_forces_inside_the_cones(seed: int, mu: float) -> None:
     """Forces inside the cones carry their own wrench, so that the least sum is not above theirs."""
@@ -87,7 +87,7 @@ def test_no_more_than_any_forces_inside_the_cones(seed: int, mu: float) -> None:
     assert 0.0 <= least <= normal.sum() * EXACT * (1 + 1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_the_frame_of_the_palm_does_not_matter(seed: int) -> None:
     """Contacts and wrench turned together need the same."""

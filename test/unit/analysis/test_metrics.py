@@ -242,7 +242,7 @@ def test_record_of_nothing_but_joints() -> None:
     assert m.final_normal_forces_N == {} and m.contacts_lost_ticks == 0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_rotation_error_is_that_of_the_laws(seed: int) -> None:
     random = np.random.default_rng(seed)

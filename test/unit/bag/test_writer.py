@@ -219,7 +219,7 @@ def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
 _TIMES = st.integers(0, 2**62)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     messages=st.lists(st.tuples(st.booleans(), st.binary(max_size=300), _TIMES, _TIMES)),
     compression=st.sampled_from(["none", "lz4", "zstd"]),
@@ -241,7 +241,7 @@ def test_any_bytes_and_times_come_back(
     assert [time for _, time, _ in got] == sorted(time for _, time, _ in got)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(text=st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])))
 def test_messages_of_ros_decode_to_the_same_content(
     tmp_path_factory: pytest.TempPathFactory, text: str

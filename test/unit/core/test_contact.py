@@ -3,14 +3,21 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from support.grasps import normals, vectors
 
-from tactile_hand_ros.core.contact import Contacts, contact_frame, skew
+from tactile_hand_ros.core.contact import (
+    Contacts,
+    contact_frame,
+    hand_jacobian,
+    in_palm,
+    joint_torques,
+    skew,
+)
+from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 
 
-@settings(deadline=None)
 @given(normals)
 def test_frame_is_right_handed_with_y_along_the_normal(normal):
     frame = contact_frame(normal)
@@ -95,3 +102,22 @@ def test_what_travels_on_a_topic_gives_the_same_frames_back():
     np.testing.assert_allclose(contacts.rotations, rotations, atol=1e-15)
     np.testing.assert_allclose(contacts.normals[2], [0.0, -0.6, 0.8], atol=1e-15)
     np.testing.assert_allclose(contacts.centroid, np.full(3, 1 / 3))
+
+
+def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces() -> None:
+    """Written out it must be what equation (2) says, and do the work that the contacts do."""
+    hand, random = Hand.load("paper"), np.random.default_rng(5)
+    tips = hand.fingertips(random.uniform(0.2, 0.9, hand.joints))
+    points = tips.positions + random.normal(0.0, 0.01, (3, 3))
+    forces, rates = random.normal(size=(3, 3)), random.normal(size=hand.joints)
+    jacobian = hand_jacobian(tips, points)
+    torques = joint_torques(tips.linear, tips.angular, tips.positions, points, forces)
+    np.testing.assert_allclose(torques, np.einsum("kim,ki->m", jacobian, forces), atol=1e-15)
+    assert torques @ rates == pytest.approx(np.sum((jacobian @ rates) * forces))
+
+
+def test_forces_are_turned_into_palm_axes() -> None:
+    frames = np.array([contact_frame(n) for n in np.eye(3)])
+    forces = np.random.default_rng(6).normal(size=(3, 3))
+    expected = [2.0 * frame @ force for frame, force in zip(frames, forces, strict=True)]
+    np.testing.assert_allclose(in_palm(frames, forces, 2.0), expected, atol=1e-15)

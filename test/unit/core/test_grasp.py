@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from support.grasps import literal_grasp_map, point_sets, rotations, vectors
 
 from tactile_hand_ros.core.contact import hand_jacobian
@@ -22,7 +22,6 @@ from tactile_hand_ros.core.hand import Hand
 LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
 
 
-@settings(deadline=None)
 @given(point_sets(), vectors)
 def test_grasp_map_is_forces_and_their_moments(points, origin):
     np.testing.assert_allclose(
@@ -30,7 +29,6 @@ def test_grasp_map_is_forces_and_their_moments(points, origin):
     )
 
 
-@settings(deadline=None)
 @given(point_sets(), vectors, vectors, vectors)
 def test_transposed_grasp_map_is_the_velocity_of_the_points(points, origin, velocity, spin):
     """G^T [v; w] is the velocity of the rigid body at the contacts, the right side of (6)."""
@@ -39,7 +37,6 @@ def test_transposed_grasp_map_is_the_velocity_of_the_points(points, origin, velo
     np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(point_sets(), vectors, vectors)
 def test_wrench_forces_are_the_pseudoinverse(points, force, torque):
     wrench = np.concatenate([force, torque])
@@ -49,7 +46,6 @@ def test_wrench_forces_are_the_pseudoinverse(points, force, torque):
     np.testing.assert_allclose(about_centroid @ forces, wrench, atol=1e-10)
 
 
-@settings(deadline=None)
 @given(point_sets(), rotations, vectors)
 def test_collinearity_margin_does_not_depend_on_place_or_direction(points, rotation, shift):
     moved = points @ rotation.T + shift

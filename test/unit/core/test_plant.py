@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from support.plants import momentum, plant
 
+from tactile_hand_ros.core.contact_step import TOUCH
 from tactile_hand_ros.core.disturbance import Disturbance
 from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
-from tactile_hand_ros.core.plant import TOUCH
 from tactile_hand_ros.core.plant_config import PlantConfig
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}

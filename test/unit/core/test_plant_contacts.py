@@ -7,9 +7,9 @@ from support.hands import tip_rotations
 from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
 
 from tactile_hand_ros.core.contact import skew
+from tactile_hand_ros.core.contact_step import TOUCH
 from tactile_hand_ros.core.disturbance import Disturbance
 from tactile_hand_ros.core.grasp import grasp_map
-from tactile_hand_ros.core.plant import TOUCH
 
 HEAVY = {"object__mass": 0.2, "layout": "pinch"}
 

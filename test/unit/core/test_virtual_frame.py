@@ -13,7 +13,6 @@ from tactile_hand_ros.core.rotations import rotation_from_vector
 from tactile_hand_ros.core.virtual_frame import VirtualFrame, best_rotation, orientation_error
 
 
-@settings(deadline=None)
 @given(point_sets(most=3))
 def test_frame_of_three_contacts_is_the_papers(points):
     r_x, r_y, r_z = VirtualFrame().orientation(points).T
@@ -30,7 +29,6 @@ def test_the_papers_layouts_start_with_the_identity(grasp):
     np.testing.assert_allclose(VirtualFrame().orientation(grasp().positions), np.eye(3), atol=1e-15)
 
 
-@settings(deadline=None)
 @given(point_sets(), rotations, vectors)
 def test_frame_turns_with_the_grasp_even_upside_down(points, rotation, shift):
     """The side of r_z is chosen once: a half turn must turn the frame, not flip it."""
@@ -50,7 +48,7 @@ def test_reset_chooses_the_side_anew():
     assert frame.orientation(points @ over.T)[2, 2] == pytest.approx(1.0)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(point_sets(least=4, margin=0.3), rotations, st.integers(0, 2**32 - 1))
 def test_more_contacts_give_the_best_fitting_rotation(points, rotation, seed):
     """No rotation nearby fits the moved and disturbed contacts better."""
@@ -102,7 +100,6 @@ def test_points_on_a_line_have_no_frame():
         frame.orientation(line)
 
 
-@settings(deadline=None)
 @given(rotations, normals, st.floats(-3.1, 3.1))
 def test_orientation_error_is_twice_the_sine_times_the_axis(actual, axis, angle):
     desired = Rotation.from_rotvec(angle * axis).as_matrix() @ actual
@@ -110,7 +107,6 @@ def test_orientation_error_is_twice_the_sine_times_the_axis(actual, axis, angle)
     np.testing.assert_allclose(orientation_error(actual, desired), expected, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(rotations, rotations)
 def test_orientation_error_is_the_papers_sum_of_cross_products(actual, desired):
     expected = np.cross(actual.T, desired.T).sum(axis=0)
