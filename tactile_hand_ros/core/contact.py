@@ -49,7 +49,16 @@ class Contacts:
     @cached_property
     def centroid(self) -> Array:
         """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
-        return np.asarray(np.add.reduce(self.positions) / len(self.positions))
+        return centroid(self.positions)
+
+
+@compiled
+def centroid(points: Array) -> Array:
+    """Return the mean of points of shape (k, 3), shape (3,)."""
+    out = np.zeros(3)
+    for i in range(len(points)):
+        out += points[i]
+    return out / len(points)
 
 
 @compiled

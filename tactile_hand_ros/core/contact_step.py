@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.core import contact, rotations
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.coulomb import solve_contacts
+from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
 from tactile_hand_ros.core.solid import Shape, closest_point
 
 Array = NDArray[np.float64]
@@ -28,20 +29,22 @@ class HandTerms(NamedTuple):
 
     Attributes:
         theta: Joint angles at the start, shape (m,), rad.
-        tips: Fingertip centres, shape (k, 3), m.
-        linear: Jacobians of their velocities, shape (k, 3, m).
-        angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
-        inertia: M_h, shape (m, m).
-        push: tau - C_h theta' - N_h, shape (m,), N m.
+        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        spatial: Velocities of the bodies at the palm's origin per joint rate, shape (6, m).
+        support: Which joints move which tip, shape (k, m).
+        inertia: M_h, of which only the upper triangle counts, shape (m, m).
+        bias: C_h theta' + N_h, shape (m,), N m.
+        torque: tau, shape (m,), N m.
         radii: Fingertip radii, shape (k,), m.
     """
 
     theta: Array
     tips: Array
-    linear: Array
-    angular: Array
+    spatial: Array
+    support: NDArray[np.bool_]
     inertia: Array
-    push: Array
+    bias: Array
+    torque: Array
     radii: Array
 
 
@@ -162,7 +165,8 @@ def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array)
 
     Its hand part is -R_C^T J_h and its object part R_C^T G^T, equation (6).
     """
-    k, m = len(points), hand.linear.shape[2]
+    k, m = hand.support.shape
+    every_linear, every_angular = tip_jacobians(hand.spatial, hand.support, hand.tips)
     out = np.empty((k, 3, m + 6))
     for i in range(k):
         arm = points[i] - position  # p_c - p_o
@@ -174,7 +178,7 @@ def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array)
             a1 = lever[2] * x - lever[0] * z
             a2 = lever[0] * y - lever[1] * x
             for j in range(m):
-                linear, angular = hand.linear[i, :, j], hand.angular[i, :, j]
+                linear, angular = every_linear[i, :, j], every_angular[i, :, j]
                 out[i, axis, j] = -(
                     x * linear[0] + y * linear[1] + z * linear[2]
                     + a0 * angular[0] + a1 * angular[1] + a2 * angular[2]
@@ -209,7 +213,7 @@ def step(
         guess: Impulses of the last step, shape (k, 3), N s.
         slid: Distance that each contact has slid so far, shape (k,), m.
     """
-    k, m = len(hand.tips), len(hand.push)
+    k, m = hand.support.shape
     position, rotation = _moved(body, 0.5 * h, v[m:])
     points, frames, gaps = contact_geometry(shape, position, rotation, hand.tips, hand.radii)
     near = np.flatnonzero(gaps < NEAR)
@@ -238,6 +242,9 @@ def step(
         residual = solved.residual
     theta = hand.theta + 0.5 * h * (v[:m] + free[:m])
     position, rotation = _moved(body, h, 0.5 * (v[m:] + free[m:]))
+    # Back onto the rotations, before rounding errors of many products add up: one step of Newton's
+    # iteration to the nearest rotation (Higham 1986).
+    rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
     slid = slid + h * np.sqrt(sliding[:, 0] ** 2 + sliding[:, 1] ** 2)
     return StepResult(theta, free, position, rotation, impulses, sliding, slid, residual)
 
@@ -254,18 +261,18 @@ def _response(
     h: float, v: Array, hand: HandTerms, body: Body, rotation: Array, rows: Array
 ) -> tuple[Array, Array]:
     """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
-    m, c = len(hand.push), len(rows)
+    m, c = len(hand.theta), len(rows)
     turning = rotation @ body.inertia @ rotation.T
     spin = body.spin
     momentum = turning @ spin
     right = np.empty((m + 6, c + 1))
     right[:, :c] = rows.T
-    right[:m, c] = h * hand.push
+    right[:m, c] = h * (hand.torque - hand.bias)
     right[m : m + 3, c] = h * body.wrench[:3]
     right[m + 3, c] = h * (body.wrench[3] - spin[1] * momentum[2] + spin[2] * momentum[1])
     right[m + 4, c] = h * (body.wrench[4] - spin[2] * momentum[0] + spin[0] * momentum[2])
     right[m + 5, c] = h * (body.wrench[5] - spin[0] * momentum[1] + spin[1] * momentum[0])
-    right[:m] = np.linalg.solve(hand.inertia, right[:m])
+    right[:m] = np.linalg.solve(mirrored(hand.inertia), right[:m])
     right[m : m + 3] /= body.mass
     right[m + 3 :] = np.linalg.solve(turning, right[m + 3 :])
     return right[:, :c].copy(), v + right[:, c]

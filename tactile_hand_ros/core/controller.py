@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +70,7 @@ class Mode(enum.Enum):
     DISABLED = "disabled"
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What the controller answers to one tick.
 
     Attributes:
@@ -277,7 +277,7 @@ class Controller:
             return f"no contact at {', '.join(names)}; holding until all fingers touch again"
         if self.config.law.name == "optimal" and not np.isfinite(forces).all():
             return "no optimal force f*; holding until the optimizer has an answer"
-        if not np.isfinite(grasp_force) or grasp_force < 0.0:
+        if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
         return ""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
-from tactile_hand_ros.core.contact import Contacts, skew
+from tactile_hand_ros.core.contact import Contacts, centroid, skew
 from tactile_hand_ros.core.errors import CollinearContactsError, GraspError
 
 Array = NDArray[np.float64]
@@ -117,10 +117,7 @@ def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
 @compiled
 def centred(points: Array) -> Array:
     """Return the arms p_c,i - centroid, shape (k, 3), m."""
-    centroid = np.zeros(3)
-    for i in range(len(points)):
-        centroid += points[i]
-    return points - centroid / len(points)
+    return points - centroid(points)
 
 
 @compiled

@@ -34,6 +34,25 @@ class Fingertips(NamedTuple):
     angular: Array
 
 
+class RawDynamics(NamedTuple):
+    """Dynamics of the hand as Pinocchio has computed them.
+
+    Attributes:
+        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
+            palm axes, shape (6, m).
+        support: Which joints move which tip, shape (k, m).
+        inertia: M_h, of which Pinocchio promises the upper triangle only, shape (m, m).
+        bias: C_h theta' + N_h, shape (m,), N m.
+    """
+
+    centres: Array
+    spatial: Array
+    support: NDArray[np.bool_]
+    inertia: Array
+    bias: Array
+
+
 class Hand:
     """A hand with k fingers and m joints.
 
@@ -126,12 +145,23 @@ class Hand:
         Returns:
             Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
         """
-        pin.computeJointJacobians(self._model, self._data, theta)
-        tips = self._read_fingertips()
-        pin.crba(self._model, self._data, theta)
-        pin.nonLinearEffects(self._model, self._data, theta, rates)
-        # Pinocchio promises the upper triangle only.
-        return tips, mirrored(self._inertia), self._bias.copy()
+        centres, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
+        tips = Fingertips(centres, *tip_jacobians(spatial, support, centres))
+        return tips, mirrored(inertia), bias.copy()
+
+    def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
+        """Return what `dynamics` is made of, in arrays that the next call overwrites.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+        """
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, theta)
+        pin.crba(model, data, theta)
+        pin.nonLinearEffects(model, data, theta, rates)
+        centres = self._read_centres()
+        return RawDynamics(centres, self._spatial, self._support, self._inertia, self._bias)
 
     def gravity_torque(self, theta: Array) -> Array:
         """Return the torques that hold the links against gravity, shape (m,), N m."""

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.core.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.core.grasp import wrench_forces
 from tactile_hand_ros.core.hand import Fingertips
 from tactile_hand_ros.core.load_observer import LoadObserver, ObserverConfig, limit_length
@@ -48,24 +47,21 @@ class LawConfig(Config):
     observer: ObserverConfig = ObserverConfig()
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """Where the hand shall bring the grasp: p_d and R_pod in the palm frame."""
 
     position: Array
     orientation: Array
 
 
-@dataclass(frozen=True)
-class AuxiliaryPose:
+class AuxiliaryPose(NamedTuple):
     """What the hand believes of the object: a centroid and the virtual frame, palm frame."""
 
     position: Array
     orientation: Array
 
 
-@dataclass(frozen=True)
-class LawTorque:
+class LawTorque(NamedTuple):
     """Joint torques of a law by what they are for, each of shape (m,), N m.
 
     Attributes:
@@ -86,8 +82,7 @@ class LawTorque:
         return self.squeeze + self.carry + self.drive + self.damping
 
 
-@dataclass(frozen=True)
-class LawInput:
+class LawInput(NamedTuple):
     """What a law sees at one tick: joints and touch, nothing of the object.
 
     Attributes:
@@ -161,7 +156,7 @@ class ManipulationLaw:
             GraspError: If the points do not define a frame (A7).
         """
         points = tips.positions if self.config.name == "kawamura" else contacts.positions
-        return AuxiliaryPose(points.sum(axis=0) / len(points), self._frame.orientation(points))
+        return AuxiliaryPose(centroid(points), self._frame.orientation(points))
 
     def step(
         self,

@@ -150,10 +150,6 @@ class Plant:
         self._torque = np.minimum(np.maximum(torque, -limit), limit)
         for _ in range(self.config.steps_per_tick):
             self._step(self.config.time_step)
-        # Back onto the rotations, before rounding errors of many products add up: one step of
-        # Newton's iteration to the nearest rotation (Higham 1986).
-        r = self._rotation
-        self._rotation = 1.5 * r - 0.5 * (r @ (r.T @ r))
         return self.state
 
     def _step(self, h: float) -> None:
@@ -161,8 +157,8 @@ class Plant:
             self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
         theta, ahead = half_step(h, self._theta, v, self._v_before)
-        tips, inertia, bias = self.hand.dynamics(theta, ahead[:m])
-        hand = HandTerms(self._theta, *tips, inertia, self._torque - bias, self.hand.radii)
+        terms = self.hand.raw_dynamics(theta, ahead[:m])
+        hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
         wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + self._weight
         body = Body(
             self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench

@@ -143,12 +143,11 @@ class TactileSensor:
     ) -> TactileReading:
         c, k = self.config, len(self._radii)
         # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
-        shift = c.location_noise * self._random.standard_normal((k, 3))
-        white = self._random.standard_normal((3, k, 3))
+        shift, *white = self._random.standard_normal((4, k, 3))
         lost = self._random.random(k) < c.dropout
         positions, quaternions = true.positions, true.quaternions
         if c.location_noise > 0.0 or c.location_resolution > 0.0:
-            positions, quaternions = self._displaced(true, shift, elapsed)
+            positions, quaternions = self._displaced(true, c.location_noise * shift, elapsed)
         touching = np.isfinite(positions[:, :1])
         felt = self._feel(true.forces, sliding, white, elapsed)
         forces = np.where(touching, _rounded(felt, c.force_resolution), 0.0)
@@ -162,7 +161,9 @@ class TactileSensor:
             np.where(keep, last.forces, forces),
         )
 
-    def _feel(self, forces: Array, sliding: Array | None, white: Array, elapsed: float) -> Array:
+    def _feel(
+        self, forces: Array, sliding: Array | None, white: list[Array], elapsed: float
+    ) -> Array:
         """Return the forces after vibration, bandwidth, drift and noise."""
         c = self.config
         if c.vibration.gain > 0.0:
