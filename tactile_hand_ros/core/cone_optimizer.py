@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
@@ -52,15 +53,33 @@ class Cones:
 
         The pyramids rather than the cones, so that f* does not jump where they begin to matter.
         """
-        total = forces + self.load
-        reach = (total[:, [0, 2]] @ _DIRECTIONS.T).max(axis=1)
-        return bool((reach <= _INSIDE * self.friction * total[:, 1]).all())
+        return inside_pyramids(forces, self.load, self.friction)
 
     def margin(self, forces: Array) -> float:
         """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
-        total = forces + self.load
-        tangential = np.hypot(total[:, 0], total[:, 2])
-        return float((self.friction * total[:, 1] - tangential).min())
+        return cone_margin(forces, self.load, self.friction)
+
+
+@compiled
+def cone_margin(forces: Array, load: Array, friction: Array) -> float:
+    """Return the least mu f_n - |f_t| of forces and load, both in contact frames, shape (k, 3)."""
+    least = np.inf
+    for i in range(len(forces)):
+        x, n, z = forces[i] + load[i]
+        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
+    return least
+
+
+@compiled
+def inside_pyramids(forces: Array, load: Array, friction: Array) -> bool:
+    """Return whether forces and load, both in contact frames, lie in the pyramids of friction."""
+    for i in range(len(forces)):
+        x, n, z = forces[i] + load[i]
+        bound = _INSIDE * friction[i] * n
+        for j in range(_SIDES):
+            if not _DIRECTIONS[j, 0] * x + _DIRECTIONS[j, 1] * z <= bound:
+                return False
+    return True
 
 
 class ConeOptimizer:

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core import contact, rotations
+from tactile_hand_ros.core import contact
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.coulomb import solve_contacts
 from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
+from tactile_hand_ros.core.rotations import rodrigues
 from tactile_hand_ros.core.solid import Shape, closest_point
 
 Array = NDArray[np.float64]
@@ -21,7 +22,6 @@ NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # share of a penetration that is removed in a step
 
 _contact_frame = compiled(contact.contact_frame)
-_rodrigues = compiled(rotations.rodrigues)
 
 
 class HandTerms(NamedTuple):
@@ -252,7 +252,7 @@ def step(
 @compiled
 def _moved(body: Body, h: float, v: Array) -> tuple[Array, Array]:
     """Return position and rotation after a time h at a velocity and spin v, shape (6,)."""
-    turn = _rodrigues(h * v[3], h * v[4], h * v[5])
+    turn = rodrigues(h * v[3], h * v[4], h * v[5])
     return body.position + h * v[:3], turn @ body.rotation
 
 

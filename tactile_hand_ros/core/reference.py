@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.manipulation import AuxiliaryPose, Target
-from tactile_hand_ros.core.rotations import rotation_from_vector, vector_from_rotation
+from tactile_hand_ros.core.rotations import rodrigues, vector_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -42,12 +43,28 @@ class SmoothReference:
         if self._pose is None:
             self._pose = Target(now.position, now.orientation)
             self._velocity, self._spin = np.zeros(3), np.zeros(3)
-        missing = target.position - self._pose.position
-        turn = vector_from_rotation(target.orientation @ self._pose.orientation.T)
-        self._velocity = self._velocity + dt * (missing / time**2 - 2.0 * self._velocity / time)
-        self._spin = self._spin + dt * (turn / time**2 - 2.0 * self._spin / time)
-        self._pose = Target(
-            self._pose.position + dt * self._velocity,
-            rotation_from_vector(dt * self._spin) @ self._pose.orientation,
+        position, orientation, self._velocity, self._spin = _followed(
+            *self._pose, self._velocity, self._spin, *target, time, dt
         )
+        self._pose = Target(position, orientation)
         return self._pose
+
+
+@compiled
+def _followed(
+    position: Array,
+    orientation: Array,
+    velocity: Array,
+    spin: Array,
+    desired_position: Array,
+    desired_orientation: Array,
+    time: float,
+    dt: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return pose, velocity and spin of the reference after a time dt, in s."""
+    turn = vector_from_rotation(desired_orientation @ orientation.T)
+    missing = desired_position - position
+    velocity = velocity + dt * (missing / time**2 - 2.0 * velocity / time)
+    spin = spin + dt * (turn / time**2 - 2.0 * spin / time)
+    turned = rodrigues(dt * spin[0], dt * spin[1], dt * spin[2])
+    return position + dt * velocity, turned @ orientation, velocity, spin

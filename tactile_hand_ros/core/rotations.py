@@ -105,6 +105,7 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
     return rodrigues(float(x), float(y), float(z))
 
 
+@compiled
 def rodrigues(x: float, y: float, z: float) -> Array:
     """Return the rotation about the vector (x, y, z) by its length in rad, shape (3, 3)."""
     square = x * x + y * y + z * z
@@ -122,9 +123,10 @@ def rodrigues(x: float, y: float, z: float) -> Array:
     )
 
 
+@compiled
 def vector_from_rotation(rotation: Array) -> Array:
     """Return the rotation vector of a rotation matrix, of length 0 to pi, shape (3,), rad."""
-    x, y, z, w = quaternion_from_rotation(rotation).tolist()
+    x, y, z, w = _quaternions(np.ascontiguousarray(rotation).reshape(1, 9))[0]
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 * math.atan2(sine, w) / sine if sine > 1e-12 else 2.0
     return np.array([scale * x, scale * y, scale * z])

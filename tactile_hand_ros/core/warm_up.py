@@ -7,23 +7,26 @@ import numpy as np
 
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.compiled import completeness
-from tactile_hand_ros.core.grasp import net_wrench
 from tactile_hand_ros.core.scenario import load_scenario
 
 
 def warm_up() -> None:
-    """Run all blocks with contacts that stick and with some that slip, once for these sources."""
+    """Compile everything, unless that was done for these sources and kept."""
     done = completeness()
     if done is not None and done.exists():
         return
-    loop = ClosedLoop(load_scenario("paper"))
-    loop.run(2)
-    state = loop.plant.state
-    net_wrench(state.contacts, state.forces)
-    loop.plant.friction[:] = 0.0
-    loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))
+    run_every_block()
     if done is not None and done.parent.is_dir():
         done.touch()
+
+
+def run_every_block() -> None:
+    """Run all blocks, with contacts that stick and with some that slip."""
+    for name in ("paper", "pull"):  # the plain law, and all that holds against disturbances
+        loop = ClosedLoop(load_scenario(name))
+        loop.run(3)
+    loop.plant.friction[:] = 0.0
+    loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))
 
 
 if __name__ == "__main__":

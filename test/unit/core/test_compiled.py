@@ -73,3 +73,28 @@ def test_the_same_source_runs_without_numba(package: Path) -> None:
 def test_results_are_kept_where_the_user_wants(package: Path, tmp_path: Path) -> None:
     assert call(package, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == 20.0
     assert not list(package.rglob("*.nbi"))
+
+
+COVERED = """
+import importlib, pkgutil
+from numba.core.registry import CPUDispatcher
+from tactile_hand_ros import core
+from tactile_hand_ros.core.warm_up import run_every_block
+
+run_every_block()
+for module in pkgutil.iter_modules(core.__path__):
+    name = f"{core.__name__}.{module.name}"
+    for function in vars(importlib.import_module(name)).values():
+        if isinstance(function, CPUDispatcher) and function.py_func.__module__ == name:
+            print(function.py_func.__name__, len(function.signatures))
+"""
+
+
+def test_warming_up_compiles_every_function_and_for_one_kind_of_arguments() -> None:
+    """What it left out, or another layout of an array, would be compiled in the middle of a run."""
+    done = subprocess.run(
+        [sys.executable, "-c", COVERED], capture_output=True, text=True, check=True, timeout=300
+    )
+    found = dict(line.split() for line in done.stdout.splitlines())
+    assert len(found) > 30
+    assert {name: count for name, count in found.items() if count != "1"} == {}
