@@ -58,10 +58,18 @@ class RecorderConfig(Config):
         le=3600.0,
     )
     drain_period: float = param(
-        0.01, "time between two visits to the subscriptions' queues", unit="s", ge=0.001, le=0.1
+        0.01,
+        "time between two visits to the subscriptions' queues while messages come",
+        unit="s",
+        ge=0.001,
+        le=0.1,
     )
     discovery_period: float = param(
-        0.02, "time between two looks at the graph for new topics", unit="s", ge=0.001, le=1
+        0.02,
+        "time between two looks at the graph for new topics, ten times that when it is calm",
+        unit="s",
+        ge=0.001,
+        le=1,
     )
     scenario: str = param(
         "", "scenario of the run as YAML text, stored in the bag with the versions in use"

@@ -21,7 +21,10 @@ from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.bag.snapshot import SnapshotBuffer
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.ros.attention import Attention
 
+_CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
+_CALM_AFTER = 5.0  # s after the last change
 QUIET = 0.05  # s without a message after which nothing more is on its way
 LAST_CALL = 0.5  # s, longest wait for that when publishers go on
 _ATTENTION = 0.002  # s between two visits to the queues in that time
@@ -65,6 +68,8 @@ class Recording:
         self._topics: dict[str, RawTopic] = {}
         self._refused: set[str] = set()
         self._next_discovery = 0.0
+        often = config.discovery_period
+        self._attention = Attention(often, _CALM_FACTOR * often, _CALM_AFTER)
         self._next_flush = 0.0
         keeps = config.snapshot_duration
         self._buffer = SnapshotBuffer(keeps) if keeps > 0.0 else None
@@ -106,6 +111,11 @@ class Recording:
             refused=len(self._refused),
         )
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether no topic or publisher has come or gone for some time."""
+        return self._attention.is_calm
+
     def lost(self) -> dict[str, int]:
         """Return the topics that lost messages and how many."""
         return {topic.name: topic.lost for topic in self._topics.values() if topic.lost}
@@ -121,8 +131,7 @@ class Recording:
         """
         now = time.monotonic()
         if now >= self._next_discovery:
-            self._next_discovery = now + self._config.discovery_period
-            self._discover()
+            self._next_discovery = now + self._attention.period(self._discover())
         count = self._drain()
         if now >= self._next_flush:
             self._next_flush = now + self._config.flush_period
@@ -188,13 +197,17 @@ class Recording:
         channel = topic.channel or self._open_channel(topic)
         self._writer.write(channel, data, received, sent)
 
-    def _discover(self) -> None:
+    def _discover(self) -> bool:
+        """Look for topics and publishers; return whether some came or went."""
+        changed = False
         for name, types in self._node.get_topic_names_and_types():
             topic = self._topics.get(name)
             if topic is None:
-                self._consider(name, types[0])
+                changed |= self._consider(name, types[0])
             elif self._node.count_publishers(name) != topic.publishers:
                 self._adapt(topic)
+                changed = True
+        return changed
 
     def _adapt(self, topic: RawTopic) -> None:
         """React to publishers that came or went."""
@@ -202,10 +215,10 @@ class Recording:
         if topic.channel is None and topic.publishers:
             self._open_channel(topic)
 
-    def _consider(self, name: str, type_name: str) -> None:
-        """Subscribe to a new topic if it is wanted and its type is known."""
+    def _consider(self, name: str, type_name: str) -> bool:
+        """Subscribe to a new topic if it is wanted and its type is known; return whether it is."""
         if name in self._refused or name not in self._selection:
-            return
+            return False
         publishers = self._node.get_publishers_info_by_topic(name)
         depth = self._config.queue_depth
         try:
@@ -214,10 +227,11 @@ class Recording:
         except BagError as error:
             self._refused.add(name)
             self._node.get_logger().error(f"{name} is not recorded: {error}")
-            return
+            return False
         self._topics[name] = topic
         if publishers:
             self._open_channel(topic)
+        return True
 
     def _open_channel(self, topic: RawTopic) -> int:
         publishers = self._node.get_publishers_info_by_topic(topic.name)

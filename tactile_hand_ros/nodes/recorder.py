@@ -19,8 +19,11 @@ from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
 from tactile_hand_ros.bag.recording import Recording
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.node import TactileNode, set_period
 from tactile_hand_ros.ros.runner import run_node
+
+_REST = 0.1  # s between two visits to the queues when next to nothing comes
+_FEW = 10  # messages of a visit that are next to nothing, such as the diagnostics of some nodes
 
 
 class RecorderNode(TactileNode[RecorderConfig]):
@@ -52,7 +55,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._is_over = is_over
         self._recording = Recording(self, self.config)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self.create_timer(self.config.drain_period, self._step, clock=steady)
+        self._visits = self.create_timer(self.config.drain_period, self._step, clock=steady)
         if self.config.snapshot_duration > 0.0:
             self.create_service(Trigger, "~/snapshot", self._on_snapshot)
 
@@ -87,8 +90,13 @@ class RecorderNode(TactileNode[RecorderConfig]):
         if self._is_over():
             self.close()
             self.context.try_shutdown()
-        elif self._recording.step():
+            return
+        came = self._recording.step()
+        if came:
             self.diagnostics.tick()
+        # The queues hold what comes in the meantime, with the time at which it came.
+        is_idle = came < _FEW and self._recording.is_calm
+        set_period(self._visits, _REST if is_idle else self.config.drain_period)
 
     def _on_snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:

@@ -15,10 +15,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from tactile_hand_ros.core.config import Config
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.attention import Attention
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.parameters import ConfigParameters
 from tactile_hand_ros.ros.scheduling import report_scheduling
@@ -29,7 +31,13 @@ DIAGNOSTICS_PERIOD = 1.0
 """Time between two diagnostic messages [s]."""
 
 PEERS_PERIOD = 0.1
-"""Time between two looks at who is connected [s]."""
+"""Time between two looks at who is connected, while peers come and go [s]."""
+
+CALM_PERIOD = 1.0
+"""The same when nobody has come or gone for `CALM_AFTER` [s]."""
+
+CALM_AFTER = 5.0
+"""Time after which the graph counts as calm [s]."""
 
 PUBLICATIONS = "publications"
 SUBSCRIPTIONS = "subscriptions"
@@ -73,7 +81,8 @@ class TactileNode(Node, Generic[C]):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
         self._peers: dict[str, str] = {}
-        self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
+        self._attention = Attention(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
+        self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
     @property
     def config(self) -> C:
@@ -166,11 +175,13 @@ class TactileNode(Node, Generic[C]):
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""
         peers = self.peers()
-        if peers != self._peers:
+        changed = peers != self._peers
+        if changed:
             self._peers = peers
             for key, text in peers.items():
                 self.diagnostics.value(key, text)
             self.publish_diagnostics()
+        set_period(self._peers_timer, self._attention.period(changed))
 
     def peers(self) -> dict[str, str]:
         """Return how many matched peers each topic has, as ``topic count`` joined by commas."""
@@ -187,6 +198,13 @@ class TactileNode(Node, Generic[C]):
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
+
+
+def set_period(timer: Timer, seconds: float) -> None:
+    """Let a timer go on with another period [s], from its next call on."""
+    period = round(1e9 * seconds)
+    if timer.timer_period_ns != period:
+        timer.timer_period_ns = period
 
 
 def _counts(peers: dict[str, int]) -> str:

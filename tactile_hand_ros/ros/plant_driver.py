@@ -45,7 +45,7 @@ class PlantDriver:
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
         self._pacer.timer_period_ns = c.tick
         watch = 0.25 * min(c.resend_after, c.command_timeout)
-        node.create_timer(watch, self._on_watch, clock=steady)
+        self._watcher = node.create_timer(watch, self._on_watch, clock=steady)
 
     @property
     def mode(self) -> str:
@@ -67,6 +67,7 @@ class PlantDriver:
         self._answered_at = self._sent_at = time.monotonic()
         self._let_time_pass(self._is_on and not self._is_lockstep)
         if self._is_on:
+            self._watcher.reset()
             self._publish()
         self._node.publish_diagnostics()
 
@@ -145,7 +146,10 @@ class PlantDriver:
     def _on_watch(self) -> None:
         """Send a tick again after a short silence, hold the joints after a long one."""
         run, c = self._run, self._config
-        if not self._is_on or self._is_finished or run.holding:
+        if not self._is_on or self._is_finished:
+            self._watcher.cancel()  # until it begins again
+            return
+        if run.holding:
             return
         now = time.monotonic()
         if now - self._answered_at >= c.command_timeout:
