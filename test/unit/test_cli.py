@@ -166,6 +166,19 @@ def test_bench_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert json.loads(out.read_text())["results"]
 
 
+def test_bench_draws_the_cost_against_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--sizes", "--ticks", "2", "--repeats", "1", "--format", "png"]
+    assert main(["bench", *words, "--figures", str(tmp_path)]) == 0
+    assert "5 fingers of 6 joints" in " ".join(capsys.readouterr().out.split())
+    assert [file.name for file in tmp_path.iterdir()] == ["sizes.png"]
+
+
+def test_bench_refuses_a_real_time_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--realtime" in refused(capsys, "bench", "--realtime", "0")
+
+
 def test_reproduce_writes_figures_and_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
