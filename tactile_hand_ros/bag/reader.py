@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
@@ -16,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.metadata import FILE_NAME
+from tactile_hand_ros.bag.provenance import RECORD_NAME
 
 
 class RecordedMessage(NamedTuple):
@@ -82,7 +84,7 @@ def summarize(path: Path | str) -> BagSummary:
             types={connection.topic: connection.msgtype for connection in reader.connections},
             start_time=reader.start_time if some else None,
             end_time=reader.end_time - 1 if some else None,  # rosbags reports the time after it
-            custom_data=dict(_custom_data(reader)),
+            custom_data=dict(_custom_data(reader, Path(path))),
         )
 
 
@@ -204,6 +206,16 @@ def _broken(path: object, error: Exception) -> BagError:
     )
 
 
-def _custom_data(reader: AnyReader) -> dict[str, str]:
+def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
     parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
-    return next((part.metadata.custom for part in parts if part.metadata.custom), {})
+    found = next((part.metadata.custom for part in parts if part.metadata.custom), {})
+    return found or _provenance_inside(path)
+
+
+def _provenance_inside(path: Path) -> dict[str, str]:
+    """Return what a single file says of its origin; it has no metadata.yaml beside it."""
+    if path.suffix != ".mcap":
+        return {}
+    with path.open("rb") as file:
+        records = make_reader(file).iter_metadata()
+        return next((dict(each.metadata) for each in records if each.name == RECORD_NAME), {})

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.bag.provenance import RECORD_NAME
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.writer import BagWriter
 
@@ -51,6 +52,13 @@ def test_summary(bag: Path) -> None:
     assert summary.counts == {"/even": 10, "/odd": 10}
     assert summary.types["/odd"] == "std_msgs/msg/Float64"
     assert (summary.start_time, summary.end_time, summary.message_count) == (0, 19, 20)
+
+
+def test_single_file_still_knows_where_it_comes_from(tmp_path: Path) -> None:
+    """The scenario is inside the file as well as in the metadata.yaml that was left behind."""
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine"})
+    assert summarize(tmp_path / "run" / "run_0.mcap").custom_data == {"scenario": "name: mine"}
 
 
 def test_single_file_without_metadata_can_be_read(bag: Path) -> None:
