@@ -67,8 +67,8 @@ class RealtimeRun:
     Attributes:
         case: The case.
         ticks: Number of ticks that should have been.
-        missed: Share of them whose command came later than the next tick was due, or that came
-            due together with a later one.
+        missed: Share of them whose command came later than the next tick was due, that came due
+            together with a later one, that were given up, or that never came as the run failed.
         run: Ages, jitter, memory and processor time.
     """
 
@@ -119,10 +119,15 @@ def run_case(case: Case, seconds: float) -> RealtimeRun:
 
 def summed_up(case: Case, seconds: float, run: GraphRun) -> RealtimeRun:
     """Judge a run by what its plant counted; what it did not tell is NaN."""
-    plant, ticks = run.plant, round(seconds * case.rate)
-    given_up = float(plant.get("lost_s", "nan")) * case.rate
-    missed = float(plant.get("late_commands", "nan")) + float(plant.get("missed_ticks", "nan"))
-    share = float(np.minimum(1.0, (missed + given_up) / ticks))
+    ticks = round(seconds * case.rate)
+
+    def said(key: str) -> float:
+        return float(run.plant.get(key, "nan"))
+
+    given_up = said("lost_s") * case.rate
+    never_came = ticks - said("time_s") * case.rate
+    missed = said("late_commands") + said("missed_ticks") + given_up + never_came
+    share = float(np.minimum(1.0, missed / ticks))
     return RealtimeRun(case, ticks, share, run)
 
 

@@ -42,6 +42,7 @@ def run_of(case: Case, **said: str) -> RealtimeRun:
         "late_commands": "1",
         "missed_ticks": "2",
         "lost_s": "0.004",
+        "time_s": "2",
         "age_histogram_us": counted([5e-4] * 998 + [0.05] * 2),
         "jitter_histogram_us": counted([1e-5] * 1000),
         **said,
@@ -63,6 +64,7 @@ def test_what_was_late_skipped_or_given_up_is_missed() -> None:
     run = run_of(Case(500.0, False))
     assert run.ticks == 1000
     assert run.missed == pytest.approx((1 + 2 + 0.004 * 500) / 1000)
+    assert run_of(Case(500.0, False), time_s="1.5").missed == pytest.approx(0.255)
     assert run.run.cores == pytest.approx(0.6)
     assert run.run.memory == {"plant": 100.0}
 
