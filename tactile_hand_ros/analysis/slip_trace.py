@@ -33,6 +33,7 @@ class Trace:
         forces: Measured forces in contact frames, shape (n, k, 3), N; NaN where nothing touches.
         axes: Direction of the squeeze at each contact, shape (n, k, 3).
         own_change: How much the hand itself bent its squeeze, shape (n,), N.
+        friction: What was believed of each contact's friction, shape (n, k).
         sliding: True sliding speeds, shape (n, k), m/s.
     """
 
@@ -40,6 +41,7 @@ class Trace:
     forces: Array
     axes: Array
     own_change: Array
+    friction: Array
     sliding: Array
 
     @property
@@ -68,7 +70,10 @@ def trace_of(record: Record, scenario: Scenario) -> Trace:
     bends[2:] = np.abs(np.diff(record.grasp_force, 2))
     own = [float(bends[max(0, i - _AGO) : i].max(initial=0.0)) for i in range(len(record))]
     step = 1.0 / scenario.plant.rate
-    return Trace(step, forces, axes, np.array(own), record.true_sliding)
+    # A tick is judged with what was believed after the one before.
+    prior = np.full_like(record.friction[:1], scenario.slip_regulator.friction.prior)
+    believed = np.concatenate([prior, record.friction[:-1]])
+    return Trace(step, forces, axes, np.array(own), believed, record.true_sliding)
 
 
 def _axes(contacts: Contacts, forces: Array, otherwise: Array) -> Array:
@@ -92,6 +97,7 @@ def replay(
     white = np.random.default_rng(seed).standard_normal(trace.forces.shape)
     forces = (trace.forces + noise * white).tolist()
     axes, own = trace.axes.tolist(), trace.own_change.tolist()
+    friction = trace.friction.tolist()
     n, k = trace.forces.shape[:2]
     states = np.zeros((n, k), dtype=int)
     for j in range(k):
@@ -99,7 +105,8 @@ def replay(
         for i in range(n):
             force = forces[i][j]
             known = tuple(force) if math.isfinite(sum(force)) else None
-            states[i, j] = detector.step(known, axes[i][j], own[i], trace.step if i else 0.0)
+            dt = trace.step if i else 0.0
+            states[i, j] = detector.step(known, axes[i][j], own[i], dt, friction[i][j])
     return states
 
 

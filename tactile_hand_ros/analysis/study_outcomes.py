@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.analysis.foresight import foresee
 from tactile_hand_ros.analysis.study_cases import EVENT_TIME, Case, scenario_of
 from tactile_hand_ros.analysis.survival import least_at
 from tactile_hand_ros.core.closed_loop import ClosedLoop
@@ -37,6 +38,8 @@ class Outcome:
         false_alarms: Alarms before the event while nothing slid.
         excess: Least squeeze after the event against the one that was held at it.
         survivable: Whether a grasp inside the crush limit can carry the load after the event.
+        in_time: Whether also a hand could that is told no earlier than its skin can tell, and that
+            squeezes no faster than the reflex; see `foresight`.
         lost: Whether a contact was gone at the end, or had slid too far.
         caught: Whether nothing slid any more at the end.
         peak: Largest sum of normal forces since the event against the least after it.
@@ -51,6 +54,7 @@ class Outcome:
     false_alarms: int
     excess: float
     survivable: bool
+    in_time: bool
     lost: bool
     caught: bool
     peak: float
@@ -76,9 +80,12 @@ class Held:
 
 
 def run_case(case: Case) -> Outcome:
-    """Run a case and measure it."""
+    """Run a case and measure it; where it is lost, ask whether anybody could have held it."""
     scenario = scenario_of(case)
-    return measure(ClosedLoop(scenario).run(), scenario, case)
+    outcome = measure(ClosedLoop(scenario).run(), scenario, case)
+    if outcome.lost and outcome.survivable:
+        return replace(outcome, in_time=not measure(*foresee(case), case).lost)
+    return outcome
 
 
 def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
@@ -93,6 +100,7 @@ def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
     slid = record.true_slid
     slip = float(np.nanmax(slid - slid[event]))
     gone = not np.isfinite(record.true_positions[-1]).all()
+    lost = gone or slip > LOST_SLIDE
     held = float(record.true_forces[event, :, 1].sum())
     peak = float(np.nanmax(record.true_forces[event:, :, 1].sum(axis=1)))
     return Outcome(
@@ -105,7 +113,8 @@ def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
         false_alarms=false_alarms(record.part(slice(0, event))),
         excess=least / held if held > 0.0 else math.inf,
         survivable=least <= scenario.slip_regulator.maximum,
-        lost=gone or slip > LOST_SLIDE,
+        in_time=not lost,
+        lost=lost,
         caught=not gone and not slides[-5:].any(),
         peak=peak / least if least > 0.0 else math.inf,
     )

@@ -57,6 +57,7 @@ def share_rows(study: Study) -> list[list[str]]:
     """Return what happened how often, columns as in `SHARE_COLUMNS`."""
     slipped = [o for o in study.outcomes if not math.isnan(o.onset)]
     survivable = [o for o in study.outcomes if o.survivable]
+    in_time = [o for o in survivable if o.in_time]
     flags = {
         "slipped": [not math.isnan(o.onset) for o in study.outcomes],
         "alarm within 10 ms of slipping": [o.detection <= 0.01 for o in slipped],
@@ -65,9 +66,11 @@ def share_rows(study: Study) -> list[list[str]]:
         "no alarm without slip before the event": [o.false_alarms == 0 for o in study.outcomes],
         "slid before the event": [o.early_slip > 1e-5 for o in study.outcomes],
         "a grasp inside the crush limit can survive": [o.survivable for o in study.outcomes],
-        "of these: lost": [o.lost for o in survivable],
-        "of these: at rest in the end": [o.caught for o in survivable],
-        "of these: slid less than 1 mm": [o.slip < 1e-3 for o in survivable],
+        "survivable: lost": [o.lost for o in survivable],
+        "survivable: also by a hand told so late": [o.in_time for o in survivable],
+        "survivable in time: lost": [o.lost for o in in_time],
+        "survivable: at rest in the end": [o.caught for o in survivable],
+        "survivable: slid less than 1 mm": [o.slip < 1e-3 for o in survivable],
     }
     return [
         [name, str(len(values)), *_share_texts(*share(values))] for name, values in flags.items()

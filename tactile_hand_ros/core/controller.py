@@ -123,7 +123,8 @@ class Controller:
         self._reference.reset()
         self._hold.release()
         self._regrasp.finish()
-        self._squeeze = np.zeros(self.hand.joints)
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._grasp_force = self._more = 0.0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
         self._drove = False
@@ -197,7 +198,7 @@ class Controller:
             return self._open(theta, rates, contacts, stamp)
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
-            return self.hold(theta, rates, problem)
+            return self.hold(theta, rates, problem, grasp_force)
         tips = self.hand.fingertips(theta)
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
@@ -212,28 +213,38 @@ class Controller:
             return self.hold(theta, rates, str(error))
         self._hold.release()
         self._drove = True
-        self._squeeze = parts.squeeze + parts.carry
+        self._squeeze, self._carry = parts.squeeze, parts.carry
+        self._grasp_force, self._more = grasp_force, 0.0
         torque = self._for_middle_of_period(parts.total) + self._gravity(theta)
         return Command(torque, Mode.DRIVE, pose, refused)
 
-    def hold(self, theta: Array, rates: Array, reason: str) -> Command:
-        """Answer a tick without what the law needs: keep posture and last good squeeze."""
+    def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
+        """Answer a tick without what the law needs: keep posture and last good squeeze.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            reason: Why the law cannot answer.
+            grasp_force: k_f where it is known, N. The held squeeze rises with it and never falls.
+        """
         self._last_torque = None
         self._drove = False
         self._open_stamp = None
         self._reference.reset()
         if not self.enabled:
             return self._disabled(theta, rates)
-        self._hold.engage(theta, self._squeeze)
-        torque = self._hold.torque(theta, rates) + self._gravity(theta)
-        return Command(torque, Mode.HOLD, None, reason)
+        self._hold.engage(theta, self._squeeze + self._carry)
+        if self._grasp_force > 0.0:
+            self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
+        torque = self._hold.torque(theta, rates) + self._more * self._squeeze
+        return Command(torque + self._gravity(theta), Mode.HOLD, None, reason)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._last_torque = None
         self._drove = False
         self._open_stamp = None
-        self._squeeze = np.zeros(self.hand.joints)
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
         torque = self._gravity(theta) - self.config.law.damping * rates
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
@@ -254,7 +265,7 @@ class Controller:
         self._open_stamp = stamp
         self._drove = False
         self._last_torque = None
-        self._squeeze = np.zeros(self.hand.joints)
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
         self._hold.move(
             self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
         )

@@ -67,7 +67,7 @@ class FrictionEstimator:
     def reset(self) -> None:
         """Forget what was learned."""
         self.estimate = self.config.prior
-        self.confidence = 0.0
+        self.confidence = self._caution = 0.0
         self._forget_forces()
 
     def _forget_forces(self) -> None:
@@ -78,7 +78,9 @@ class FrictionEstimator:
         self._before: tuple[float, float] | None = None
         self._quiet_for = 0.0
 
-    def step(self, force: Force | None, state: Grip, evidence: float, dt: float) -> float:
+    def step(
+        self, force: Force | None, state: Grip, evidence: float, dt: float, agrees: bool = True
+    ) -> float:
         """Return the estimate after a tick.
 
         Args:
@@ -86,11 +88,13 @@ class FrictionEstimator:
             state: What the detector says of the contact.
             evidence: Its evidence for slip; zero: nothing slips.
             dt: Time since the last tick, s.
+            agrees: Whether the newest sample tells of slip; one of a contact that the squeeze has
+                caught says nothing of friction.
         """
         if force is None or state is Grip.UNKNOWN:
             self._forget_forces()
             return self.estimate
-        self._follow(force, evidence)
+        self._follow(force, evidence, agrees)
         if state is Grip.SLIP:
             self._quiet_for = 0.0
             self._slip()
@@ -103,12 +107,14 @@ class FrictionEstimator:
         self.estimate = min(max(self.estimate, c.least), c.most)
         return self.estimate
 
-    def _follow(self, force: Force, evidence: float) -> None:
+    def _follow(self, force: Force, evidence: float, agrees: bool) -> None:
         """Read the force ratio since the evidence for a slip began."""
         if evidence <= 0.0:
             self._slid.clear()
             if self._before is None:
                 self._reading = _Reading()
+            return
+        if not agrees:
             return
         self._slid.append(force)
         if len(self._slid) == _SAMPLES:
@@ -121,7 +127,8 @@ class FrictionEstimator:
         estimate, confidence = self._before
         ratio, weight = self._reading.ratio, self._reading.weight(self.config.trust)
         # What slips have shown before weighs against a single contrary one, maybe a false alarm.
-        gain = weight / (1.0 + _INERTIA * confidence)
+        known, shown = _information(confidence), _information(weight)
+        gain = shown / (1.0 + _INERTIA * known + shown)
         self.estimate = estimate + gain * (ratio - estimate)
         agrees = abs(ratio - estimate) < _AGREE * estimate
         # A weak contrary reading shakes what is known a little, a strong one replaces it.
@@ -129,21 +136,25 @@ class FrictionEstimator:
         self.confidence = 1.0 - (1.0 - confidence) * (1.0 - weight) if agrees else shaken
         self._mean = None
 
-    def hear(self, other: FrictionEstimator) -> None:
-        """Lower an estimate to what a better known contact with the same object has shown.
+    def hear(self, *others: FrictionEstimator) -> None:
+        """Lower an estimate to what better known contacts with the same object have shown.
 
         A finger that hardly presses cannot learn from its own slips. Never the other way round:
-        too low an estimate costs force, too high a one the object.
+        too low an estimate costs force, too high a one the object. Nor does an estimate grow faster
+        than a lower one that is better known.
         """
-        trust = 0.5 * other.confidence
-        if other.estimate < self.estimate and trust > self.confidence:
-            share = other.confidence * (1.0 - self.confidence)
-            self.estimate += share * (other.estimate - self.estimate)
-            self.confidence = trust
+        lower = [other for other in others if other.estimate < self.estimate]
+        self._caution = max((other.confidence for other in lower), default=0.0)
+        for other in lower:
+            trust = 0.5 * other.confidence
+            if other.estimate < self.estimate and trust > self.confidence:
+                share = other.confidence * (1.0 - self.confidence)
+                self.estimate += share * (other.estimate - self.estimate)
+                self.confidence = trust
 
     def _stick(self, force: Force, dt: float) -> None:
         c = self.config
-        growth = c.explore + self.confidence * (c.forget - c.explore)
+        growth = c.explore + max(self.confidence, self._caution) * (c.forget - c.explore)
         self.estimate = max(self.estimate * (1.0 + growth * dt), self._proven(force, dt))
 
     def _proven(self, force: Force, dt: float) -> float:
@@ -162,6 +173,11 @@ class FrictionEstimator:
             return 0.0
         doubt = _SURE * math.sqrt(self._variance * share)
         return max(0.0, math.hypot(x, z) - doubt) / (n + doubt) if n > 0.0 else 0.0
+
+
+def _information(confidence: float) -> float:
+    """Return how much information, against none, makes one so confident."""
+    return confidence / max(1.0 - confidence, 1e-9)
 
 
 class _Reading:

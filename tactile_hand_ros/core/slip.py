@@ -15,7 +15,8 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import CollinearContactsError, MessageError
 from tactile_hand_ros.core.friction import FrictionConfig, FrictionEstimator
-from tactile_hand_ros.core.need import Need, NeedConfig
+from tactile_hand_ros.core.need import Need
+from tactile_hand_ros.core.reflex import Reflex, ReflexConfig
 from tactile_hand_ros.core.slip_detector import Grip, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.core.squeeze import Split, split
 
@@ -23,25 +24,6 @@ Array = NDArray[np.float64]
 
 _NORMAL = (0.0, 1.0, 0.0)
 _MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
-
-
-class ReflexConfig(Config):
-    """Parameters of the reflex that keeps an object from slipping."""
-
-    margin: float = param(
-        0.15, "share by which the squeeze exceeds what the friction needs", live=True, ge=0.0
-    )
-    rise_rate: float = param(4000.0, "fastest rise of the squeeze", unit="N/s", live=True, gt=0.0)
-    doubling_time: float = param(
-        0.03, "time in which the squeeze doubles while something slips", unit="s", live=True, gt=0.0
-    )
-    release_rate: float = param(
-        1.0, "least fall of the squeeze towards what is needed", unit="N/s", live=True, gt=0.0
-    )
-    release_time: float = param(
-        0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
-    )
-    need: NeedConfig = NeedConfig()
 
 
 class SlipRegulatorConfig(Config):
@@ -100,13 +82,15 @@ class SlipRegulator:
         self._detectors = [SlipDetector(config.detector) for _ in range(fingers)]
         self._estimators = [FrictionEstimator(config.friction) for _ in range(fingers)]
         self._need = Need()
+        self._reflex = Reflex(config.reflex, config.grasp_force)
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
         """Take other limits, rates and mode; the squeeze moves on from where it is."""
         if config.mode != self.config.mode:
-            self._asked = self._reflex = self.grasp_force
-        self.config = config
+            self._asked = self.grasp_force
+            self._reflex.start(self.grasp_force)
+        self.config, self._reflex.config = config, config.reflex
         for detector, estimator in zip(self._detectors, self._estimators, strict=True):
             detector.config, estimator.config = config.detector, config.friction
 
@@ -114,7 +98,8 @@ class SlipRegulator:
         """Go back to the configured squeeze and forget what was learned."""
         start = self.config.grasp_force
         self.grasp_force: float = start
-        self._asked = self._goal = self._reflex = start
+        self._asked = self._goal = start
+        self._reflex.start(start)
         self.needed = math.nan
         self._last_stamp: int | None = None
         self._need.reset()
@@ -172,8 +157,9 @@ class SlipRegulator:
             self._feel(contacts, forces, dt)
         c = self.config
         goal = self._asked
-        if c.mode != "user" and math.isfinite(self._reflex):
-            goal = self._reflex if c.mode == "auto" else max(self._asked, self._reflex)
+        if c.mode != "user":
+            reflex = self._reflex.squeeze
+            goal = reflex if c.mode == "auto" else max(self._asked, reflex)
         self.grasp_force = min(max(goal, c.minimum), c.maximum)
         return self.grasp_force
 
@@ -190,13 +176,9 @@ class SlipRegulator:
         parts = None if self.config.mode == "user" else self._split(contacts, forces)
         slips = self._watch(contacts, forces, parts, dt)
         self.needed = self._needed(parts, dt)
-        c = self.config.reflex
-        goal = self.needed if math.isfinite(self.needed) else self._reflex
-        if slips:  # the load is more than friction lets through: grow until it holds
-            goal = max(goal, self._reflex * math.exp(dt / c.doubling_time * math.log(2.0)))
-        falls = max(c.release_rate, (self._reflex - goal) / c.release_time)
-        low, high = self._reflex - falls * dt, self._reflex + c.rise_rate * dt
-        self._reflex = min(max(goal, low), high, self.config.maximum)
+        slides = any(d.agrees for d in self._detectors if d.state is Grip.SLIP)
+        limit = self.config.maximum
+        self._reflex.step(self.needed, slips, slides, contacts.touching, limit, dt)
 
     def _watch(self, contacts: Contacts, forces: Array, parts: Split | None, dt: float) -> bool:
         """Update detectors and friction; return whether a contact slips."""
@@ -206,17 +188,14 @@ class SlipRegulator:
         slips = False
         for i, (force, touches, axis) in enumerate(felt):
             known = tuple(force) if touches and math.isfinite(sum(force)) else None
-            state = self._detectors[i].step(known, axis, own_change, dt)
-            self._estimators[i].step(known, state, self._detectors[i].evidence, dt)
+            detector, estimator = self._detectors[i], self._estimators[i]
+            state = detector.step(known, axis, own_change, dt, estimator.estimate)
+            estimator.step(known, state, detector.evidence, dt, detector.agrees)
             slips = slips or state is Grip.SLIP
         if slips:
-            self._share_friction()
+            for estimator in self._estimators:
+                estimator.hear(*self._estimators)
         return slips
-
-    def _share_friction(self) -> None:
-        for known in self._estimators:
-            for other in self._estimators:
-                other.hear(known)
 
     def _own_change(self) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""

@@ -10,9 +10,11 @@ from tactile_hand_ros.core.config import Config, param
 
 Force = tuple[float, float, float]
 
+_STILL = (0.0, 0.0, 0.0)
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
+_BRINK = 0.95  # share of the believed friction from which on a contact may well be slipping
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
 
 
@@ -77,6 +79,7 @@ class SlipDetector:
     Attributes:
         state: What is known of the contact.
         evidence: The sum, above `threshold` a slip.
+        agrees: Whether the newest sample told of slip rather than of stick.
     """
 
     def __init__(self, config: SlipDetectorConfig) -> None:
@@ -88,6 +91,7 @@ class SlipDetector:
         """Forget everything."""
         self.state = Grip.UNKNOWN
         self.evidence = 0.0
+        self.agrees = False
         self._variance = _GAIN * self.config.noise**2
         self._last: Force | None = None
         self._change: Force | None = None
@@ -98,7 +102,14 @@ class SlipDetector:
         """Evidence for slip against its threshold, 0 to 1."""
         return min(self.evidence / self.config.threshold, 1.0)
 
-    def step(self, force: Force | None, squeeze: Force, own_change: float, dt: float) -> Grip:
+    def step(
+        self,
+        force: Force | None,
+        squeeze: Force,
+        own_change: float,
+        dt: float,
+        friction: float = math.inf,
+    ) -> Grip:
         """Take the force of a tick and return what is known of the contact.
 
         Args:
@@ -107,8 +118,12 @@ class SlipDetector:
             own_change: How much the hand itself has just bent its squeeze, N; some of that shows
                 across the squeeze too.
             dt: Time since the last tick, s.
+            friction: What is believed of mu. At the brink of that cone fewer samples must agree: a
+                false alarm there could not lower the belief.
         """
-        bend = self._bend(force)
+        # A sensor that is slower than the loop repeats its sample, which tells nothing.
+        new = force is None or force != self._last
+        bend = self._bend(force) if new else _STILL
         if force is None or bend is None or force[1] <= self.config.least_force:
             self._touched_for = self.evidence = 0.0
             self.state = Grip.UNKNOWN
@@ -116,15 +131,16 @@ class SlipDetector:
         self._touched_for += dt
         power = _power_across(bend, squeeze)
         if self._touched_for <= self.config.settling_time:
-            self._learn(power, dt)
+            if new:
+                self._learn(power, dt)
             self.evidence = 0.0
             self.state = Grip.UNKNOWN
             return self.state
-        # A sensor that is slower than the loop repeats its sample, which tells nothing.
-        if power > 0.0:
-            self._collect(power, force[1], own_change)
+        if new:
+            brink = math.hypot(force[0], force[2]) > _BRINK * friction * force[1]
+            self._collect(power, force[1], own_change, 1.0 / 3.0 if brink else 0.25)
         self._decide(dt)
-        if power > 0.0 and (self.state is Grip.STICK or self._slipped_for > self.config.patience):
+        if new and (self.state is Grip.STICK or self._slipped_for > self.config.patience):
             self._learn(power, dt)
         return self.state
 
@@ -141,12 +157,13 @@ class SlipDetector:
             return None
         return change[0] - before[0], change[1] - before[1], change[2] - before[2]
 
-    def _collect(self, power: float, normal: float, own_change: float) -> None:
+    def _collect(self, power: float, normal: float, own_change: float, most: float) -> None:
         c = self.config
         least = _GAIN * (c.least_noise**2 + (c.relative_noise * normal) ** 2)
         variance = max(self._variance, least) + (_LEAK * own_change) ** 2
         gain = 0.5 * ((1.0 - 1.0 / c.ratio) * power / variance - 2.0 * math.log(c.ratio))
-        total = max(0.0, self.evidence + min(gain, 0.25 * c.threshold))
+        self.agrees = gain > 0.0
+        total = max(0.0, self.evidence + min(gain, most * c.threshold))
         self.evidence = min(total, 1.2 * c.threshold)
 
     def _decide(self, dt: float) -> None:

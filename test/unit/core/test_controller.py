@@ -283,3 +283,18 @@ def test_reset_forgets_grasp_target_and_integral():
     assert bench.controller.target is None
     bench.stamp = 0
     np.testing.assert_allclose(bench.step().torque, fresh, atol=1e-12)
+
+
+def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
+    bench = Bench()
+    bench.step()
+    lost = {"contacts": bench.without_finger(2)}
+    base = bench.step(**lost).torque
+    twice = bench.step(grasp_force=20.0, **lost).torque
+    np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is squeeze
+    for k_f in (10.0, float("nan"), 0.0):
+        np.testing.assert_array_equal(bench.step(grasp_force=k_f, **lost).torque, twice)
+    silent = bench.controller.hold(bench.theta, REST, "touch is late")
+    np.testing.assert_array_equal(silent.torque, twice)
+    bench.step()
+    np.testing.assert_allclose(bench.step(**lost).torque, base, atol=1e-9)

@@ -110,6 +110,38 @@ def test_what_a_neighbour_has_shown_lowers_a_guess_only():
     assert low.estimate == 0.1
 
 
+def test_what_sticks_again_says_nothing_of_friction():
+    """The squeeze has caught it after four samples; the detector still says slip."""
+    estimator = still()
+    feel(estimator, [0.3] * 6, Grip.SLIP, 22.0)
+    for _ in range(10):
+        estimator.step((0.05 * 5.0, 5.0, 0.0), Grip.SLIP, 22.0, DT, agrees=False)
+    assert estimator.estimate == pytest.approx(0.3, abs=0.03)
+
+
+def test_a_clear_slip_counts_for_more_than_a_blurred_one_before_it():
+    estimator = still()
+    slip(estimator, 0.3, normal=0.5, noise=0.05)
+    blurred = estimator.estimate, estimator.confidence
+    quiet(estimator, 0.1, ratio=0.0)
+    assert slip(estimator, 0.15, noise=0.002) < 0.15 + 0.25 * (blurred[0] - 0.15)
+    assert blurred[0] > 0.3 and blurred[1] > 0.3  # it was worth something
+
+
+def test_a_guess_grows_no_faster_than_a_lower_one_that_is_known():
+    """Else a finger that presses lightly outgrows what the others have found, until it slips."""
+    config = FrictionConfig(explore=0.05, forget=0.0)
+    known, guess, alone = (FrictionEstimator(config) for _ in range(3))
+    for _ in range(3):
+        slip(known, 0.2)
+        quiet(known, 0.1)
+    guess.hear(known)
+    before = guess.estimate
+    quiet(guess, 2.0), quiet(alone, 2.0)
+    assert alone.estimate == pytest.approx(0.4 * 1.05**2, rel=0.01)
+    assert guess.estimate < 1.02 * before
+
+
 def test_without_contact_nothing_is_learned():
     estimator = still()
     for state, force in ((Grip.UNKNOWN, (1.0, 1.0, 0.0)), (Grip.STICK, None)):

@@ -9,11 +9,13 @@ from tactile_hand_ros.core.slip_detector import Grip, SlipDetector, SlipDetector
 DT, NORMAL = 0.001, (0.0, 1.0, 0.0)
 
 
-def run(forces, detector=None, own_change=0.0):
+def run(forces, detector=None, own_change=0.0, friction=np.inf):
     """Return what a detector says of forces, one a tick."""
     detector = detector or SlipDetector(SlipDetectorConfig())
     told = [
-        detector.step(None if f is None else tuple(f), NORMAL, own_change, DT if i else 0.0)
+        detector.step(
+            None if f is None else tuple(f), NORMAL, own_change, DT if i else 0.0, friction
+        )
         for i, f in enumerate(forces)
     ]
     return np.array(told)
@@ -67,6 +69,45 @@ def test_repeated_samples_tell_nothing():
     """A skin at 250 Hz under a loop at 1 kHz."""
     forces = np.repeat(sticking(500), 4, axis=0)
     assert not (run(forces) == Grip.SLIP).any()
+
+
+def test_a_slow_skin_is_judged_by_its_samples_not_by_ticks():
+    """One at 250 Hz under a loop at 1 kHz needs as many samples as one that is as slow as it."""
+    samples = np.concatenate([sticking(300), sliding(20)])
+    slow, fast = run(np.repeat(samples, 4, axis=0)), run(samples)
+    assert 300 < (fast == Grip.SLIP).argmax() < 308
+    later = (slow == Grip.SLIP).argmax() // 4 - (fast == Grip.SLIP).argmax()
+    assert later in (0, 1)
+
+
+def test_one_wild_sample_of_a_slow_skin_is_no_slip():
+    samples = sticking(500)
+    samples[300, 0] += 0.5
+    assert not (run(np.repeat(samples, 4, axis=0), friction=0.1) == Grip.SLIP).any()
+
+
+def test_at_the_brink_of_the_believed_cone_slip_is_found_a_sample_earlier():
+    """The forces are the same: a ratio of 0.22, against a friction of 0.2 or of 0.9."""
+    forces = np.concatenate([sticking(500), sliding(50)])
+    first = [int((run(forces, friction=mu) == Grip.SLIP).argmax()) for mu in (0.2, 0.9)]
+    assert 503 <= first[0] == first[1] - 1
+
+
+def test_even_at_the_brink_a_push_is_no_slip():
+    forces = sticking(1000)
+    forces[500:, 0] += 3.0
+    assert not (run(forces, friction=0.2) == Grip.SLIP).any()
+
+
+def test_the_newest_sample_tells_sooner_than_the_sum_that_it_has_stopped():
+    detector = SlipDetector(SlipDetectorConfig())
+    run(np.concatenate([sticking(500), sliding(20)]), detector)
+    assert detector.state is Grip.SLIP
+    agreed = []
+    for force in sticking(4, seed=9):
+        detector.step(tuple(force), NORMAL, 0.0, DT)
+        agreed.append(detector.agrees)
+    assert detector.state is Grip.SLIP and not agreed[-1]
 
 
 def test_what_lasts_is_learned_as_noise():
