@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.analysis import (
+    foresight,
     roc_figure,
     slip_roc,
     slip_trace,
@@ -222,3 +223,36 @@ def test_tables_figures_and_data_are_written(run: Record, tmp_path: Path) -> Non
     points = [slip_roc.Point(0.01, h, 0, 1.0, 10, 9, 0.005) for h in (10.0, 20.0)]
     assert roc_figure.roc_figure(points) is not None
     assert len(slip_roc.rows(points)) == 2
+
+
+@pytest.mark.parametrize(
+    ("latency", "rate", "told"),
+    [(0.0, 1000.0, 0.071), (0.0034, 1000.0, 0.075), (0.01, 250.0, 0.082)],
+)
+def test_nothing_can_be_told_before_a_sample_has_come_through_the_skin(
+    latency: float, rate: float, told: float
+) -> None:
+    """The event is at 70 ms; a skin at 250 Hz samples at 72 ms."""
+    case = replace(CASE, latency=latency, rate=rate)
+    assert foresight.first_told(case) == pytest.approx(told)
+
+
+def test_foresight_squeezes_no_earlier_and_no_faster_than_it_may() -> None:
+    """It keeps the first squeeze until it is told, and then rises straight to the crush limit."""
+    record, scenario = foresight.foresee(replace(CASE, latency=0.004))
+    c, told = scenario.slip_regulator, 75
+    np.testing.assert_array_equal(record.grasp_force[:told], c.grasp_force)
+    rises = np.diff(record.grasp_force[told - 1 :])
+    assert rises[0] == pytest.approx(4.0) and rises.max() == pytest.approx(4.0)
+    assert record.grasp_force[-1] == c.maximum
+    assert record.friction[told - 1, 0] == CASE.friction
+    assert record.friction[told, 0] == CASE.friction / CASE.load
+    assert not study_outcomes.measure(record, scenario, CASE).lost
+
+
+def test_where_the_hand_loses_it_is_asked_whether_anybody_could_hold() -> None:
+    """At eight times the load, felt 10 ms late, with hardly any friction: nobody can."""
+    case = replace(CASE, event="step", friction=0.25, mass=0.3, load=6.0, latency=0.01)
+    outcome = study_outcomes.run_case(case)
+    assert outcome.lost and not outcome.in_time
+    assert study_outcomes.run_case(CASE).in_time
