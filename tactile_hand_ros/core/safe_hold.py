@@ -21,9 +21,9 @@ class HoldConfig(Config):
 class SafeHold:
     """Holds the joints where they are, on top of the torque that squeezed the object.
 
-    tau = tau_squeeze + K (theta_hold - theta) - D theta'. The squeeze neither fades, which would
-    drop the object, nor grows, which would crush it; the spring keeps a wrong squeeze from moving
-    the hand far.
+    tau = tau_squeeze + K (theta_hold - theta) - D theta'. The squeeze never fades, which would drop
+    the object, nor does it grow here, which would crush it: that is the regulator's to ask for. The
+    spring keeps a wrong squeeze from moving the hand far.
     """
 
     def __init__(self, config: HoldConfig) -> None:
