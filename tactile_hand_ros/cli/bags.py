@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_hand_ros.cli.output import NamespaceOption
 from tactile_hand_ros.core.errors import TactileHandError
 
 if TYPE_CHECKING:
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
 EXIT_DIFFERS = 1
 
 BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
-NamespaceOption = Annotated[
-    str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
-]
 
 
 def recover(

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand reproduce`, `bench` and `study`: many runs, ending in figures and tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tactile_hand_ros.cli.output import (
+    FormatOption,
+    Progress,
+    check_writable,
+    figure_formats,
+    print_table,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tactile_hand_ros.bench.results import Result
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for figures and tables.")] = Path(
+        "reproduction"
+    ),
+    layout: Annotated[
+        list[str] | None, typer.Option(help="Layout of the fingers; may be repeated.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    formats: FormatOption = None,
+) -> None:
+    """Draw the paper's figures and print its claims beside what was measured."""
+    from tactile_hand_ros.analysis import tables
+    from tactile_hand_ros.analysis.experiments import EXPERIMENTS, LAYOUTS
+    from tactile_hand_ros.analysis.reproduce import draw, write
+    from tactile_hand_ros.analysis.reproduce import reproduce as run
+
+    layouts = list(dict.fromkeys(layout or LAYOUTS))
+    figure_formats(formats)
+    check_writable(out)
+    with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance:
+        results = run(layouts, duration, jobs, advance)
+    with Progress("drawing", len(results)) as advance:
+        files = []
+        for result in results:
+            files += draw(result, out, figure_formats(formats))
+            advance(result.layout)
+    files += write(results, out, figure_formats(formats)[0])
+    for result in results:
+        print_table(tables.claim_table(f"layout {result.layout}", result.claims))
+        title = f"what the laws do, layout {result.layout}"
+        print_table(tables.rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
+    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+
+
+def bench(
+    out: Annotated[Path | None, typer.Option(help="File for the results as JSON.")] = None,
+    ticks: Annotated[
+        int | None, typer.Option(help="Shorter runs, for a quick look.", min=2)
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 3,
+    blocks: Annotated[
+        bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
+    ] = False,
+    realtime: Annotated[
+        float | None,
+        typer.Option(help="Only real time: how long each way to run is measured [s].", min=1.0),
+    ] = None,
+    sizes: Annotated[
+        bool, typer.Option("--sizes", help="Only the cost against fingers, joints and steps.")
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Folder for figures, with --realtime and --sizes.")
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Measure speed and compare it with the goals."""
+    from tactile_hand_ros.analysis import tables
+    from tactile_hand_ros.bench.results import COLUMNS, rows, to_json
+
+    figure_formats(formats)
+    for folder in (None if out is None else out.parent, figures):
+        if folder is not None:
+            check_writable(folder)
+    results: list[Result] = []
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if realtime is not None:
+        results, drawn["realtime"] = _bench_realtime(realtime)
+    if sizes:
+        costs, drawn["sizes"] = _bench_sizes(ticks, repeats)
+        results += costs
+    if not drawn:
+        results = _bench_all(ticks, repeats, blocks)
+    print_table(tables.rich_table("bench", COLUMNS, rows(results)))
+    if out is not None:
+        out.write_text(json.dumps(to_json(results), indent=2) + "\n", encoding="utf-8")
+        print(out)
+    if figures is not None:
+        from tactile_hand_ros.analysis.style import save
+
+        for name, draw in drawn.items():
+            print(*save(draw(), figures, name, figure_formats(formats)))
+
+
+def _bench_all(ticks: int | None, repeats: int, blocks: bool) -> list[Result]:
+    """Measure everything, or what needs no processes."""
+    from tactile_hand_ros import bench as b
+    from tactile_hand_ros.bench.workload import Workload
+
+    chosen, results = b.BLOCKS if blocks else b.MEASUREMENTS, []
+    with Progress("measuring", len(chosen)) as advance:
+        work = Workload.prepare(ticks, repeats)
+        for measurement in chosen:
+            results += list(b.run_measurements(work, [measurement]))
+            advance(results[-1].name)
+    return results
+
+
+def _bench_realtime(seconds: float) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure real time in all ways; return results and what draws them."""
+    from tactile_hand_ros.bench import realtime as r
+    from tactile_hand_ros.bench.figures import realtime_figure
+
+    cases = r.cases()
+    with Progress("real time", len(cases)) as advance:
+        runs = list(r.run_cases(cases, seconds, advance))
+    return r.results(runs), lambda: realtime_figure(runs)
+
+
+def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure hands of all sizes; return results and what draws them."""
+    from tactile_hand_ros.bench import sizes as s
+    from tactile_hand_ros.bench.figures import sizes_figure
+
+    chosen = s.sizes()
+    with Progress("sizes", repeats * len(chosen)) as advance:
+        costs = s.measure_sizes(chosen, ticks or s.TICKS, repeats, advance)
+    return s.results(costs), lambda: sizes_figure(costs)
+
+
+def slip(
+    out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
+    runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    roc: Annotated[
+        bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
+    ] = False,
+    formats: FormatOption = None,
+) -> None:
+    """Measure how fast slip is found and stopped, and at what squeeze."""
+    from tactile_hand_ros.analysis import (
+        roc_figure,
+        slip_roc,
+        slip_study,
+        study_figures,
+        tables,
+    )
+    from tactile_hand_ros.analysis import study_tables as s
+    from tactile_hand_ros.analysis.style import save
+
+    figure_formats(formats)
+    check_writable(out if out.exists() else out.absolute().parent)
+    with Progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
+        result = slip_study.run_study(runs, seed, jobs, advance)
+    drawn = study_figures.figures(result)
+    points: list[slip_roc.Point] = []
+    if roc:
+        with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
+            points = slip_roc.run_roc(seed=seed, jobs=jobs, progress=advance)
+        drawn["study_roc"] = roc_figure.roc_figure(points)
+    files = s.write(result, out)
+    if points:
+        files += slip_roc.write(points, out)
+    for name, figure in drawn.items():
+        files += save(figure, out, name, figure_formats(formats))
+    print_table(tables.rich_table(f"slip, {runs} runs", s.COLUMNS, s.rows(result)))
+    print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
+    if points:
+        print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
+    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))

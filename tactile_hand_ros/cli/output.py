@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands have in common: options, tables, progress, places to write to."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tactile_hand_ros.core.errors import TactileHandError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+NamespaceOption = Annotated[
+    str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
+]
+FormatOption = Annotated[
+    list[str] | None,
+    typer.Option("--format", help="png, svg or pdf; may be repeated. By default png and svg."),
+]
+
+
+def figure_formats(given: list[str] | None) -> tuple[str, ...]:
+    """Return the formats of figures.
+
+    Raises:
+        TactileHandError: If one is unknown.
+    """
+    unknown = set(given or ()) - {"png", "svg", "pdf"}
+    if unknown:
+        raise TactileHandError(f"Format is '{unknown.pop()}', expected png, svg or pdf.")
+    return tuple(dict.fromkeys(given or ("png", "svg")))
+
+
+def check_writable(folder: Path) -> None:
+    """Create a folder for results, before any work is done for it.
+
+    Raises:
+        TactileHandError: If that is not possible.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError as error:
+        reason = error.strerror
+    else:
+        reason = "" if writable else "it is read-only"
+    if reason:
+        raise TactileHandError(f"Nothing can be written to {folder} ({reason}); choose another.")
+
+
+def console(stderr: bool = False) -> Console:
+    """Return where to print; wide enough for tables in files and pipes."""
+    from rich.console import Console
+
+    made = Console(stderr=stderr)
+    if not made.is_terminal:
+        made.width = 140  # of a file or pipe nothing is known; do not squeeze tables into 80
+    return made
+
+
+def print_table(table: object) -> None:
+    """Print a table of rich."""
+    console().print(table)
+
+
+class Progress:
+    """A bar on the terminal while something goes on; nothing when nobody looks."""
+
+    def __init__(self, title: str, total: int) -> None:
+        """Say what goes on and how many steps it has."""
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeElapsedColumn as Elapsed
+
+        output = console(stderr=True)
+        texts = TextColumn("{task.description}"), TextColumn("{task.fields[latest]}")
+        self._bar = Progress(
+            texts[0],
+            BarColumn(),
+            MofNCompleteColumn(),
+            Elapsed(),
+            texts[1],
+            console=output,
+            transient=True,
+            disable=not output.is_terminal,
+        )
+        self._task = self._bar.add_task(title, total=total, latest="")
+
+    def __enter__(self) -> Progress:
+        """Show it."""
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Take it away."""
+        self._bar.stop()
+
+    def __call__(self, latest: str) -> None:
+        """Advance by one and tell what was done."""
+        self._bar.update(self._task, advance=1, latest=latest)
