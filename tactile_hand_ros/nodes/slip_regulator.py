@@ -3,8 +3,8 @@
 
 Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
 every mode; a finger that is silent or says NaN leaves the tick without k_f, and the controller
-holds the hand. Where a finger has no contact nothing is known of the object's need, and the reflex
-keeps its squeeze. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
+holds the hand. Where a finger has lost contact the need is not known, and the reflex doubles
+its squeeze once. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
 help, is a warning in `/diagnostics`. A request of the user outside the limits is counted and
 dropped, and the squeeze stays. When it dies, the controller holds the last squeeze; a new one
 starts at the configured k_f and has to learn the friction again.
