@@ -21,9 +21,7 @@ def held(**values):
 
 def run(reflex, ticks, needed=math.nan, slips=False, slides=False, touching=ALL):
     """Return the squeeze at each of some ticks."""
-    return np.array(
-        [reflex.step(needed, slips, slides, touching, LIMIT, DT) for _ in range(ticks)]
-    )
+    return np.array([reflex.step(needed, slips, slides, touching, LIMIT, DT) for _ in range(ticks)])
 
 
 def test_it_follows_the_need_up_at_its_rate_and_down_slowly():
