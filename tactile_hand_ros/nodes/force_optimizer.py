@@ -16,11 +16,17 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
 from tactile_hand_ros.core.cone_optimizer import Cones
-from tactile_hand_ros.core.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.core.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    OptimalForces,
+)
 from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.node import TactileNode
@@ -66,7 +72,14 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         ]
         self._cone_watch = ConeWatch(self.config.load_time)
         shapes = self.config.cones
+        self._rehearse(shapes)
         self._inputs = TouchInputs(self, fingers, self, forces=shapes, friction=shapes)
+
+    def _rehearse(self, shapes: bool) -> None:
+        contacts, forces = example_touch(self._fingers)
+        friction = np.ones(self._fingers)
+        self._solve(0, Touch(contacts, *((forces, friction) if shapes else (None, None))))
+        self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
         """Refuse weights that do not fit the hand."""
@@ -88,17 +101,20 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def on_tick(self, stamp: int, touch: Touch) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        cones: Cones | None = None
-        if touch.forces is not None and touch.friction is not None:
-            usable = self.config.cone_share * touch.friction
-            cones = self._cone_watch.step(stamp, touch.contacts, touch.forces, usable)
-        optimal = self._optimizer.solve(touch.contacts, cones)
+        optimal = self._solve(stamp, touch)
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
         self._report.note(optimal)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _solve(self, stamp: int, touch: Touch) -> OptimalForces:
+        cones: Cones | None = None
+        if touch.forces is not None and touch.friction is not None:
+            usable = self.config.cone_share * touch.friction
+            cones = self._cone_watch.step(stamp, touch.contacts, touch.forces, usable)
+        return self._optimizer.solve(touch.contacts, cones)
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""

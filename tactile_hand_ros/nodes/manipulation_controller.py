@@ -16,12 +16,14 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.manipulation import Target
+from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.controller_inputs import Array, ControllerInputs, TickInputs
@@ -65,6 +67,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
         self._controller = Controller(self.config)
+        self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)
         self._fresh: list[tuple[Target, int]] = []
         self._sent = b""
@@ -79,6 +82,13 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         timeout, self._feels = self.config.input_timeout, self.config.law.observer.time > 0.0
         self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
         self._requests = ControllerServices(self, self._controller, self._on_reset)
+
+    def _rehearse(self) -> None:
+        hand = self._controller.hand
+        contacts, forces = example_touch(hand.fingers)
+        still = np.zeros(hand.joints)
+        self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
+        self._controller.reset()
 
     def check_config(self, config: ControllerConfig) -> None:
         """Refuse to observe a load without forces."""

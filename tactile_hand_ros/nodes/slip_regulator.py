@@ -23,6 +23,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.conversions import feedback_to_ros, number_from_ros
@@ -68,6 +69,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
+        self._regulator.step(0, *example_touch(len(fingers)))  # a rehearsal
+        self._regulator.reset()
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._grips = GripCodec(fingers)
         self._grip_publisher = self.tick_publisher(JointState, interfaces.GRIP_STATE)

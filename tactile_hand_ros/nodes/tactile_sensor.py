@@ -20,6 +20,8 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.core.hand_config import load_hand_config
+from tactile_hand_ros.core.rehearsal import example_touch
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.core.tactile import TactileReading, TactileSensor, TactileSensorConfig
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
@@ -55,6 +57,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         hand = load_hand_config(self.config.hand)
         fingers = hand.finger_names
         self._sensor = TactileSensor(self.config, np.array(hand.radii))
+        self._rehearse(len(fingers))
         self._publisher = ReadingPublisher(self, fingers, interfaces.CONTACTS, interfaces.wrench)
         self._contacts = ContactsCodec(len(fingers))
         topics = [interfaces.true_wrench(name) for name in fingers]
@@ -66,6 +69,13 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         for name, topic in zip(fingers, topics, strict=True):
             codec = WrenchCodec(interfaces.contact_frame(name))
             self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+
+    def _rehearse(self, fingers: int) -> None:
+        contacts, forces = example_touch(fingers)
+        quaternions = quaternion_from_rotation(contacts.rotations)
+        touch = TactileReading(contacts.positions, quaternions, forces)
+        self._sensor.step(0, touch, np.zeros(fingers))
+        self._sensor.reset()
 
     def on_config(self, config: TactileSensorConfig) -> None:
         """Take other noise."""
