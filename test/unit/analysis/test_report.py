@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.recorded import RunWriter, joints, random_record, write_record
 
-from tactile_hand_ros import cli
+from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.analysis import Run, derived
 from tactile_hand_ros.analysis.report import write_comparison, write_report
 from tactile_hand_ros.analysis.report.document import run_document, scene_columns
