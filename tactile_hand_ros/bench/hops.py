@@ -29,6 +29,7 @@ from tactile_hand_ros.ros.testing import (
 HOPS = 2000
 _WARM = 200
 _PATIENCE = 60.0  # s
+_NUDGE = 0.2  # s
 _ECHO = [sys.executable, "-m", "tactile_hand_ros.bench.echo"]
 
 
@@ -110,8 +111,9 @@ def _ros_hops(kind: str, count: int, message: JointState) -> NDArray[np.float64]
                 _PATIENCE,
                 "the echo",
             )
+            # The echo may not have met us yet, and what it does not hear then is gone: ask again.
+            nudge = node.create_timer(_NUDGE, lambda: nudge.cancel() if times else send())
             executor.add_node(node)
-            send()
             executor.spin()
         node.destroy_node()
     return np.array(times[_WARM:])
