@@ -12,6 +12,7 @@ import rclpy
 from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.bench.echo import LEAN, ORDINARY, SOCKET, connect
@@ -112,7 +113,7 @@ def _ros_hops(kind: str, count: int, message: JointState) -> NDArray[np.float64]
                 "the echo",
             )
             # The echo may not have met us yet, and what it does not hear then is gone: ask again.
-            nudge = node.create_timer(_NUDGE, lambda: nudge.cancel() if times else send())
+            nudge: Timer = node.create_timer(_NUDGE, lambda: nudge.cancel() if times else send())
             executor.add_node(node)
             executor.spin()
         node.destroy_node()
