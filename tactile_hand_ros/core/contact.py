@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.hand import Fingertips
-from tactile_hand_ros.core.rotations import rotation_from_quaternion
+from tactile_hand_ros.core.rotations import cross, rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def hand_jacobian(tips: Fingertips, points: Array) -> Array:
 
 
 @compiled
-def in_palm(rotations: Array, forces: Array, scale: float = 1.0) -> Array:
+def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
     """Return forces in palm axes, shape (k, 3), N.
 
     Args:
@@ -164,7 +164,7 @@ def joint_torques(
     for i in range(len(points)):
         x, y, z = forces[i]
         a, b, c = points[i] - centres[i]
-        p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+        p, q, r = cross((a, b, c), (x, y, z))
         for j in range(len(out)):
             out[j] += x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]
             out[j] += p * angular[i, 0, j] + q * angular[i, 1, j] + r * angular[i, 2, j]

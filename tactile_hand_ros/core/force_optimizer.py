@@ -18,6 +18,7 @@ from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.grasp import MIN_COLLINEARITY_MARGIN, centred, collinearity_margin
+from tactile_hand_ros.core.rotations import cross
 from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
@@ -313,7 +314,7 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
             x, y, z = rotations[i, 0, axis], rotations[i, 1, axis], rotations[i, 2, axis]
             row = out[3 * i + axis]
             row[0], row[1], row[2] = x, y, z
-            row[3], row[4], row[5] = b * z - c * y, c * x - a * z, a * y - b * x
+            row[3], row[4], row[5] = cross((a, b, c), (x, y, z))
     return out
 
 

@@ -27,9 +27,7 @@ from tactile_hand_ros.core.disturbance import external_wrench
 from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant_config import PlantConfig
-from tactile_hand_ros.core.rotations import (
-    rotation_from_vector,
-)
+from tactile_hand_ros.core.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.grasp import check_spread, collinearity_margin
+from tactile_hand_ros.core.rotations import cross
 
 Array = NDArray[np.float64]
 
@@ -103,16 +104,11 @@ def _frame_of_plane(points: Array) -> Array:
     d, e, f = points[0] - points[2]
     length = math.sqrt(a * a + b * b + c * c)
     x0, x1, x2 = a / length, b / length, c / length
-    u, v, w = b * f - c * e, c * d - a * f, a * e - b * d
+    u, v, w = cross((a, b, c), (d, e, f))
     length = math.sqrt(u * u + v * v + w * w)
     z0, z1, z2 = u / length, v / length, w / length
-    return np.array(
-        [
-            [x0, z1 * x2 - z2 * x1, z0],
-            [x1, z2 * x0 - z0 * x2, z1],
-            [x2, z0 * x1 - z1 * x0, z2],
-        ]
-    )
+    y0, y1, y2 = cross((z0, z1, z2), (x0, x1, x2))
+    return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]])
 
 
 def best_rotation(before: Array, after: Array) -> Array:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from support.recorded import RunWriter, joints, random_record, write_record
 
-from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.analysis import Run, derived
 from tactile_hand_ros.analysis.report import write_comparison, write_report
 from tactile_hand_ros.analysis.report.document import run_document, scene_columns
 from tactile_hand_ros.analysis.report.pack import pack, unpack
 from tactile_hand_ros.analysis.report.ticks import shown
+from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.core.scenario import load_scenario, resolved
 

@@ -11,16 +11,18 @@ import pytest
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 
 FLOOD = """
-import os, signal, threading, time
+import os, signal, threading
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 
 signals = Signals()
 signals.install()
 
+pause = threading.Event()
+
 def send():
     for _ in range(5000):
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(2e-5)
+        pause.wait(2e-5)
 
 sender = threading.Thread(target=send)
 sender.start()
