@@ -51,7 +51,8 @@ class Foresight(SlipRegulator):
     def friction(self) -> Array:
         """Friction of each contact, shape (k,)."""
         known = self._last_stamp is not None and self._last_stamp >= self._told
-        return np.full(self._k, self._mu if known else self.config.friction.prior)
+        mu = self._mu if known else self.config.friction.prior
+        return np.full_like(super().friction, mu)
 
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None

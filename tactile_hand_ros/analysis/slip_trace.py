@@ -95,18 +95,12 @@ def replay(
         seed: Of the noise.
     """
     white = np.random.default_rng(seed).standard_normal(trace.forces.shape)
-    forces = (trace.forces + noise * white).tolist()
-    axes, own = trace.axes.tolist(), trace.own_change.tolist()
-    friction = trace.friction.tolist()
-    n, k = trace.forces.shape[:2]
-    states = np.zeros((n, k), dtype=int)
-    for j in range(k):
-        detector = SlipDetector(config)
-        for i in range(n):
-            force = forces[i][j]
-            known = tuple(force) if math.isfinite(sum(force)) else None
-            dt = trace.step if i else 0.0
-            states[i, j] = detector.step(known, axes[i][j], own[i], dt, friction[i][j])
+    forces = trace.forces + noise * white
+    detector = SlipDetector(config, forces.shape[1])
+    states = np.zeros(forces.shape[:2], dtype=np.int64)
+    for i, own_change in enumerate(trace.own_change.tolist()):
+        dt = trace.step if i else 0.0
+        states[i] = detector.step(forces[i], trace.axes[i], own_change, dt, trace.friction[i])
     return states
 
 

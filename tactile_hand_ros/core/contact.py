@@ -41,6 +41,11 @@ class Contacts:
         """Which fingers touch, shape (k,)."""
         return _touching(self.positions, self.rotations)
 
+    @cached_property
+    def whole(self) -> bool:
+        """Whether all fingers touch."""
+        return bool(self.touching.all())
+
     @property
     def normals(self) -> Array:
         """Contact normals n into the object, shape (k, 3)."""

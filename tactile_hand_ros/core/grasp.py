@@ -45,11 +45,12 @@ def net_wrench(contacts: Contacts, forces: Array) -> Array:
         contacts: Contact points and frames.
         forces: Forces on the object in contact frames, shape (k, 3), N.
     """
-    return _net_wrench(contacts.positions, contacts.rotations, forces)
+    return contact_wrench(contacts.positions, contacts.rotations, forces)
 
 
 @compiled
-def _net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
+def contact_wrench(points: Array, rotations: Array, forces: Array) -> Array:
+    """Return the wrench of `net_wrench` for contacts given by their arrays, shape (6,)."""
     arms, out = centred(points), np.zeros(6)
     for i in range(len(points)):
         f, d = rotations[i] @ forces[i], arms[i]

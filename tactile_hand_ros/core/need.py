@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.rows import Row, Rows, row_of
 from tactile_hand_ros.core.squeeze import Split, required_squeeze
 
 Array = NDArray[np.float64]
@@ -33,6 +37,15 @@ class NeedConfig(Config):
     )
 
 
+_MEMORY = np.dtype(
+    [
+        ("load", np.float64, 3),  # smoothed; NaN: none yet
+        ("trend", np.float64, 3),  # its rate
+        ("shape", np.float64, 3),  # smoothed force per unit squeeze
+    ]
+)
+
+
 class Need:
     """Follows load and shape of the squeeze, and computes the least squeeze that holds.
 
@@ -41,42 +54,79 @@ class Need:
     and the need of a shape near the edge of its cone grows without bound.
     """
 
-    def __init__(self) -> None:
-        """Start without a grasp."""
+    def __init__(self, config: NeedConfig, contacts: int) -> None:
+        """Start without a grasp of k contacts."""
+        self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self.configure(config)
         self.reset()
+
+    def configure(self, config: NeedConfig) -> None:
+        """Take other parameters; load and shape stay."""
+        self._config = row_of(config)
 
     def reset(self) -> None:
         """Forget load and shape."""
-        self._load: Array | None = None
+        self._memory["load"] = np.nan
 
-    def step(self, parts: Split, friction: Array, config: NeedConfig, dt: float) -> float:
+    def step(self, parts: Split, friction: Array, dt: float) -> float:
         """Return the least squeeze that keeps every contact inside its cone, N.
 
         Args:
             parts: Measured forces as load and squeeze; the squeeze must push.
             friction: mu to hold with at each contact, shape (k,).
-            config: Parameters.
             dt: Time since the last tick, s.
 
         Returns:
             Infinite when no squeeze of the present shape can hold.
         """
-        load = self._follow(parts, config, dt)
-        pairs = zip(load, self._shape, friction.tolist(), strict=True)
-        return max(required_squeeze(own, shape, mu) for own, shape, mu in pairs)
+        return _needed(self._memory, self._config, *parts, friction, dt)
 
-    def _follow(self, parts: Split, c: NeedConfig, dt: float) -> Array:
-        """Smooth load and shape; return the load, extrapolated by the lead time."""
-        shape = parts.squeeze / parts.grasp_force
-        if self._load is None or dt == 0.0:
-            self._load, self._shape, self._trend = parts.load, shape, np.zeros_like(parts.load)
-            return self._load
-        self._shape = self._shape + min(1.0, dt / c.shape_smoothing) * (shape - self._shape)
-        share = min(1.0, dt / c.smoothing)
-        before = self._load
-        self._load = before + share * (parts.load - before)
-        # The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
-        self._trend = self._trend + share * ((self._load - before) / dt - self._trend)
-        speed = np.sqrt((self._trend * self._trend).sum(axis=1, keepdims=True))
-        real = np.maximum(0.0, 1.0 - c.least_trend / np.maximum(speed, 1e-12))
-        return np.asarray(self._load + (c.smoothing + c.lead) * real * self._trend)
+
+@compiled
+def _needed(
+    memory: Rows,
+    config: Rows,
+    load: Array,
+    squeeze: Array,
+    grasp_force: float,
+    friction: Array,
+    dt: float,
+) -> float:
+    """Return what the neediest contact of a memory needs, N."""
+    c, needed = config[0], 0.0
+    for i in range(len(memory)):
+        m = memory[i]
+        if dt == 0.0 or math.isnan(m["load"][0]):
+            for axis in range(3):
+                m["load"][axis], m["trend"][axis] = load[i, axis], 0.0
+                m["shape"][axis] = squeeze[i, axis] / grasp_force
+        else:
+            _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
+        x, n, z = m["shape"]
+        needed = max(needed, required_squeeze(_foreseen(m, c), (x, n, z), friction[i]))
+    return needed
+
+
+@compiled
+def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
+    """Smooth load, trend and shape of a contact."""
+    share, slow = min(1.0, dt / c["smoothing"]), min(1.0, dt / c["shape_smoothing"])
+    for axis in range(3):
+        m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
+        before = m["load"][axis]
+        m["load"][axis] = before + share * (load[axis] - before)
+        rate = (m["load"][axis] - before) / dt
+        m["trend"][axis] += share * (rate - m["trend"][axis])
+
+
+@compiled
+def _foreseen(m: Row, c: Row) -> tuple[float, float, float]:
+    """Return the load of a contact after the lead time.
+
+    The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
+    """
+    (a, b, d), (x, n, z) = m["load"], m["trend"]
+    speed = math.sqrt(x * x + n * n + z * z)
+    real = max(0.0, 1.0 - c["least_trend"] / max(speed, 1e-12))
+    time = (c["smoothing"] + c["lead"]) * real
+    return a + time * x, b + time * n, d + time * z

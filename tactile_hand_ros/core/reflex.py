@@ -82,9 +82,11 @@ class Reflex:
             dt: Time since the last tick, s.
         """
         c = self.config
+        touches = touching.tolist()
+        whole, some = all(touches), any(touches)
         goal = needed if math.isfinite(needed) else self.squeeze
-        goal = max(goal, self._startled(slips, slides, touching, limit, dt))
-        if not touching.any():  # nothing is left that a squeeze could hold
+        goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
+        if not some:  # nothing is left that a squeeze could hold
             goal = self._settled
         falls = max(c.release_rate, (self.squeeze - goal) / c.release_time)
         low, high = self.squeeze - falls * dt, self.squeeze + c.rise_rate * dt
@@ -92,12 +94,11 @@ class Reflex:
         return self.squeeze
 
     def _startled(
-        self, slips: bool, slides: bool, touching: NDArray[np.bool_], limit: float, dt: float
+        self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
     ) -> float:
         """Return the squeeze that a slip or a lost contact asks for, N; 0 without either."""
-        whole = bool(touching.all())
         lost = self._whole and not whole
-        self._whole = whole or (lost and bool(touching.any()))
+        self._whole = whole or (lost and some)
         if not slips and not lost:
             self._calm_for += dt
             if self._calm_for > _CALM and whole:

@@ -22,7 +22,6 @@ from tactile_hand_ros.core.squeeze import Split, split
 
 Array = NDArray[np.float64]
 
-_NORMAL = (0.0, 1.0, 0.0)
 _MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
 
 
@@ -78,10 +77,10 @@ class SlipRegulator:
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
         """Start at the configured squeeze for a hand with k fingers."""
         self.config = config
-        self._k = fingers
-        self._detectors = [SlipDetector(config.detector) for _ in range(fingers)]
-        self._estimators = [FrictionEstimator(config.friction) for _ in range(fingers)]
-        self._need = Need()
+        self._detector = SlipDetector(config.detector, fingers)
+        self._estimator = FrictionEstimator(config.friction, fingers)
+        self._need = Need(config.reflex.need, fingers)
+        self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
         self._reflex = Reflex(config.reflex, config.grasp_force)
         self.reset()
 
@@ -90,9 +89,11 @@ class SlipRegulator:
         if config.mode != self.config.mode:
             self._asked = self.grasp_force
             self._reflex.start(self.grasp_force)
+            self._need.reset()
         self.config, self._reflex.config = config, config.reflex
-        for detector, estimator in zip(self._detectors, self._estimators, strict=True):
-            detector.config, estimator.config = config.detector, config.friction
+        self._detector.configure(config.detector)
+        self._estimator.configure(config.friction)
+        self._need.configure(config.reflex.need)
 
     def reset(self) -> None:
         """Go back to the configured squeeze and forget what was learned."""
@@ -105,24 +106,23 @@ class SlipRegulator:
         self._need.reset()
         self._squeezes: deque[float] = deque(maxlen=3)
         self._bends: deque[float] = deque(maxlen=_MEMORY - 2)
-        for detector, estimator in zip(self._detectors, self._estimators, strict=True):
-            detector.reset()
-            estimator.reset()
+        self._detector.reset()
+        self._estimator.reset()
 
     @property
-    def state(self) -> NDArray[np.int_]:
+    def state(self) -> NDArray[np.int64]:
         """`Grip` of each contact, shape (k,)."""
-        return np.array([int(detector.state) for detector in self._detectors])
+        return self._detector.state
 
     @property
     def slip_likelihood(self) -> Array:
         """Evidence for slip of each contact, 0 to 1, shape (k,)."""
-        return np.array([detector.likelihood for detector in self._detectors])
+        return self._detector.likelihood
 
     @property
     def friction(self) -> Array:
         """Estimated friction of each contact, shape (k,)."""
-        return np.array([estimator.estimate for estimator in self._estimators])
+        return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
         """Take the squeeze that the user asks for, in N.
@@ -172,30 +172,29 @@ class SlipRegulator:
 
     def _feel(self, contacts: Contacts, forces: Array, dt: float) -> None:
         """Update slip, friction and the needed squeeze from touch."""
-        # The user's squeeze needs no opinion on what would hold.
-        parts = None if self.config.mode == "user" else self._split(contacts, forces)
-        slips = self._watch(contacts, forces, parts, dt)
+        if self.config.mode == "user":  # whose squeeze needs no opinion on what would hold
+            self.needed = math.nan
+            self._watch(contacts, forces, self._normals, dt)
+            return
+        parts = self._split(contacts, forces)
+        axes = self._normals if parts is None else parts.squeeze
+        grips = self._watch(contacts, forces, axes, dt)
         self.needed = self._needed(parts, dt)
-        slides = any(d.agrees for d in self._detectors if d.state is Grip.SLIP)
+        slips = Grip.SLIP in grips
+        slides = (Grip.SLIP, True) in zip(grips, self._detector.agrees.tolist(), strict=True)
         limit = self.config.maximum
         self._reflex.step(self.needed, slips, slides, contacts.touching, limit, dt)
 
-    def _watch(self, contacts: Contacts, forces: Array, parts: Split | None, dt: float) -> bool:
-        """Update detectors and friction; return whether a contact slips."""
-        own_change = self._own_change()
-        axes = [_NORMAL] * self._k if parts is None else parts.squeeze.tolist()
-        felt = zip(forces.tolist(), contacts.touching.tolist(), axes, strict=True)
-        slips = False
-        for i, (force, touches, axis) in enumerate(felt):
-            known = tuple(force) if touches and math.isfinite(sum(force)) else None
-            detector, estimator = self._detectors[i], self._estimators[i]
-            state = detector.step(known, axis, own_change, dt, estimator.estimate)
-            estimator.step(known, state, detector.evidence, dt, detector.agrees)
-            slips = slips or state is Grip.SLIP
-        if slips:
-            for estimator in self._estimators:
-                estimator.hear(*self._estimators)
-        return slips
+    def _watch(self, contacts: Contacts, forces: Array, axes: Array, dt: float) -> list[int]:
+        """Update detectors and friction; return the `Grip` of each contact."""
+        felt = forces if contacts.whole else np.where(contacts.touching[:, None], forces, np.nan)
+        detector, estimator = self._detector, self._estimator
+        state = detector.step(felt, axes, self._own_change(), dt, estimator.estimate)
+        estimator.step(felt, state, detector.evidence, dt, detector.agrees)
+        grips: list[int] = state.tolist()
+        if Grip.SLIP in grips:
+            estimator.share()
+        return grips
 
     def _own_change(self) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
@@ -207,7 +206,7 @@ class SlipRegulator:
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
-        if not contacts.touching.all():
+        if not contacts.whole:
             return None
         try:
             return split(contacts, forces)
@@ -218,5 +217,5 @@ class SlipRegulator:
         if parts is None or parts.grasp_force <= 0.0:
             self._need.reset()
             return math.nan
-        reflex = self.config.reflex
-        return self._need.step(parts, self.friction / (1.0 + reflex.margin), reflex.need, dt)
+        friction = self.friction / (1.0 + self.config.reflex.margin)
+        return self._need.step(parts, friction, dt)

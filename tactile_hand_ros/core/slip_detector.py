@@ -6,11 +6,16 @@ from __future__ import annotations
 import enum
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.config import Config, param
+from tactile_hand_ros.core.rows import Row, Rows, row_of
 
-Force = tuple[float, float, float]
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 
-_STILL = (0.0, 0.0, 0.0)
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
@@ -60,8 +65,24 @@ class Grip(enum.IntEnum):
     SLIP = 2
 
 
+_MEMORY = np.dtype(
+    [
+        ("state", np.int64),  # Grip
+        ("evidence", np.float64),
+        ("likelihood", np.float64),
+        ("agrees", np.bool_),
+        ("variance", np.float64),  # of the second difference across the squeeze, per axis
+        ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
+        ("change", np.float64, 3),  # of it from sample to sample
+        ("touched_for", np.float64),
+        ("slipped_for", np.float64),
+    ],
+    align=True,
+)
+
+
 class SlipDetector:
-    """Watches the power of fast force changes at one contact with Page's cumulative sum test.
+    """Watches the power of fast force changes at each contact with Page's cumulative sum test.
 
     While a contact sticks, the second difference r of its force is noise of variance s^2, since
     loads change slowly against the sampling. Sliding adds vibration. The hand's own changes of the
@@ -75,110 +96,150 @@ class SlipDetector:
     more than h / 4: a push on the object shows in one sample, sliding in many.
 
     Source: Page, Continuous inspection schemes, 1954.
-
-    Attributes:
-        state: What is known of the contact.
-        evidence: The sum, above `threshold` a slip.
-        agrees: Whether the newest sample told of slip rather than of stick.
     """
 
-    def __init__(self, config: SlipDetectorConfig) -> None:
-        """Watch one contact."""
-        self.config = config
+    def __init__(self, config: SlipDetectorConfig, contacts: int) -> None:
+        """Watch a number k of contacts, each by itself."""
+        self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self.configure(config)
         self.reset()
+
+    def configure(self, config: SlipDetectorConfig) -> None:
+        """Take other parameters; what is known of the contacts stays."""
+        self._noise = config.noise
+        self._config = row_of(config)
 
     def reset(self) -> None:
         """Forget everything."""
-        self.state = Grip.UNKNOWN
-        self.evidence = 0.0
-        self.agrees = False
-        self._variance = _GAIN * self.config.noise**2
-        self._last: Force | None = None
-        self._change: Force | None = None
-        self._touched_for = self._slipped_for = 0.0
+        self._memory[:] = np.zeros((), _MEMORY)
+        self._memory["variance"] = _GAIN * self._noise**2
+        self._memory["last"] = self._memory["change"] = np.nan
 
     @property
-    def likelihood(self) -> float:
-        """Evidence for slip against its threshold, 0 to 1."""
-        return min(self.evidence / self.config.threshold, 1.0)
+    def state(self) -> NDArray[np.int64]:
+        """What is known of each contact, `Grip`, shape (k,)."""
+        return self._memory["state"].copy()
+
+    @property
+    def evidence(self) -> Array:
+        """The sum of each contact, above `threshold` a slip, shape (k,)."""
+        return self._memory["evidence"].copy()
+
+    @property
+    def likelihood(self) -> Array:
+        """Evidence for slip against its threshold, 0 to 1, shape (k,)."""
+        return self._memory["likelihood"].copy()
+
+    @property
+    def agrees(self) -> NDArray[np.bool_]:
+        """Whether the newest sample of each contact told of slip rather than stick, shape (k,)."""
+        return self._memory["agrees"].copy()
 
     def step(
-        self,
-        force: Force | None,
-        squeeze: Force,
-        own_change: float,
-        dt: float,
-        friction: float = math.inf,
-    ) -> Grip:
-        """Take the force of a tick and return what is known of the contact.
+        self, forces: Array, squeeze: Array, own_change: float, dt: float, friction: Array
+    ) -> NDArray[np.int64]:
+        """Take the forces of a tick and return what is known of the contacts, shape (k,).
 
         Args:
-            force: Measured force in the contact frame (x, n, z), N; None where there is none.
-            squeeze: Direction in which the hand's squeeze acts here, of any length.
+            forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
+                none.
+            squeeze: Directions in which the hand's squeeze acts here, of any length, shape (k, 3).
             own_change: How much the hand itself has just bent its squeeze, N; some of that shows
                 across the squeeze too.
             dt: Time since the last tick, s.
-            friction: What is believed of mu. At the brink of that cone fewer samples must agree: a
-                false alarm there could not lower the belief.
+            friction: What is believed of mu, shape (k,). At the brink of that cone fewer samples
+                must agree: a false alarm there could not lower the belief.
         """
-        # A sensor that is slower than the loop repeats its sample, which tells nothing.
-        new = force is None or force != self._last
-        bend = self._bend(force) if new else _STILL
-        if force is None or bend is None or force[1] <= self.config.least_force:
-            self._touched_for = self.evidence = 0.0
-            self.state = Grip.UNKNOWN
-            return self.state
-        self._touched_for += dt
-        power = _power_across(bend, squeeze)
-        if self._touched_for <= self.config.settling_time:
-            if new:
-                self._learn(power, dt)
-            self.evidence = 0.0
-            self.state = Grip.UNKNOWN
-            return self.state
-        if new:
-            brink = math.hypot(force[0], force[2]) > _BRINK * friction * force[1]
-            self._collect(power, force[1], own_change, 1.0 / 3.0 if brink else 0.25)
-        self._decide(dt)
-        if new and (self.state is Grip.STICK or self._slipped_for > self.config.patience):
-            self._learn(power, dt)
+        _watch(self._memory, self._config, forces, squeeze, own_change, dt, friction)
         return self.state
 
-    def _bend(self, force: Force | None) -> Force | None:
-        """Return the second difference of the force, None until there are three samples."""
-        last, before = self._last, self._change
-        self._last = force
-        if force is None or last is None:
-            self._change = None
-            return None
-        change = (force[0] - last[0], force[1] - last[1], force[2] - last[2])
-        self._change = change
-        if before is None:
-            return None
-        return change[0] - before[0], change[1] - before[1], change[2] - before[2]
 
-    def _collect(self, power: float, normal: float, own_change: float, most: float) -> None:
-        c = self.config
-        least = _GAIN * (c.least_noise**2 + (c.relative_noise * normal) ** 2)
-        variance = max(self._variance, least) + (_LEAK * own_change) ** 2
-        gain = 0.5 * ((1.0 - 1.0 / c.ratio) * power / variance - 2.0 * math.log(c.ratio))
-        self.agrees = gain > 0.0
-        total = max(0.0, self.evidence + min(gain, most * c.threshold))
-        self.evidence = min(total, 1.2 * c.threshold)
-
-    def _decide(self, dt: float) -> None:
-        slips = self.evidence > (0.75 if self.state is Grip.SLIP else 1.0) * self.config.threshold
-        self._slipped_for = self._slipped_for + dt if slips else 0.0
-        self.state = Grip.SLIP if slips else Grip.STICK
-
-    def _learn(self, power: float, dt: float) -> None:
-        """Follow the noise, quickly after touching; a push counts for no more than its noise."""
-        time = max(min(self.config.learning_time, self._touched_for), 10.0 * dt, 1e-9)
-        bounded = min(0.5 * power, _BOUND * self._variance)
-        self._variance += min(dt / time, 1.0) * (_UNBIASED * bounded - self._variance)
+@compiled
+def _watch(
+    memory: Rows,
+    config: Rows,
+    forces: Array,
+    squeeze: Array,
+    own_change: float,
+    dt: float,
+    friction: Array,
+) -> None:
+    """Let each contact of a memory take its force."""
+    c = config[0]
+    for i in range(len(memory)):
+        m = memory[i]
+        _detect(m, c, forces[i], squeeze[i], own_change, dt, friction[i])
+        m["likelihood"] = min(m["evidence"] / c["threshold"], 1.0)
 
 
-def _power_across(vector: Force, axis: Force) -> float:
+@compiled
+def _detect(
+    m: Row, c: Row, force: Array, squeeze: Array, own_change: float, dt: float, friction: float
+) -> None:
+    x, n, z = force
+    last = m["last"]
+    # A sensor that is slower than the loop repeats its sample, which tells nothing.
+    new = not (x == last[0] and n == last[1] and z == last[2])
+    bend = _bend(m, x, n, z) if new else (0.0, 0.0, 0.0)
+    if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
+        m["touched_for"] = m["evidence"] = 0.0
+        m["state"] = Grip.UNKNOWN
+        return
+    m["touched_for"] += dt
+    power = _power_across(bend, (squeeze[0], squeeze[1], squeeze[2]))
+    if m["touched_for"] <= c["settling_time"]:
+        if new:
+            _learn(m, c, power, dt)
+        m["evidence"] = 0.0
+        m["state"] = Grip.UNKNOWN
+        return
+    if new:
+        brink = math.sqrt(x * x + z * z) > _BRINK * friction * n
+        _collect(m, c, power, n, own_change, 1.0 / 3.0 if brink else 0.25)
+    _decide(m, c, dt)
+    if new and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
+        _learn(m, c, power, dt)
+
+
+@compiled
+def _bend(m: Row, x: float, n: float, z: float) -> Vector:
+    """Return the second difference of the force, NaN until there are three samples."""
+    last, change = m["last"], m["change"]
+    dx, dn, dz = x - last[0], n - last[1], z - last[2]
+    bend = dx - change[0], dn - change[1], dz - change[2]
+    last[0], last[1], last[2] = x, n, z
+    change[0], change[1], change[2] = dx, dn, dz
+    return bend
+
+
+@compiled
+def _collect(m: Row, c: Row, power: float, normal: float, own_change: float, most: float) -> None:
+    least = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
+    variance = max(m["variance"], least) + (_LEAK * own_change) ** 2
+    gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power / variance - 2.0 * math.log(c["ratio"]))
+    m["agrees"] = gain > 0.0
+    total = max(0.0, m["evidence"] + min(gain, most * c["threshold"]))
+    m["evidence"] = min(total, 1.2 * c["threshold"])
+
+
+@compiled
+def _decide(m: Row, c: Row, dt: float) -> None:
+    share = 0.75 if m["state"] == Grip.SLIP else 1.0
+    slips = m["evidence"] > share * c["threshold"]
+    m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
+    m["state"] = Grip.SLIP if slips else Grip.STICK
+
+
+@compiled
+def _learn(m: Row, c: Row, power: float, dt: float) -> None:
+    """Follow the noise, quickly after touching; a push counts for no more than its noise."""
+    time = max(min(c["learning_time"], m["touched_for"]), 10.0 * dt, 1e-9)
+    bounded = min(0.5 * power, _BOUND * m["variance"])
+    m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])
+
+
+@compiled
+def _power_across(vector: Vector, axis: Vector) -> float:
     """Return the square of the part of a vector that is normal to an axis of any length."""
     x, y, z = vector
     a, b, c = axis

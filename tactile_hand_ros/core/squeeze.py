@@ -4,36 +4,39 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.cone_optimizer import Cones
 from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.grasp import collinearity_margin, net_wrench, wrench_forces
+from tactile_hand_ros.core.errors import CollinearContactsError
+from tactile_hand_ros.core.grasp import (
+    MIN_COLLINEARITY_MARGIN,
+    contact_wrench,
+    spread_wrench,
+)
 
 Array = NDArray[np.float64]
 
 _LEAST_SQUEEZE = 0.1  # N; below, load per squeeze means nothing
+_CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 
-@dataclass(frozen=True)
-class Split:
+class Split(NamedTuple):
     """Contact forces as load and squeeze, all in contact frames.
 
     Attributes:
         load: Smallest forces with the measured net wrench, shape (k, 3), N.
         squeeze: The rest, which is in balance with itself, shape (k, 3), N.
+        grasp_force: Sum of the normal squeezing forces, N.
     """
 
     load: Array
     squeeze: Array
-
-    @property
-    def grasp_force(self) -> float:
-        """Sum of the normal squeezing forces, N."""
-        return float(self.squeeze[:, 1].sum())
+    grasp_force: float
 
 
 def split(contacts: Contacts, forces: Array) -> Split:
@@ -46,9 +49,29 @@ def split(contacts: Contacts, forces: Array) -> Split:
     Raises:
         CollinearContactsError: If the contacts lie on a line (A7).
     """
-    load = wrench_forces(contacts.positions, net_wrench(contacts, forces))
-    load = (load[:, None, :] @ contacts.rotations)[:, 0, :]
-    return Split(load, forces - load)
+    parts, margin = _measured_split(contacts, forces)
+    if margin < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(contacts.positions)
+    return parts
+
+
+def _measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
+    """Return the split, of no use on a line, and the collinearity margin."""
+    load, squeeze, total, margin = _split(contacts.positions, contacts.rotations, forces)
+    return Split(load, squeeze, total), margin
+
+
+@compiled
+def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
+    spread, margin = spread_wrench(points, contact_wrench(points, rotations, forces))
+    load, squeeze, total = np.empty_like(forces), np.empty_like(forces), 0.0
+    for i in range(len(forces)):
+        r, (x, y, z) = rotations[i], spread[i]
+        for axis in range(3):
+            load[i, axis] = r[0, axis] * x + r[1, axis] * y + r[2, axis] * z
+            squeeze[i, axis] = forces[i, axis] - load[i, axis]
+        total += squeeze[i, 1]
+    return load, squeeze, total, margin
 
 
 class ConeWatch:
@@ -76,11 +99,8 @@ class ConeWatch:
         Returns:
             None where there is no grasp or no squeeze yet.
         """
-        if not contacts.touching.all() or collinearity_margin(contacts.positions) < 1e-2:
-            self.reset()
-            return None
-        parts = split(contacts, forces)
-        if parts.grasp_force < _LEAST_SQUEEZE:
+        parts = _grasp(contacts, forces)
+        if parts is None:
             self.reset()
             return None
         load = parts.load / parts.grasp_force
@@ -91,21 +111,32 @@ class ConeWatch:
         return Cones(friction, load)
 
 
-def required_squeeze(load: Array, shape: Array, friction: float) -> float:
+def _grasp(contacts: Contacts, forces: Array) -> Split | None:
+    """Split the forces where all fingers hold something between them."""
+    if not contacts.whole:
+        return None
+    parts, margin = _measured_split(contacts, forces)
+    return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _LEAST_SQUEEZE else None
+
+
+@compiled
+def required_squeeze(
+    load: tuple[float, float, float], shape: tuple[float, float, float], friction: float
+) -> float:
     """Return the least k >= 0 for which load + k shape lies in a friction cone.
 
     The boundary of the cone |f_t| = mu f_n is quadratic in k.
 
     Args:
-        load: Force of a contact that does not grow with the squeeze, shape (3,), N.
-        shape: Force of the contact per unit squeeze, shape (3,).
+        load: Force of a contact (x, n, z) that does not grow with the squeeze, N.
+        shape: Force of the contact per unit squeeze.
         friction: mu.
 
     Returns:
         k in N; infinite when no squeeze of this shape puts it there.
     """
-    lx, ln, lz = load.tolist()
-    sx, sn, sz = shape.tolist()
+    lx, ln, lz = load
+    sx, sn, sz = shape
     square = friction * friction
     a = sx * sx + sz * sz - square * sn * sn
     b = lx * sx + lz * sz - square * ln * sn

@@ -75,6 +75,43 @@ def test_results_are_kept_where_the_user_wants(package: Path, tmp_path: Path) ->
     assert not list(package.rglob("*.nbi"))
 
 
+REGULATED = """
+import numpy as np
+from tactile_hand_ros.core.rehearsal import example_touch
+from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
+
+contacts, normal = example_touch(4)
+regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0), 4)
+random = np.random.default_rng(1)
+out = []
+for i in range(600):
+    rms = 0.3 if 200 <= i < 230 or 450 <= i < 470 else 0.01
+    forces = np.array([1.0, 0.0, 0.7]) + 3.0 * normal + rms * random.standard_normal((4, 3))
+    forces[2, 1] *= 0.2
+    k_f = regulator.step(2_000_000 * i, contacts, forces if i != 300 else np.full((4, 3), np.nan))
+    out.append([k_f, regulator.needed, *regulator.friction, *regulator.slip_likelihood])
+    out[-1].extend(regulator.state)
+assert sum(row[-1] == 2.0 for row in out) > 10  # the last contact has slipped
+print(np.array(out).tobytes().hex())
+"""
+
+
+def test_slip_and_friction_are_the_same_numbers_without_numba() -> None:
+    """To the bit: the readable source is the reference for what is compiled from it."""
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", REGULATED],
+            env={**os.environ, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        ).stdout
+        for environment in ({}, {"TACTILE_HAND_INTERPRETED": "1"})
+    ]
+    assert found[0] == found[1]
+
+
 COVERED = """
 import importlib, pkgutil
 from numba.core.registry import CPUDispatcher

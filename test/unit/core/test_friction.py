@@ -10,13 +10,20 @@ from tactile_hand_ros.core.slip_detector import Grip
 DT = 0.001
 
 
-def feel(estimator, ratios, state, evidence, normal=5.0, noise=0.01, seed=0):
-    """Feed force ratios, one a tick, and return the last estimate."""
+def feel(
+    estimator, ratios, state, evidence, contact=0, agrees=True, normal=5.0, noise=0.01, seed=0
+):
+    """Feed force ratios to one contact, one a tick, and return its last estimate."""
     random = np.random.default_rng(seed)
+    k = len(estimator.estimate)
+    told = np.full(k, state), np.full(k, evidence), DT, np.full(k, agrees)
+    forces = np.full((k, 3), np.nan)
     for ratio in ratios:
-        force = np.array([ratio * normal, normal, 0.0]) + noise * random.standard_normal(3)
-        estimator.step(tuple(force), state, evidence, DT)
-    return estimator.estimate
+        forces[contact] = np.array([ratio * normal, normal, 0.0]) + noise * random.standard_normal(
+            3
+        )
+        estimator.step(forces, *told)
+    return estimator.estimate[contact]
 
 
 def slip(estimator, ratio, **how):
@@ -29,9 +36,9 @@ def quiet(estimator, seconds, ratio=0.1, **how):
     return feel(estimator, [ratio] * round(seconds / DT), Grip.STICK, 0.0, **how)
 
 
-def still(**values):
+def still(contacts=1, **values):
     """Return an estimator that does not grow."""
-    return FrictionEstimator(FrictionConfig(explore=0.0, forget=0.0, **values))
+    return FrictionEstimator(FrictionConfig(explore=0.0, forget=0.0, **values), contacts)
 
 
 def test_a_slip_shows_friction_and_a_stick_proves_more():
@@ -70,7 +77,7 @@ def test_a_second_slip_makes_sure_and_a_contrary_one_raises_doubt():
     quiet(estimator, 0.1)
     slip(estimator, 0.35)
     assert estimator.confidence > once
-    before, sure = estimator.estimate, estimator.confidence
+    before, sure = estimator.estimate[0], estimator.confidence[0]
     quiet(estimator, 0.1)
     assert 0.1 < slip(estimator, 0.05) < before  # not believed at once
     assert estimator.confidence < sure
@@ -87,7 +94,7 @@ def test_alarms_that_follow_at_once_are_the_same_slip():
 
 def test_what_slips_have_shown_is_forgotten_slowly_and_a_guess_is_outgrown():
     config = FrictionConfig(explore=0.05, forget=0.002)
-    guess, known = FrictionEstimator(config), FrictionEstimator(config)
+    guess, known = FrictionEstimator(config, 1), FrictionEstimator(config, 1)
     for _ in range(3):
         slip(known, 0.4)
         quiet(known, 0.1)
@@ -98,31 +105,29 @@ def test_what_slips_have_shown_is_forgotten_slowly_and_a_guess_is_outgrown():
 
 
 def test_what_a_neighbour_has_shown_lowers_a_guess_only():
-    learned, guess, sure = still(), still(), still()
-    slip(learned, 0.2)
-    slip(sure, 0.5)
-    kept = sure.estimate
-    for other in (guess, sure):
-        other.hear(learned)
-    assert guess.estimate < 0.3 and sure.estimate == kept
-    low = still(prior=0.1)
-    low.hear(learned)
-    assert low.estimate == 0.1
+    hand = still(contacts=3)
+    slip(hand, 0.2, contact=0)
+    sure = slip(hand, 0.5, contact=2)
+    hand.share()
+    assert hand.estimate[1] < 0.3 and hand.estimate[2] == sure
+    low = still(contacts=2, prior=0.1)
+    slip(low, 0.2)
+    low.share()
+    assert low.estimate[1] == 0.1
 
 
 def test_what_sticks_again_says_nothing_of_friction():
     """The squeeze has caught it after four samples; the detector still says slip."""
     estimator = still()
     feel(estimator, [0.3] * 6, Grip.SLIP, 22.0)
-    for _ in range(10):
-        estimator.step((0.05 * 5.0, 5.0, 0.0), Grip.SLIP, 22.0, DT, agrees=False)
+    feel(estimator, [0.05] * 10, Grip.SLIP, 22.0, agrees=False)
     assert estimator.estimate == pytest.approx(0.3, abs=0.03)
 
 
 def test_a_clear_slip_counts_for_more_than_a_blurred_one_before_it():
     estimator = still()
     slip(estimator, 0.3, normal=0.5, noise=0.05)
-    blurred = estimator.estimate, estimator.confidence
+    blurred = estimator.estimate[0], estimator.confidence[0]
     quiet(estimator, 0.1, ratio=0.0)
     assert slip(estimator, 0.15, noise=0.002) < 0.15 + 0.25 * (blurred[0] - 0.15)
     assert blurred[0] > 0.3 and blurred[1] > 0.3  # it was worth something
@@ -131,20 +136,18 @@ def test_a_clear_slip_counts_for_more_than_a_blurred_one_before_it():
 def test_a_guess_grows_no_faster_than_a_lower_one_that_is_known():
     """Else a finger that presses lightly outgrows what the others have found, until it slips."""
     config = FrictionConfig(explore=0.05, forget=0.0)
-    known, guess, alone = (FrictionEstimator(config) for _ in range(3))
+    hand, alone = FrictionEstimator(config, 2), FrictionEstimator(config, 1)
     for _ in range(3):
-        slip(known, 0.2)
-        quiet(known, 0.1)
-    guess.hear(known)
-    before = guess.estimate
-    quiet(guess, 2.0), quiet(alone, 2.0)
-    assert alone.estimate == pytest.approx(0.4 * 1.05**2, rel=0.01)
-    assert guess.estimate < 1.02 * before
+        slip(hand, 0.2)
+        quiet(hand, 0.1)
+    hand.share()
+    before = hand.estimate[1]
+    assert quiet(alone, 2.0) == pytest.approx(0.4 * 1.05**2, rel=0.01)
+    assert quiet(hand, 2.0, contact=1) < 1.02 * before
 
 
 def test_without_contact_nothing_is_learned():
     estimator = still()
-    for state, force in ((Grip.UNKNOWN, (1.0, 1.0, 0.0)), (Grip.STICK, None)):
-        for _ in range(200):
-            estimator.step(force, state, 0.0, DT)
+    for state, ratio in ((Grip.UNKNOWN, 1.0), (Grip.STICK, np.nan)):
+        feel(estimator, [ratio] * 200, state, 0.0)
     assert estimator.estimate == 0.4
