@@ -28,7 +28,7 @@ from tactile_hand_ros.analysis.recorded_inputs import Inputs, Wish, read_inputs
 from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.provenance import versions
-from tactile_hand_ros.core.cone_optimizer import Cones
+from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Controller
 from tactile_hand_ros.core.errors import ConfigurationError, MessageError, PoseError

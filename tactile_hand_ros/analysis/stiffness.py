@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.contact import hand_jacobian
-from tactile_hand_ros.core.hand import Fingertips
+from tactile_hand_ros.core.kinematics import Fingertips
 from tactile_hand_ros.core.manipulation import LAWS, LawInput
 from tactile_hand_ros.core.plant import Plant
 from tactile_hand_ros.core.scenario import Scenario

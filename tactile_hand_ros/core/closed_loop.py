@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.cone_optimizer import Cones
+from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Command, Controller
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer, OptimalForces

@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.util
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,10 +22,6 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 DISABLE = "TACTILE_HAND_INTERPRETED"
-
-
-def _without_numba(function: F) -> F:
-    return function
 
 
 @functools.cache
@@ -62,23 +61,54 @@ def _jit(function: F) -> F:
     return made
 
 
+def interpret() -> None:
+    """Run as plain Python what is imported from now on: for a process that calls it hardly.
+
+    Numba takes half a second to load, more than such a process could ever save.
+    """
+    global _interpreted
+    _interpreted = True
+
+
 def completeness() -> Path | None:
-    """Return the file that says whether everything is compiled and kept, None without Numba."""
-    if compiled is _without_numba:
+    """Return the file that says whether everything is compiled and kept, None without Numba.
+
+    It can be looked at without loading Numba.
+    """
+    if os.environ.get(DISABLE) or importlib.util.find_spec("numba") is None:
         return None
-    import numba
-
-    return Path(_cache_directory(numba.config.CACHE_DIR)) / "complete"
+    return Path(_cache_directory(os.environ.get("NUMBA_CACHE_DIR", ""))) / "complete"
 
 
-def _choose() -> Callable[[F], F]:
+def have_completed() -> None:
+    """Let another process compile what is not compiled yet: this one need not load Numba."""
+    done = completeness()
+    if done is None or done.exists():
+        return
+    # In a session of its own: a Ctrl-C is answered by whoever waits here. Should it fail, each
+    # process compiles for itself.
+    subprocess.run(
+        [sys.executable, "-m", "tactile_hand_ros.core.warm_up"],
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+        check=False,
+    )
+
+
+@functools.cache
+def _has_numba() -> bool:
     if os.environ.get(DISABLE):
-        return _without_numba
+        return False
     try:
         import numba  # noqa: F401
     except ImportError:
-        return _without_numba
-    return _with_numba
+        return False
+    return True
 
 
-compiled = _choose()
+_interpreted = False
+
+
+def compiled(function: F) -> F:
+    """Compile a function where that is possible and wanted."""
+    return function if _interpreted or not _has_numba() else _with_numba(function)

@@ -15,71 +15,18 @@ stays at zero wherever it can.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from tactile_hand_ros.core.compiled import compiled
+from tactile_hand_ros.core.cones import DIRECTIONS, INSIDE, SIDES, Cones
 from tactile_hand_ros.core.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
 
-_SIDES = 12
-_ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-_DIRECTIONS = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]).T
-_INSIDE = math.cos(math.pi / _SIDES)
 _PENALTY = 5.0  # rho, relative to the largest weight
 _SCALE = 0.3  # of the cost for its largest weight; conditions the dual variables
 _TOLERANCE = 1e-5  # from which polishing reaches rounding
-
-
-@dataclass(frozen=True)
-class Cones:
-    """What the contacts can bear and what they carry.
-
-    Attributes:
-        friction: mu of each contact, with whatever margin is wanted, shape (k,).
-        load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
-    """
-
-    friction: Array
-    load: Array
-
-    def holds(self, forces: Array) -> bool:
-        """Return whether forces f* under the load lie in the pyramids of the optimization.
-
-        The pyramids rather than the cones, so that f* does not jump where they begin to matter.
-        """
-        return inside_pyramids(forces, self.load, self.friction)
-
-    def margin(self, forces: Array) -> float:
-        """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
-        return cone_margin(forces, self.load, self.friction)
-
-
-@compiled
-def cone_margin(forces: Array, load: Array, friction: Array) -> float:
-    """Return the least mu f_n - |f_t| of forces and load, both in contact frames, shape (k, 3)."""
-    least = np.inf
-    for i in range(len(forces)):
-        x, n, z = forces[i] + load[i]
-        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
-    return least
-
-
-@compiled
-def inside_pyramids(forces: Array, load: Array, friction: Array) -> bool:
-    """Return whether forces and load, both in contact frames, lie in the pyramids of friction."""
-    for i in range(len(forces)):
-        x, n, z = forces[i] + load[i]
-        bound = _INSIDE * friction[i] * n
-        for j in range(_SIDES):
-            if not _DIRECTIONS[j, 0] * x + _DIRECTIONS[j, 1] * z <= bound:
-                return False
-    return True
 
 
 class ConeOptimizer:
@@ -129,20 +76,20 @@ class ConeOptimizer:
     def _fixed_rows(self) -> Array:
         """Return the constraint rows whose numbers never change, the others as zeros."""
         n, k = self._n, self._k
-        rows = np.zeros((8 + k + _SIDES * k, n + 1))
+        rows = np.zeros((8 + k + SIDES * k, n + 1))
         rows[6, 1:n:3] = 1.0
         rows[7 + np.arange(k), 1 + 3 * np.arange(k)] = 1.0
         rows[7 + k, n] = 1.0
         for i in range(k):
             cone = self._cone_rows(i)
-            rows[cone, 3 * i] = _DIRECTIONS[:, 0]
-            rows[cone, 3 * i + 2] = _DIRECTIONS[:, 1]
+            rows[cone, 3 * i] = DIRECTIONS[:, 0]
+            rows[cone, 3 * i + 2] = DIRECTIONS[:, 1]
             rows[cone, n] = -1.0
         return rows
 
     def _cone_rows(self, contact: int) -> slice:
-        first = 8 + self._k + _SIDES * contact
-        return slice(first, first + _SIDES)
+        first = 8 + self._k + SIDES * contact
+        return slice(first, first + SIDES)
 
     def solve(self, balance: Array, cones: Cones) -> tuple[Array, float]:
         """Return f*, shape (k, 3), and the largest violation of the optimality conditions.
@@ -156,10 +103,10 @@ class ConeOptimizer:
         rows[:6, :n] = balance.T
         upper = self._upper.copy()
         for i in range(k):
-            slope, cone = _INSIDE * cones.friction[i], self._cone_rows(i)
+            slope, cone = INSIDE * cones.friction[i], self._cone_rows(i)
             rows[cone, 3 * i + 1] = -slope
             x, normal, z = cones.load[i]
-            upper[cone] = slope * normal - _DIRECTIONS @ np.array([x, z])
+            upper[cone] = slope * normal - DIRECTIONS @ np.array([x, z])
         x, y, _ = self._solver.solve(rows[self._pattern.indices, self._columns], upper)
         if not np.isfinite(x).all() or not np.isfinite(y).all():
             return np.full((k, 3), np.nan), np.inf

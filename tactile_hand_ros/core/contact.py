@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
-from tactile_hand_ros.core.hand import Fingertips
+from tactile_hand_ros.core.kinematics import Fingertips
 from tactile_hand_ros.core.rotations import cross, rotation_from_quaternion
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tactile_hand_ros.core.compiled import compiled
-from tactile_hand_ros.core.cone_optimizer import ConeOptimizer, Cones
+from tactile_hand_ros.core.cone_optimizer import ConeOptimizer
+from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import ConfigurationError

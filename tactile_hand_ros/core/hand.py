@@ -13,25 +13,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.core.errors import HandModelError
 from tactile_hand_ros.core.hand_config import HandConfig, MountConfig, load_hand_config
-from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
+from tactile_hand_ros.core.kinematics import Fingertips, mirrored, tip_jacobians
 
 Array = NDArray[np.float64]
-
-
-class Fingertips(NamedTuple):
-    """Fingertip centres and their Jacobians at one configuration, all in palm axes.
-
-    Attributes:
-        positions: Centres p_f, shape (k, 3), m.
-        linear: Jacobians J of the centres' velocities, shape (k, 3, m).
-        angular: Jacobians J_Omega of the tips' angular velocities, shape (k, 3, m).
-
-    Source: Shaw-Cortez et al., equation (1).
-    """
-
-    positions: Array
-    linear: Array
-    angular: Array
 
 
 class RawDynamics(NamedTuple):

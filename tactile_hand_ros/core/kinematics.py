@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tip Jacobians out of what Pinocchio has left in its arrays, in one pass."""
+"""Fingertips: their Jacobians out of what Pinocchio has left in its arrays, in one pass."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,22 @@ from numpy.typing import NDArray
 from tactile_hand_ros.core.compiled import compiled
 
 Array = NDArray[np.float64]
+
+
+class Fingertips(NamedTuple):
+    """Fingertip centres and their Jacobians at one configuration, all in palm axes.
+
+    Attributes:
+        positions: Centres p_f, shape (k, 3), m.
+        linear: Jacobians J of the centres' velocities, shape (k, 3, m).
+        angular: Jacobians J_Omega of the tips' angular velocities, shape (k, 3, m).
+
+    Source: Shaw-Cortez et al., equation (1).
+    """
+
+    positions: Array
+    linear: Array
+    angular: Array
 
 
 @compiled

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.core.config import Config, param
 from tactile_hand_ros.core.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.core.grasp import wrench_forces
-from tactile_hand_ros.core.hand import Fingertips
+from tactile_hand_ros.core.kinematics import Fingertips
 from tactile_hand_ros.core.load_observer import LoadObserver, ObserverConfig, limit_length
 from tactile_hand_ros.core.virtual_frame import VirtualFrame, orientation_error
 

@@ -8,14 +8,17 @@ quantity itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.contact import Contacts, hand_jacobian
 from tactile_hand_ros.core.grasp import collinearity_margin, joint_margin, net_wrench
-from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.slip_detector import Grip
+
+if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
+    from tactile_hand_ros.core.hand import Hand
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
-from tactile_hand_ros.core.cone_optimizer import Cones
+from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import CollinearContactsError
 from tactile_hand_ros.core.grasp import (

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from tactile_hand_ros.core.cone_optimizer import Cones
+from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,

@@ -14,11 +14,11 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
 
+from tactile_hand_ros.core.compiled import have_completed
 from tactile_hand_ros.core.config import parse_changes
 from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import Scenario, load_scenario
-from tactile_hand_ros.core.warm_up import warm_up
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
 from tactile_hand_ros.orchestrator.processes import Launcher
@@ -108,7 +108,7 @@ def _checked(name: str, changes: dict[str, Any]) -> Scenario:
     scenario = load_scenario(name, changes)
     check_scenario(scenario)
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
-    warm_up()
+    have_completed()
     return scenario
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -184,6 +185,9 @@ class Session:
             parameters = [word for file in files for word in ("--params-file", str(file))]
             own = () if name == RECORDER else self.plan.scheduling.arguments
             self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
+        # What is loaded stays; see the executable, which has disabled the collector until here.
+        gc.freeze()
+        gc.enable()
         self.outcome.done("processes_started")
 
     def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:

@@ -60,9 +60,10 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
 
 
 def _serve(nodes: Sequence[Node]) -> int:
-    # What exists now lives as long as the process: the collector need not look at it again.
-    gc.collect()
+    # What exists now lives as long as the process: the collector need not look at it, not even
+    # once, which takes longer than what it would find is worth. A script may have disabled it.
     gc.freeze()
+    gc.enable()
     try:
         spin(nodes)
     except BaseException as error:
