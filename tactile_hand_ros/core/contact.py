@@ -108,6 +108,10 @@ def contact_frame(normal: Array) -> Array:
     )
 
 
+compiled_contact_frame = compiled(contact_frame)
+"""The same for compiled callers; for a single normal the call would cost more than it saves."""
+
+
 def skew(vectors: Array) -> Array:
     """Return the matrices a^ with a^ b = a x b, shape (..., 3, 3)."""
     out = np.zeros((*vectors.shape, 3))

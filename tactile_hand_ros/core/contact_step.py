@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core import contact
 from tactile_hand_ros.core.compiled import compiled
+from tactile_hand_ros.core.contact import compiled_contact_frame
 from tactile_hand_ros.core.coulomb import solve_contacts
 from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
 from tactile_hand_ros.core.rotations import rodrigues
@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # share of a penetration that is removed in a step
-
-_contact_frame = compiled(contact.contact_frame)
 
 
 class HandTerms(NamedTuple):
@@ -131,7 +129,7 @@ def contact_geometry(
         distance, _ = closest_point(shape, (tips[i] - position) @ rotation, outward)
         normal = -(rotation @ outward)
         points[i] = tips[i] + radii[i] * normal
-        frames[i] = _contact_frame(normal)
+        frames[i] = compiled_contact_frame(normal)
         gaps[i] = distance - radii[i]
     return points, frames, gaps
 

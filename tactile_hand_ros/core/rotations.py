@@ -26,7 +26,7 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
         Rotation matrices. Shape (..., 3, 3).
     """
     rows = np.ascontiguousarray(quaternion, dtype=np.float64)
-    return _rotations(rows.reshape(-1, 4)).reshape(rows.shape[:-1] + (3, 3))
+    return rows_of_quaternions(rows.reshape(-1, 4)).reshape(rows.shape[:-1] + (3, 3))
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Array:
@@ -45,11 +45,11 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Array:
         S. W. Shepperd, Quaternion from rotation matrix, 1978: divides by the largest component.
     """
     matrices = np.ascontiguousarray(rotation, dtype=np.float64)
-    return _quaternions(matrices.reshape(-1, 9)).reshape(matrices.shape[:-2] + (4,))
+    return quaternions_of_rows(matrices.reshape(-1, 9)).reshape(matrices.shape[:-2] + (4,))
 
 
 @compiled
-def _rotations(quaternions: Array) -> Array:
+def rows_of_quaternions(quaternions: Array) -> Array:
     """Return the rotations of quaternions, shape (n, 4), as rows of nine, shape (n, 9)."""
     out = np.empty((len(quaternions), 9))
     for i in range(len(quaternions)):
@@ -66,7 +66,7 @@ def _rotations(quaternions: Array) -> Array:
 
 
 @compiled
-def _quaternions(rotations: Array) -> Array:
+def quaternions_of_rows(rotations: Array) -> Array:
     """Return the quaternions, shape (n, 4), of rotations given as rows of nine, shape (n, 9)."""
     out = np.empty((len(rotations), 4))
     for row in range(len(rotations)):
@@ -127,7 +127,7 @@ def rodrigues(x: float, y: float, z: float) -> Array:
 @compiled
 def vector_from_rotation(rotation: Array) -> Array:
     """Return the rotation vector of a rotation matrix, of length 0 to pi, shape (3,), rad."""
-    x, y, z, w = _quaternions(np.ascontiguousarray(rotation).reshape(1, 9))[0]
+    x, y, z, w = quaternions_of_rows(np.ascontiguousarray(rotation).reshape(1, 9))[0]
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 * math.atan2(sine, w) / sine if sine > 1e-12 else 2.0
     return np.array([scale * x, scale * y, scale * z])

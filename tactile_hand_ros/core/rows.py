@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.config import Config
+from tactile_hand_ros.core.config import Config, flatten
 
 Rows = NDArray[np.void]
 """Rows of named numbers, shape (n,)."""
@@ -21,8 +21,6 @@ Row = Any
 
 
 def row_of(config: Config) -> Rows:
-    """Return the real numbers of a configuration under their names, shape (1,)."""
-    fields = type(config).model_fields.items()
-    names = [name for name, field in fields if field.annotation is float]
-    values = tuple(getattr(config, name) for name in names)
-    return np.array([values], dtype=[(name, np.float64) for name in names])
+    """Return the real numbers of a configuration under their dotted names, shape (1,)."""
+    numbers = {name: x for name, x in flatten(config).items() if isinstance(x, float)}
+    return np.array([tuple(numbers.values())], dtype=[(name, np.float64) for name in numbers])

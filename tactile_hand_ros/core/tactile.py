@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.contact import Contacts, contact_frame
-from tactile_hand_ros.core.rotations import quaternion_from_rotation, rotation_from_quaternion
+from tactile_hand_ros.core.contact import Contacts, compiled_contact_frame
+from tactile_hand_ros.core.rotations import quaternions_of_rows, rows_of_quaternions
+from tactile_hand_ros.core.rows import Row, Rows, row_of
 
 Array = NDArray[np.float64]
 
@@ -87,6 +89,24 @@ class TactileReading:
         """Contact points and frames."""
         return Contacts.from_poses(self.positions, self.quaternions)
 
+    def where(self, choose: NDArray[np.bool_], other: TactileReading) -> TactileReading:
+        """Return the chosen fingers of this one and the rest of another, `choose` of shape (k,)."""
+        rows = choose[:, None]
+        return TactileReading(
+            np.where(rows, self.positions, other.positions),
+            np.where(rows, self.quaternions, other.quaternions),
+            np.where(rows, self.forces, other.forces),
+        )
+
+
+_MEMORY = np.dtype(
+    [
+        ("bias", np.float64, 3),  # drifted zero of the force
+        ("felt", np.float64, 3),  # force after the bandwidth; NaN: none yet
+        ("arm", np.float64, 3),  # smoothed contact from the fingertip's centre; NaN: none
+    ]
+)
+
 
 class TactileSensor:
     """Samples true contacts as a skin would, all from one seed.
@@ -98,12 +118,14 @@ class TactileSensor:
     def __init__(self, config: TactileSensorConfig, radii: Array) -> None:
         """Build the skin of fingertips with the given radii, shape (k,), m."""
         self._radii = np.asarray(radii, dtype=float)
-        self.config = config
+        self._at_rest = np.zeros(len(self._radii))
+        self.configure(config)
         self.reset()
 
     def configure(self, config: TactileSensorConfig) -> None:
         """Take other noise while running; seed, rate, latency and filters stay."""
         self.config = config
+        self._numbers = row_of(config)
 
     def reset(self) -> None:
         """Start anew, with the same seed."""
@@ -112,9 +134,8 @@ class TactileSensor:
         self._sample = -1
         self._held: TactileReading | None = None
         self._waiting: deque[tuple[int, TactileReading]] = deque()
-        self._bias = np.zeros((k, 3))
-        self._felt: Array | None = None
-        self._arms = np.full((k, 3), np.nan)
+        self._memory: Rows = np.zeros(k, _MEMORY)
+        self._memory["felt"] = self._memory["arm"] = np.nan
         self._rumble = BandNoise((k, 3), c.vibration.low, c.vibration.high, c.rate)
 
     def step(
@@ -141,71 +162,123 @@ class TactileSensor:
     def _measure(
         self, true: TactileReading, sliding: Array | None, elapsed: float
     ) -> TactileReading:
-        c, k = self.config, len(self._radii)
+        k = len(self._radii)
         # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
-        shift, *white = self._random.standard_normal((4, k, 3))
-        lost = self._random.random(k) < c.dropout
-        positions, quaternions = true.positions, true.quaternions
-        if c.location_noise > 0.0 or c.location_resolution > 0.0:
-            positions, quaternions = self._displaced(true, c.location_noise * shift, elapsed)
-        touching = np.isfinite(positions[:, :1])
-        felt = self._feel(true.forces, sliding, white, elapsed)
-        forces = np.where(touching, _rounded(felt, c.force_resolution), 0.0)
+        white = self._random.standard_normal((4, k, 3))
+        luck = self._random.random(k)
+        if self.config.vibration.gain > 0.0:
+            white[1] = self._rumble.step(white[1])
+        touch = true.positions, true.quaternions, true.forces
+        speeds = self._at_rest if sliding is None else sliding
+        numbers, radii = self._numbers, self._radii
+        measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
         last = self._waiting[-1][1] if self._waiting else self._held
-        if last is None or not lost.any():
-            return TactileReading(positions.copy(), quaternions.copy(), forces)
-        keep = lost[:, None]
-        return TactileReading(
-            np.where(keep, last.positions, positions),
-            np.where(keep, last.quaternions, quaternions),
-            np.where(keep, last.forces, forces),
-        )
-
-    def _feel(
-        self, forces: Array, sliding: Array | None, white: list[Array], elapsed: float
-    ) -> Array:
-        """Return the forces after vibration, bandwidth, drift and noise."""
-        c = self.config
-        if c.vibration.gain > 0.0:
-            speed = np.zeros(len(forces)) if sliding is None else sliding
-            limit = c.vibration.limit
-            rms = limit * (1.0 - np.exp(-c.vibration.gain / limit * speed))
-            forces = forces + rms[:, None] * self._rumble.step(white[0])
-        if c.bandwidth > 0.0:
-            share = 1.0 - math.exp(-2.0 * math.pi * c.bandwidth * elapsed)
-            before = forces if self._felt is None else self._felt
-            self._felt = forces = before + share * (forces - before)
-        if c.bias_drift > 0.0:
-            self._bias += c.bias_drift * math.sqrt(elapsed) * white[1]
-            forces = forces + self._bias
-        return np.asarray(forces + c.force_noise * white[2])
-
-    def _settled(self, arms: Array, elapsed: float) -> Array:
-        """Low-pass where on the fingertips the contacts are; new contacts show at once."""
-        bandwidth = self.config.location_bandwidth
-        if bandwidth > 0.0:
-            share = 1.0 - math.exp(-2.0 * math.pi * bandwidth * elapsed)
-            before = np.where(np.isfinite(self._arms), self._arms, arms)
-            arms = before + share * (arms - before)
-            self._arms = arms
-        return arms
-
-    def _displaced(self, true: TactileReading, shift: Array, elapsed: float) -> tuple[Array, Array]:
-        """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
-        normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
-        radii = self._radii[:, None]
-        centres = true.positions - radii * normals
-        arms = _rounded(radii * normals + shift, self.config.location_resolution)
-        arms = self._settled(arms, elapsed)
-        seen = arms / np.linalg.norm(arms, axis=1, keepdims=True)
-        frames = np.array(
-            [contact_frame(n) if np.isfinite(n[0]) else np.full((3, 3), np.nan) for n in seen]
-        )
-        return centres + radii * seen, quaternion_from_rotation(frames)
+        lost = luck < self.config.dropout
+        reading = TactileReading(*measured)
+        return reading if last is None or not lost.any() else last.where(lost, reading)
 
 
-def _rounded(values: Array, step: float) -> Array:
-    return np.round(values / step) * step if step > 0.0 else values
+@compiled
+def _measured(
+    memory: Rows,
+    config: Rows,
+    radii: Array,
+    positions: Array,
+    quaternions: Array,
+    forces: Array,
+    sliding: Array,
+    noise: Array,
+    elapsed: float,
+) -> tuple[Array, Array, Array]:
+    """Return positions, quaternions and forces of a sample, whatever was lost of it.
+
+    Args:
+        memory: What the skin remembers of each finger.
+        config: Numbers of a `TactileSensorConfig`.
+        radii: Radii of the fingertips, shape (k,), m.
+        positions: True contact points, shape (k, 3), m.
+        quaternions: True contact frames, shape (k, 4).
+        forces: True forces in contact frames, shape (k, 3), N.
+        sliding: Sliding speeds, shape (k,), m/s.
+        noise: Of unit variance, for location, vibration, drift and force, shape (4, k, 3).
+        elapsed: Time since the last sample, s.
+    """
+    c = config[0]
+    positions, quaternions, felt = positions.copy(), quaternions.copy(), np.empty_like(forces)
+    if c["location_noise"] > 0.0 or c["location_resolution"] > 0.0:
+        _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
+    for i in range(len(radii)):
+        rms, touches = _vibration(c, sliding[i]), math.isfinite(positions[i, 0])
+        for axis in range(3):
+            force = forces[i, axis] + rms * noise[1, i, axis]
+            force = _felt(memory[i], c, axis, force, noise[2, i, axis], elapsed)
+            force += c["force_noise"] * noise[3, i, axis]
+            felt[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
+    return positions, quaternions, felt
+
+
+@compiled
+def _vibration(c: Row, speed: float) -> float:
+    """Return the rms force of a contact that slides at a speed in m/s."""
+    gain, limit = c["vibration.gain"], c["vibration.limit"]
+    return limit * (1.0 - math.exp(-gain / limit * speed)) if gain > 0.0 else 0.0
+
+
+@compiled
+def _felt(m: Row, c: Row, axis: int, force: float, white: float, elapsed: float) -> float:
+    """Return a component of a force after bandwidth and drift."""
+    if c["bandwidth"] > 0.0:
+        share = 1.0 - math.exp(-2.0 * math.pi * c["bandwidth"] * elapsed)
+        before = m["felt"][axis]
+        if not math.isnan(before):
+            force = before + share * (force - before)
+        m["felt"][axis] = force
+    if c["bias_drift"] > 0.0:
+        m["bias"][axis] += c["bias_drift"] * math.sqrt(elapsed) * white
+        force += m["bias"][axis]
+    return force
+
+
+@compiled
+def _displace(
+    memory: Rows,
+    c: Row,
+    radii: Array,
+    positions: Array,
+    quaternions: Array,
+    white: Array,
+    elapsed: float,
+) -> None:
+    """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
+    frames = rows_of_quaternions(quaternions)
+    for i in range(len(radii)):
+        normal, arm = frames[i, 1::3], np.empty(3)
+        for axis in range(3):
+            shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
+            shifted = _rounded(shifted, c["location_resolution"])
+            arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
+        centre = positions[i] - radii[i] * normal
+        seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
+        positions[i] = centre + radii[i] * seen
+        frames[i] = compiled_contact_frame(seen).reshape(9)
+    quaternions[:] = quaternions_of_rows(frames)
+
+
+@compiled
+def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
+    """Low-pass where on the fingertip the contact is; a new contact shows at once."""
+    if c["location_bandwidth"] > 0.0:
+        share = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
+        before = m["arm"][axis]
+        if math.isfinite(before):
+            arm = before + share * (arm - before)
+        m["arm"][axis] = arm
+    return arm
+
+
+@compiled
+def _rounded(value: float, step: float) -> float:
+    return np.rint(value / step) * step if step > 0.0 else value
 
 
 class BandNoise:
@@ -215,21 +288,26 @@ class BandNoise:
     result is that of its impulse response.
     """
 
-    def __init__(self, shape: tuple[int, ...], low: float, high: float, rate: float) -> None:
+    def __init__(self, shape: tuple[int, int], low: float, high: float, rate: float) -> None:
         """Start at rest; frequencies above half the rate count as half the rate."""
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
         self._follow = 1.0 - math.exp(-2.0 * math.pi * min(low, 0.9 * nyquist) / rate)
-        self._smooth, self._slow = np.zeros(1), np.zeros(1)
-        impulse = [float(self._filter(np.array([float(i == 0)]))[0]) for i in range(2000)]
+        self._scale = 1.0
+        self._smooth, self._slow = np.zeros((1, 1)), np.zeros((1, 1))
+        impulse = [float(self.step(np.full((1, 1), float(i == 0)))[0, 0]) for i in range(2000)]
         self._scale = 1.0 / math.sqrt(sum(x * x for x in impulse))
         self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
 
     def step(self, white: Array) -> Array:
         """Return the next sample for white noise of unit variance of the same shape."""
-        return self._scale * self._filter(white)
+        memory = self._smooth, self._slow
+        return self._scale * _filtered(*memory, self._pass, self._follow, white)
 
-    def _filter(self, white: Array) -> Array:
-        self._smooth = self._smooth + self._pass * (white - self._smooth)
-        self._slow = self._slow + self._follow * (self._smooth - self._slow)
-        return self._smooth - self._slow
+
+@compiled
+def _filtered(smooth: Array, slow: Array, passes: float, follows: float, white: Array) -> Array:
+    """Move a low-pass and a slower one behind it on by a sample; return their difference."""
+    smooth += passes * (white - smooth)
+    slow += follows * (smooth - slow)
+    return smooth - slow
