@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.kinematics import Fingertips
-from tactile_hand_ros.core.rotations import cross, rotation_from_quaternion
+from tactile_hand_ros.core.rotations import cross, rows_of_quaternions
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Contacts:
     @classmethod
     def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
         """Build contacts from what travels on a topic: points and quaternions (x, y, z, w)."""
-        return cls(positions, rotation_from_quaternion(quaternions))
+        return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
 
     @cached_property
     def touching(self) -> NDArray[np.bool_]:
@@ -44,7 +44,7 @@ class Contacts:
     @cached_property
     def whole(self) -> bool:
         """Whether all fingers touch."""
-        return bool(self.touching.all())
+        return all(self.touching.tolist())
 
     @property
     def normals(self) -> Array:
@@ -156,14 +156,14 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
 
 @compiled
 def joint_torques(
-    linear: Array, angular: Array, centres: Array, points: Array, forces: Array
+    centres: Array, linear: Array, angular: Array, points: Array, forces: Array
 ) -> Array:
     """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
 
     Args:
+        centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
         linear: Jacobians of the fingertip centres, shape (k, 3, m).
         angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
-        centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
         points: Contact points p_c, palm frame, shape (k, 3), m.
         forces: Forces f in palm axes, shape (k, 3), N.
 

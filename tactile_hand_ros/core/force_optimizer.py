@@ -170,7 +170,7 @@ class ForceOptimizer:
         Returns:
             f* in contact frames, or a status that says why there is none.
         """
-        if not contacts.touching.all():
+        if not contacts.whole:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"

@@ -182,9 +182,14 @@ def check_spread(points: Array) -> None:
         GraspError: If there are fewer than three.
     """
     if len(points) < 3:
-        raise GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
+        raise too_few(points)
     if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
         raise CollinearContactsError.of(points)
+
+
+def too_few(points: Array) -> GraspError:
+    """Return the error for fewer than three contacts."""
+    return GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
 
 
 def required_friction(forces: Array) -> Array:

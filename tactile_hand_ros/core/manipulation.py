@@ -14,7 +14,7 @@ from tactile_hand_ros.core.contact import Contacts, centroid, in_palm, joint_tor
 from tactile_hand_ros.core.grasp import wrench_forces
 from tactile_hand_ros.core.kinematics import Fingertips
 from tactile_hand_ros.core.load_observer import LoadObserver, ObserverConfig, limit_length
-from tactile_hand_ros.core.virtual_frame import VirtualFrame, orientation_error
+from tactile_hand_ros.core.virtual_frame import VirtualFrame, pose_error
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class ManipulationLaw:
             radii: Radii of the fingertips, shape (k,), m.
             law: Another law in the place of the one that `config` names.
         """
-        self.config = config
+        self.configure(config)
         self._factory = law
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
@@ -135,6 +135,8 @@ class ManipulationLaw:
     def configure(self, config: LawConfig) -> None:
         """Take other gains; the state of the integral stays."""
         self.config = config
+        self._gains = np.repeat([config.k_p, config.k_o], 3)
+        self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
@@ -187,11 +189,9 @@ class ManipulationLaw:
             CollinearContactsError: If the contacts lie on a line (A7).
         """
         c = self.config
-        error, wrench = np.empty(6), np.empty(6)
-        error[:3] = target.position - auxiliary.position
-        error[3:] = orientation_error(auxiliary.orientation, target.orientation)
+        error = pose_error(*auxiliary, *target)
         self._integrate(error, dt)
-        wrench[:3], wrench[3:] = c.k_p * error[:3], c.k_o * error[3:]
+        wrench = self._gains * error
         seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
         law = (self._factory or LAWS[c.name])(seen, c)
         carried = self._carried(contacts, forces, dt)
@@ -203,12 +203,15 @@ class ManipulationLaw:
         c = self.config
         observes = c.observer.time > 0.0 and forces is not None
         if not observes:
-            return self._integral if c.integral.k_p > 0.0 or c.integral.k_o > 0.0 else None
+            return self._integral if self._integrates else None
         assert forces is not None
         return self._integral + self._observer.step(c.observer, contacts, forces, dt)
 
     def _integrate(self, error: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
+        if not self._integrates:
+            self._integral[:] = 0.0
+            return
         c = self.config.integral
         for gain, limit, part in (
             (c.k_p, c.force_limit, slice(0, 3)),
@@ -264,9 +267,7 @@ class ContactLaw:
         return self._pressing(wrench_forces(self._seen.contacts.positions, wrench))
 
     def _pressing(self, forces: Array) -> Array:
-        tips = self._seen.tips
-        points = self._seen.contacts.positions
-        return joint_torques(tips.linear, tips.angular, tips.positions, points, forces)
+        return joint_torques(*self._seen.tips, self._seen.contacts.positions, forces)
 
 
 class OptimalLaw(ContactLaw):

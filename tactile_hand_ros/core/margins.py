@@ -98,7 +98,7 @@ class GraspWatch:
             theta: Joint angles, shape (m,), rad.
             contacts: Contacts by touch.
         """
-        if not contacts.touching.all():
+        if not contacts.whole:
             self._first = None
             return UNKNOWN_MARGINS
         tips = self._hand.fingertips(theta)
@@ -164,7 +164,7 @@ class SlipWatch:
             inside = cone_distances(forces, friction)[known].min()
             self.cone = float(np.fmin(self.cone, inside))
         self._time(stamp, bool((grip == Grip.SLIP).any()))
-        if contacts.touching.all():
+        if contacts.whole:
             load = float(np.linalg.norm(net_wrench(contacts, forces)[:3]))
             self.load = float(np.fmax(self.load, load))
 

@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.core.compiled import compiled
-from tactile_hand_ros.core.grasp import check_spread, collinearity_margin
+from tactile_hand_ros.core.errors import CollinearContactsError
+from tactile_hand_ros.core.grasp import (
+    MIN_COLLINEARITY_MARGIN,
+    check_spread,
+    collinearity_margin,
+    too_few,
+)
 from tactile_hand_ros.core.rotations import cross
 
 Array = NDArray[np.float64]
@@ -60,8 +66,11 @@ class VirtualFrame:
         return best_rotation(first, points - points.mean(axis=0)) @ frame
 
     def _plane_frame(self, points: Array) -> Array:
-        check_spread(points)
-        frame = _frame_of_plane(points)
+        if len(points) < 3:
+            raise too_few(points)
+        frame, margin = _frame_of_plane(points)
+        if margin < MIN_COLLINEARITY_MARGIN:
+            raise CollinearContactsError.of(points)
         if self._side == 0.0:
             self._side = -1.0 if frame[2, 2] < 0.0 else 1.0
         return frame if self._side > 0.0 else frame * _OTHER_SIDE
@@ -98,8 +107,30 @@ def orientation_error(actual: Array, desired: Array) -> Array:
 
 
 @compiled
-def _frame_of_plane(points: Array) -> Array:
-    """Return [r_x r_y r_z] of the plane of three points with r_z = (p_1 - p_2) x (p_1 - p_3)."""
+def pose_error(position: Array, actual: Array, wanted: Array, desired: Array) -> Array:
+    """Return p_d - p and the `orientation_error` of two poses, shape (6,), m and 1.
+
+    Args:
+        position: p, shape (3,), m.
+        actual: R_pov, shape (3, 3).
+        wanted: p_d, shape (3,), m.
+        desired: R_pod, shape (3, 3).
+    """
+    out = np.empty(6)
+    out[:3] = wanted - position
+    out[3:] = orientation_error(actual, desired)
+    return out
+
+
+@compiled
+def _frame_of_plane(points: Array) -> tuple[Array, float]:
+    """Return [r_x r_y r_z] of the plane of three points and their collinearity margin.
+
+    r_z is along (p_1 - p_2) x (p_1 - p_3); points on a line have no frame.
+    """
+    margin = collinearity_margin(points)
+    if margin < MIN_COLLINEARITY_MARGIN:
+        return np.full((3, 3), np.nan), margin
     a, b, c = points[0] - points[1]
     d, e, f = points[0] - points[2]
     length = math.sqrt(a * a + b * b + c * c)
@@ -108,7 +139,7 @@ def _frame_of_plane(points: Array) -> Array:
     length = math.sqrt(u * u + v * v + w * w)
     z0, z1, z2 = u / length, v / length, w / length
     y0, y1, y2 = cross((z0, z1, z2), (x0, x1, x2))
-    return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]])
+    return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]]), margin
 
 
 def best_rotation(before: Array, after: Array) -> Array:

@@ -111,7 +111,7 @@ def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces() -> No
     points = tips.positions + random.normal(0.0, 0.01, (3, 3))
     forces, rates = random.normal(size=(3, 3)), random.normal(size=hand.joints)
     jacobian = hand_jacobian(tips, points)
-    torques = joint_torques(tips.linear, tips.angular, tips.positions, points, forces)
+    torques = joint_torques(*tips, points, forces)
     np.testing.assert_allclose(torques, np.einsum("kim,ki->m", jacobian, forces), atol=1e-15)
     assert torques @ rates == pytest.approx(np.sum((jacobian @ rates) * forces))
 
