@@ -3,24 +3,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.cones import Cones
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.controller import Command, Controller
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer, OptimalForces
-from tactile_hand_ros.core.plant import Plant, PlantState
+from tactile_hand_ros.core.plant import Plant
 from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.rotations import quaternion_from_rotation, quaternions_of_rows
+from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.core.scenario import Scenario
 from tactile_hand_ros.core.slip import SlipRegulator
 from tactile_hand_ros.core.squeeze import ConeWatch
 from tactile_hand_ros.core.tactile import TactileReading, TactileSensor
+from tactile_hand_ros.core.truth import sliding_speeds, true_reading
 
 Array = NDArray[np.float64]
 
@@ -147,24 +146,3 @@ class ClosedLoop:
             self._desired = target.position, quaternion_from_rotation(target.orientation)
         if self._desired is not None:
             record.desired_position[row], record.desired_quaternion[row] = self._desired
-
-
-def sliding_speeds(state: PlantState) -> Array:
-    """Return how fast each contact slides, shape (k,), m/s."""
-    return np.asarray(np.hypot(state.sliding[:, 0], state.sliding[:, 1]))
-
-
-def true_reading(state: PlantState) -> TactileReading:
-    """Return the true contacts of a plant's state as they travel on topics."""
-    positions, rotations = state.contacts.positions, state.contacts.rotations
-    return TactileReading(positions, *_felt(positions, rotations, state.forces))
-
-
-@compiled
-def _felt(positions: Array, rotations: Array, forces: Array) -> tuple[Array, Array]:
-    """Return quaternions and forces of contacts, without a force where there is no contact."""
-    felt = forces.copy()
-    for i in range(len(felt)):
-        if not math.isfinite(positions[i, 0]):
-            felt[i] = 0.0
-    return quaternions_of_rows(rotations.reshape(-1, 9)), felt

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.errors import ObjectModelError
@@ -97,26 +96,21 @@ class ConvexPolyhedron:
         shape: The same as arrays for `closest_point`.
     """
 
-    def __init__(self, vertices: Array) -> None:
+    def __init__(self, vertices: Array, planes: Array | None = None) -> None:
         """Build the convex hull of a set of points.
 
         Args:
             vertices: Shape (v, 3), m.
+            planes: Outward unit normals and heights n, d with n . p + d = 0 on each face, shape
+                (f, 4), where they are known; then all points must be corners.
 
         Raises:
             ObjectModelError: If the points do not span a volume.
         """
         points = np.asarray(vertices, dtype=float)
-        try:
-            hull = ConvexHull(points)
-        except (QhullError, ValueError) as error:
-            raise ObjectModelError(
-                f"{len(points)} points do not span a solid; give at least four that are not in "
-                "one plane"
-            ) from error
-        keep = hull.vertices
-        self.vertices = points[keep]
-        planes = _merge_coplanar(hull.equations)
+        if planes is None:
+            points, planes = _hull(points)
+        self.vertices = points
         self.normals, self.offsets = planes[:, :3].copy(), -planes[:, 3]
         self.face_corners = [self._corners_of(f) for f in range(len(planes))]
         self.edges = self._edges()
@@ -127,7 +121,10 @@ class ConvexPolyhedron:
         """Return a box centred at the origin with the given edge lengths, shape (3,), m."""
         half = np.asarray(size, dtype=float) / 2.0
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return cls(signs * half)
+        # The planes are known, in the order in which Qhull would find them.
+        x, y, z = np.eye(3)
+        normals = np.array([-z, -y, x, -x, y, z])
+        return cls(signs * half, np.column_stack([normals, -np.abs(normals) @ half]))
 
     def _corners_of(self, face: int) -> NDArray[np.intp]:
         """Return the corners on a face, counter-clockwise about its outward normal."""
@@ -161,6 +158,21 @@ class ConvexPolyhedron:
             offsets[f, : len(corners)] = np.einsum("ij,ij->i", outward, start)
         starts, ends = self.vertices[self.edges[:, 0]], self.vertices[self.edges[:, 1]]
         return Shape(self.normals, self.offsets, normals, offsets, starts, ends - starts)
+
+
+def _hull(points: Array) -> tuple[Array, Array]:
+    """Return corners and face planes of the convex hull of points, shape (v, 3) and (f, 4), m."""
+    # Not at the top: a plant with a box, which is most of them, would load it in vain for 0.1 s.
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        raise ObjectModelError(
+            f"{len(points)} points do not span a solid; give at least four that are not in "
+            "one plane"
+        ) from error
+    return points[hull.vertices], _merge_coplanar(hull.equations)
 
 
 def _merge_coplanar(equations: Array) -> Array:

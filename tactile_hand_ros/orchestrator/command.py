@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -92,12 +93,12 @@ def orchestrate(
         with (
             ros_context(ros_arguments) as ros,
             claim(ros.get_domain_id(), plan.namespace) as held,
-            graph_node(ros, plan.namespace) as node,
         ):
             signals.check()
             directory = RunDirectory.create(out, plan.scenario.name)
             session = Session(plan, directory, launcher, signals, held)
-            raise typer.Exit(_run(session, node, quiet=quiet, report=report))
+            joining = graph_node(ros, plan.namespace)
+            raise typer.Exit(_run(session, joining, quiet=quiet, report=report))
     except TactileHandError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(EXIT_REFUSED) from None
@@ -132,7 +133,9 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
     return name
 
 
-def _run(session: Session, node: Node, *, quiet: bool, report: bool) -> int:
+def _run(
+    session: Session, joining: AbstractContextManager[Node], *, quiet: bool, report: bool
+) -> int:
     """Run a session, judge it and show what came out."""
     plan, directory = session.plan, session.directory
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
@@ -145,7 +148,7 @@ def _run(session: Session, node: Node, *, quiet: bool, report: bool) -> int:
     if plan.interactive:
         tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
     duration = None if plan.interactive else plan.scenario.duration
-    outcome = session.run(node, make_view(console, duration, quiet=quiet))
+    outcome = session.run(joining, make_view(console, duration, quiet=quiet))
     # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
     from tactile_hand_ros.orchestrator import summary
 

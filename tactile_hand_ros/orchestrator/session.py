@@ -7,7 +7,8 @@ import contextlib
 import gc
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
 from rclpy.node import Node
@@ -153,18 +154,19 @@ class Session:
         self.outcome.done("checked")
         self._processes = Processes(launcher, lambda: signals.count > 1, held)
 
-    def run(self, node: Node, view: View) -> Outcome:
+    def run(self, joining: AbstractContextManager[Node], view: View) -> Outcome:
         """Run to the end, to a signal or to a failure; nothing is left running.
 
         Args:
-            node: The orchestrator's own node, in the namespace of the run.
+            joining: Provides the orchestrator's own node, in the namespace of the run. It is made
+                when the processes have been started, which is no reason for them to wait.
             view: Shows the progress.
         """
         outcome = self.outcome
-        with self._processes:
+        with self._processes, contextlib.ExitStack() as stack:
             try:
                 self._start()
-                self._conduct(node, view)
+                self._conduct(stack.enter_context(joining), view)
             except Interrupted:
                 outcome.interrupted = True
             except TactileHandError as error:
@@ -246,11 +248,11 @@ class Session:
         self.signals.check()
         self._processes.check()
 
-    def _await_graph(self, missing: Callable[[], list[Gap]]) -> None:
+    def _await_graph(self, missing: Callable[[], Iterator[Gap]]) -> None:
         """Wait until everybody is there and has met everybody else.
 
         Args:
-            missing: Asked again and again for what is missing.
+            missing: Asked again and again; yields what is missing.
 
         Raises:
             StartupError: With the names of those who are missing and what they last said.
@@ -258,10 +260,12 @@ class Session:
             DuplicateNodeError: If a node of the run is there twice.
         """
         end = time.monotonic() + self.plan.startup_timeout
-        while gaps := missing():
+        # One thing that is missing is reason enough to wait: to look for all of them, again and
+        # again, takes a twentieth of a processor from those who are loading.
+        while next(missing(), None) is not None:
             self._processes.check()
             if time.monotonic() > end:
-                raise StartupError(self._absence(gaps))
+                raise StartupError(self._absence(list(missing())))
             self.signals.wait(_GRAPH_LOOK)
         self.outcome.done("graph_matched")
 
@@ -316,13 +320,11 @@ def _recorded(namespace: str) -> list[str]:
     return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
 
 
-def _gaps(node: Node, wiring: Wiring, monitor: Monitor, steering: Steering) -> list[Gap]:
-    """Return what is missing for the run to begin."""
-    peers = {**monitor.peers(), node.get_fully_qualified_name(): steering.peers}
-    gaps = wiring.missing(peers)
-    if not gaps and not steering.is_ready:
-        return [Gap(PLANT, "the service of the plant does not answer yet")]
-    return gaps
+def _gaps(node: Node, wiring: Wiring, monitor: Monitor, steering: Steering) -> Iterator[Gap]:
+    """Yield what is missing for the run to begin."""
+    yield from wiring.missing({**monitor.peers(), node.get_fully_qualified_name(): steering.peers})
+    if not steering.is_ready:
+        yield Gap(PLANT, "the service of the plant does not answer yet")
 
 
 def _stall(monitor: Monitor) -> str:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -138,8 +138,8 @@ class Wiring:
         ]
         self._services = services()
 
-    def missing(self, peers: Mapping[str, Peers]) -> list[Gap]:
-        """Return what is still missing.
+    def missing(self, peers: Mapping[str, Peers]) -> Iterator[Gap]:
+        """Yield what is still missing; the graph is asked only as far as the caller goes on.
 
         Args:
             peers: What the nodes said of their peers, by full name of the node.
@@ -147,10 +147,12 @@ class Wiring:
         Raises:
             DuplicateNodeError: If a node of the run is there twice.
         """
-        gaps = self._missing_services()
-        still = {link: found for link in self._links if (found := self._missing_of(link, peers))}
-        self._links = list(still)
-        return gaps + [gap for found in still.values() for gap in found]
+        yield from self._missing_services()
+        for link in list(self._links):
+            gaps = self._missing_of(link, peers)
+            if not gaps:
+                self._links.remove(link)
+            yield from gaps
 
     def _missing_services(self) -> list[Gap]:
         if not self._services:

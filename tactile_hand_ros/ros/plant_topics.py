@@ -10,10 +10,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from tactile_hand_ros.core.closed_loop import sliding_speeds, true_reading
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant import PlantState
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
+from tactile_hand_ros.core.truth import sliding_speeds, true_reading
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.readings import ReadingPublisher

@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.core.closed_loop import true_reading
 from tactile_hand_ros.core.plant import Plant
 from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.core.truth import true_reading
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode

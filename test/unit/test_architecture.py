@@ -29,7 +29,7 @@ CLOCKS = {"time", "datetime"}
 SEEING = {"__init__", "plant", "tactile_sensor", "recorder", "composed"}
 BLIND = sorted(path for path in (ROOT / PACKAGE / "nodes").glob("*.py") if path.stem not in SEEING)
 # The object, as the simulation knows it; scenario and closed_loop join it with the controllers.
-TRUTH = {"plant", "solid", "scenario", "closed_loop"}
+TRUTH = {"plant", "solid", "truth", "scenario", "closed_loop"}
 
 
 def label(path: Path) -> str:

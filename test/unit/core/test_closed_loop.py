@@ -6,10 +6,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.hands import prism_grasp
 
-from tactile_hand_ros.core.closed_loop import ClosedLoop, true_reading
+from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.core.truth import true_reading
 
 NOISY = {
     "tactile_sensor.force_noise": 0.02,

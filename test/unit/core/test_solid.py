@@ -56,6 +56,13 @@ def test_a_box_has_six_faces_twelve_edges_and_eight_corners():
     np.testing.assert_allclose(np.sort(lengths.ravel()), np.repeat([0.2, 0.4, 0.6], 4))
 
 
+def test_a_box_is_the_hull_of_its_corners():
+    """Its planes are written down, since looking for them would load a library."""
+    hull = ConvexPolyhedron(BOX.vertices)
+    for ours, found in zip(BOX.shape, hull.shape, strict=True):
+        np.testing.assert_allclose(ours, found, atol=1e-15)
+
+
 def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
     for solid in (BOX, ConvexPolyhedron(dodecahedron())):
         for normal, offset, corners in zip(

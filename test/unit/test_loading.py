@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An executable loads no library that it does not need: seven of them start at the same time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tactile_hand_ros.ros.executables import executable_path
+from tactile_hand_ros.ros.testing import isolated_domain
+
+FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.analysis"}
+COMMANDS = {"typer", "rich"}
+MODEL = {"pinocchio", "tactile_hand_ros.core.hand"}
+SOLVER = {"osqp", "scipy.sparse", "tactile_hand_ros.core.cone_optimizer"}
+HULL = {"scipy.spatial"}
+PLANT = {"tactile_hand_ros.core.plant"}
+COMPILER = {"numba"}
+
+UNNEEDED = {
+    "plant": FIGURES | COMMANDS | SOLVER | HULL,
+    "tactile_sensor": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT,
+    "slip_regulator": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT,
+    "force_optimizer": FIGURES | COMMANDS | MODEL | HULL | PLANT,
+    "manipulation_controller": FIGURES | COMMANDS | SOLVER | HULL | PLANT,
+    "recorder": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT | COMPILER,
+    # It checks the scenario, but what it calls once need not be compiled.
+    "orchestrator": FIGURES | HULL | COMPILER,
+}
+
+
+def loaded(name: str) -> set[str]:
+    """Return the modules that an executable imports before it does anything."""
+    command = [sys.executable, "-X", "importtime", str(executable_path(name)), "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
+    return {line.rpartition("|")[2].strip() for line in lines}
+
+
+@pytest.mark.parametrize("name", UNNEEDED)
+def test_an_executable_loads_only_what_it_needs(name: str) -> None:
+    found = loaded(name)
+    assert "rclpy" in found and "tactile_hand_ros.core.config" in found
+    assert not found & UNNEEDED[name]
+
+
+NODE = """
+import gc, sys
+gc.disable()
+from rclpy.node import Node
+from tactile_hand_ros.ros.runner import run_node
+
+class Witness(Node):
+    def __init__(self):
+        super().__init__("witness")
+        self.create_timer(0.001, self.tell)
+    def tell(self):
+        print(gc.isenabled(), gc.get_freeze_count() > 0)
+        raise SystemExit(0)
+
+sys.exit(run_node(Witness, ["witness"]))
+"""
+
+
+def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded() -> None:
+    """The executables switch the collector off while they load."""
+    with isolated_domain() as domain:
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        done = subprocess.run(
+            [sys.executable, "-c", NODE],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+            env=environment,
+        )
+    assert done.stdout.split() == ["True", "True"]
