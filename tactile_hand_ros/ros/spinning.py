@@ -159,20 +159,22 @@ class WaitSetExecutor(SingleThreadedExecutor):
             self.spin_once(timeout_sec=WAIT_LIMIT_NS * 1e-9)
             self._stale = True
             return
-        ready, has_left = entities.wait()
-        self._serve_guards(ready, entities)
-        self._serve_timers(ready, entities)
-        self._serve_subscriptions(ready, entities)
-        if has_left and not self._stale:
+        ready = entities.wait()
+        if ready.guards:
+            self._serve_guards(ready.guards, entities)
+        if ready.timers:
+            self._serve_timers(ready.timers, entities)
+        for pointer in ready.subscriptions:
+            subscription = entities.subscriptions.get(pointer)
+            if subscription is not None:
+                self._drain(subscription)
+        if ready.has_left and not self._stale:
             self.spin_once(timeout_sec=0)
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)
 
-    def _serve_guards(self, ready: Any, entities: WaitedEntities) -> None:
-        pointers = ready.get_ready_entities("guard_condition")
-        if not pointers:
-            return
+    def _serve_guards(self, pointers: Sequence[int], entities: WaitedEntities) -> None:
         if not self._is_running():
             self._stale = True
         for pointer in pointers:
@@ -184,19 +186,13 @@ class WaitSetExecutor(SingleThreadedExecutor):
             else:
                 guard.callback()
 
-    def _serve_timers(self, ready: Any, entities: WaitedEntities) -> None:
-        for pointer in ready.get_ready_entities("timer"):
+    def _serve_timers(self, pointers: Sequence[int], entities: WaitedEntities) -> None:
+        for pointer in pointers:
             timer = entities.timers.get(pointer)
             # A cancelled timer is reported as ready once more.
             if timer is not None and not self._stale and timer.handle.is_timer_ready():
                 timer.handle.call_timer()
                 timer.callback()
-
-    def _serve_subscriptions(self, ready: Any, entities: WaitedEntities) -> None:
-        for pointer in ready.get_ready_entities("subscription"):
-            subscription = entities.subscriptions.get(pointer)
-            if subscription is not None:
-                self._drain(subscription)
 
     def _drain(self, subscription: Subscription) -> None:
         take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw

@@ -12,7 +12,7 @@ import inspect
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
@@ -26,8 +26,20 @@ from rclpy.waitable import NumberOfEntities
 FULL_PERIOD_NS = 20_000_000
 """Longest time a service request or QoS event waits while messages flow [ns]."""
 
+_SLOW_TIMER_NS = 5 * FULL_PERIOD_NS
+"""Timers of at least this period have only their turn in the full set [ns]."""
+
 WAIT_LIMIT_NS = 1_000_000_000
 """Longest uninterrupted wait [ns]: a lost wake-up costs a second instead of a hang."""
+
+
+class Ready(NamedTuple):
+    """What a wait found: pointers to handles, and whether the public executor must serve more."""
+
+    guards: list[int]
+    timers: list[int]
+    subscriptions: list[int]
+    has_left: bool = False
 
 
 class WaitedEntities:
@@ -59,7 +71,7 @@ class WaitedEntities:
         self.guards: dict[int, GuardCondition] = {}
         self._stack = stack
         self._waitables: list[Any] = []
-        self._left: dict[str, set[int]] = {"subscription": set(), "timer": set()}
+        self._left: dict[str, set[int]] = {"subscriptions": set(), "timers": set()}
         lean, rare = _Entries(), _Entries()
         for guard in own_guards:
             self._hold(lean.guards, guard)
@@ -73,10 +85,11 @@ class WaitedEntities:
     def _collect(self, node: Node, lean: _Entries, rare: _Entries) -> None:
         for subscription in node.subscriptions:
             if self._hold(lean.subscriptions, subscription):
-                self._sort(subscription, "subscription", self.subscriptions)
+                self._sort(subscription, "subscriptions", self.subscriptions)
         for timer in node.timers:
-            if self._hold(lean.timers, timer):
-                self._sort(timer, "timer", self.timers)
+            slow = timer.timer_period_ns >= _SLOW_TIMER_NS
+            if self._hold((rare if slow else lean).timers, timer):
+                self._sort(timer, "timers", self.timers)
         for guard in node.guards:
             if self._hold(lean.guards, guard):
                 self.guards[guard.handle.pointer] = guard
@@ -108,40 +121,33 @@ class WaitedEntities:
         else:
             direct[entity.handle.pointer] = entity
 
-    def wait(self) -> tuple[Any, bool]:
-        """Wait until something is ready.
-
-        Returns:
-            The wait set, and whether something in it must be left to the public executor.
-        """
-        now = time.monotonic_ns()
-        if now < self._full_due:
-            ready = self._lean.wait(FULL_PERIOD_NS)
-            if not self._is_empty(ready):
-                return ready, self._is_left(ready)
-        ready = self._full.wait(WAIT_LIMIT_NS)
-        is_rare = self._is_rare(ready)
+    def wait(self) -> Ready:
+        """Wait until something is ready, and tell what."""
+        if time.monotonic_ns() < self._full_due:
+            ready = self._found(self._lean.wait(FULL_PERIOD_NS))
+            if ready.subscriptions or ready.timers or ready.guards:
+                return ready
+        native = self._full.wait(WAIT_LIMIT_NS)
+        is_rare = self._is_rare(native)
         # The public executor serves one thing at a time: look again at once until all is served.
         self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
-        return ready, is_rare or self._is_left(ready)
+        ready = self._found(native)
+        return ready._replace(has_left=True) if is_rare else ready
 
-    @staticmethod
-    def _is_empty(ready: Any) -> bool:
-        get = ready.get_ready_entities
-        return not (get("subscription") or get("timer") or get("guard_condition"))
-
-    def _is_left(self, ready: Any) -> bool:
-        return any(
-            not pointers.isdisjoint(ready.get_ready_entities(kind))
+    def _found(self, native: Any) -> Ready:
+        get = native.get_ready_entities
+        ready = Ready(get("guard_condition"), get("timer"), get("subscription"))
+        is_left = any(
+            pointers and not pointers.isdisjoint(getattr(ready, kind))
             for kind, pointers in self._left.items()
-            if pointers
         )
+        return ready._replace(has_left=True) if is_left else ready
 
-    def _is_rare(self, ready: Any) -> bool:
-        if ready.get_ready_entities("service") or ready.get_ready_entities("client"):
+    def _is_rare(self, native: Any) -> bool:
+        if native.get_ready_entities("service") or native.get_ready_entities("client"):
             return True
         # All are asked: each notes for itself that it is ready.
-        return any([waitable.is_ready(ready) for waitable in self._waitables])
+        return any([waitable.is_ready(native) for waitable in self._waitables])
 
 
 class _Entries:
