@@ -47,6 +47,8 @@ class CdrTemplate:
         self._blocks: list[tuple[int, int]] = []
         self._constant: list[tuple[slice, bytes]] = []
         self._views: list[Array] = []
+        self._numbers = (0, 0)
+        self._parts: list[slice] = []
 
     def _align(self, size: int) -> None:
         # Alignment counts from the end of the encapsulation.
@@ -81,25 +83,41 @@ class CdrTemplate:
                 self._constant.append((slice(start, offset), bytes(self._buffer[start:offset])))
             start = offset + count * _DOUBLE.itemsize
         self._views = [np.frombuffer(self._buffer, _DOUBLE, n, at) for at, n in self._blocks]
+        if self._blocks:
+            self._note_numbers()
         return self
 
+    def _note_numbers(self) -> None:
+        """Note where all blocks can be read at once, with the lengths between them as numbers."""
+        first = self._blocks[0][0]
+        starts = [(at - first) // _DOUBLE.itemsize for at, _ in self._blocks]
+        self._parts = [slice(at, at + n) for at, (_, n) in zip(starts, self._blocks, strict=True)]
+        self._numbers = (first, self._parts[-1].stop)
+
+    def view(self, block: int) -> Array:
+        """Return the numbers of a block of the next message, to be written in place."""
+        return self._views[block]
+
     def encode(self, stamp_ns: int, *values: Array) -> bytes:
-        """Return the bytes with a stamp [ns] and one array per block, flat and of its size."""
+        """Return the bytes with a stamp [ns], and arrays for the first blocks, flat and full."""
         _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _SECOND))
-        for view, block in zip(self._views, values, strict=True):
+        for view, block in zip(self._views, values, strict=False):
             view[:] = block
         return bytes(self._buffer)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]] | None:
-        """Return stamp [ns] and blocks, None if anything but the numbers differs."""
+        """Return stamp [ns] and blocks, None if not finite or anything but the numbers differs."""
         if len(data) != len(self._buffer) or data[:_STAMP_AT] != _LITTLE_ENDIAN:
             return None
         for where, expected in self._constant:
             if data[where] != expected:
                 return None
         seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
-        blocks = [np.frombuffer(data, _DOUBLE, n, at).astype(float) for at, n in self._blocks]
-        return seconds * _SECOND + nanoseconds, blocks
+        at, count = self._numbers
+        numbers = np.frombuffer(data, _DOUBLE, count, at).copy()  # aligned, and kept
+        if not all_finite(numbers):  # a length between two blocks is a tiny number
+            return None
+        return seconds * _SECOND + nanoseconds, [numbers[part] for part in self._parts]
 
 
 class WrenchCodec:
@@ -116,12 +134,12 @@ class WrenchCodec:
         self._frame = None if any_frame else frame
         self._nan_allowed = nan_allowed
         self._template = CdrTemplate().text(frame).doubles(6).finish()
-        self._wrench = np.zeros(6)
+        self._force = self._template.view(0)[:3]
 
     def encode(self, force: Array | Sequence[float], stamp_ns: int) -> bytes:
         """Return the message for a force of shape (3,)."""
-        self._wrench[:3] = force
-        return self._template.encode(stamp_ns, self._wrench)
+        self._force[:] = force
+        return self._template.encode(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
         """Return stamp [ns] and force, shape (3,).
@@ -131,9 +149,7 @@ class WrenchCodec:
         """
         found = self._template.decode(data)
         if found is not None:
-            force = found[1][0][:3]
-            if all_finite(force):
-                return found[0], force
+            return found[0], found[1][0][:3]
         message = deserialize_message(data, WrenchStamped)
         vector = message.wrench.force
         if self._nan_allowed and any(map(math.isnan, (vector.x, vector.y, vector.z))):
@@ -152,7 +168,7 @@ class ContactsCodec:
         self._count = count
         template = CdrTemplate().text(PALM_FRAME).length(count)
         self._template = template.doubles(7 * count).finish()
-        self._rows = np.empty((count, 7))
+        self._rows = self._template.view(0).reshape(count, 7)
 
     def encode(self, positions: Array, quaternions: Array, stamp_ns: int) -> bytes:
         """Return the message; NaN rows where a finger has no contact.
@@ -163,7 +179,7 @@ class ContactsCodec:
             stamp_ns: The tick [ns].
         """
         self._rows[:, :3], self._rows[:, 3:] = positions, quaternions
-        return self._template.encode(stamp_ns, self._rows.reshape(-1))
+        return self._template.encode(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Contacts]:
         """Return stamp [ns] and contacts.
@@ -174,10 +190,9 @@ class ContactsCodec:
         found = self._template.decode(data)
         if found is not None:
             rows = found[1][0].reshape(-1, 7)
-            turns = rows[:, 3:]
-            off_unit = np.abs((turns * turns).sum(axis=1) - 1.0)
-            if all_finite(rows) and off_unit.max() < _UNIT_TOLERANCE:
-                return found[0], Contacts(rows[:, :3].copy(), turns.copy())
+            turns = rows[:, 3:].copy()
+            if all(map(_is_unit, turns.tolist())):
+                return found[0], Contacts(rows[:, :3].copy(), turns)
         message = deserialize_message(data, PoseArray)
         contacts = conversions.contacts_from_ros(message, self._count)
         return stamp_to_ns(message.header.stamp), contacts
@@ -218,12 +233,15 @@ class JointCodec:
         """
         found = self._template.decode(data)
         if found is not None:
-            stamp, blocks = found[0], found[1][: len(self._wanted)]
-            if all(map(all_finite, blocks)):
-                return stamp, blocks
+            return found[0], found[1][: len(self._wanted)]
         message = deserialize_message(data, JointState)
         stamp = stamp_to_ns(message.header.stamp)
         return stamp, [self._order.read(message, field) for field in self._wanted]
+
+
+def _is_unit(quaternion: Sequence[float]) -> bool:
+    x, y, z, w = quaternion
+    return abs(x * x + y * y + z * z + w * w - 1.0) < _UNIT_TOLERANCE
 
 
 class PoseCodec:
@@ -232,12 +250,12 @@ class PoseCodec:
     def __init__(self, frame: str = PALM_FRAME) -> None:
         """Fix the frame."""
         self._template = CdrTemplate().text(frame).doubles(7).finish()
-        self._row = np.empty(7)
+        self._row = self._template.view(0)
 
     def encode(self, position: Array, quaternion: Array, stamp_ns: int) -> bytes:
         """Return the message for a position [m] and a quaternion (x, y, z, w)."""
         self._row[:3], self._row[3:] = position, quaternion
-        return self._template.encode(stamp_ns, self._row)
+        return self._template.encode(stamp_ns)
 
 
 class SlipCodec(JointCodec):
