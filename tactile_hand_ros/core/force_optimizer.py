@@ -12,6 +12,7 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from tactile_hand_ros.core.active_set import solve_exactly
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.core.cones import Cones
@@ -90,8 +91,8 @@ class OptimalForces(NamedTuple):
         balance_residual: Largest component of G~ f*, N and N m.
         sum_residual: |sum f_n - 1|.
         stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
-        solve_time: Time that OSQP reports, s.
-        iterations: Iterations that OSQP reports.
+        iterations: Linear systems that were solved, or iterations of OSQP.
+        solve_time: Time that OSQP reports where it was asked, s.
         cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
             that nothing has to slip; NaN where friction is not looked at.
         shaped: Whether the cones changed f*.
@@ -103,8 +104,8 @@ class OptimalForces(NamedTuple):
     balance_residual: float = np.nan
     sum_residual: float = np.nan
     stationarity_residual: float = np.nan
-    solve_time: float = 0.0
     iterations: int = 0
+    solve_time: float = 0.0
     cone_margin: float = np.nan
     shaped: bool = False
 
@@ -122,9 +123,11 @@ class OptimalForces(NamedTuple):
 class ForceOptimizer:
     """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
 
-    The problem is set up once; a step only replaces the numbers of G~ and starts from the last
-    answer. Torques in G~ are divided by the size of the grasp, which leaves the solution as it is
-    and makes all rows of one magnitude.
+    The answer is found by exchanging active bounds, exactly and mostly in one linear system, and is
+    taken when it meets the optimality conditions. Where that fails, or there is no answer, OSQP
+    decides: it is set up once, gets the numbers of G~ and starts from its last answer. Torques in
+    G~ are divided by the size of the grasp, which leaves the solution as it is and makes all rows
+    of one magnitude.
 
     Source: Shaw-Cortez et al., equation (13); Stellato et al., OSQP, 2020.
     """
@@ -175,14 +178,21 @@ class ForceOptimizer:
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
             )
-        if collinearity_margin(contacts.positions) < MIN_COLLINEARITY_MARGIN:
+        balance, margin, forces, unbalanced, off, slope, systems = _exact_answer(
+            contacts.positions,
+            contacts.rotations,
+            self._weights,
+            self.config.minimum_normal,
+            self._held,
+        )
+        if margin < MIN_COLLINEARITY_MARGIN:
             return self._without_answer(
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        balance = scaled_balance(contacts.positions, contacts.rotations)
-        self._values[self._balance_slots] = balance.ravel()
-        solved = self._judge(*self._solver.solve(self._values), balance)
+        solved = OptimalForces(Status.SOLVED, "", forces, unbalanced, off, slope, systems)
+        if not (systems and solved.residual < _GOOD_RESIDUAL):
+            solved = self._by_osqp(balance)
         return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
 
     def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
@@ -217,6 +227,7 @@ class ForceOptimizer:
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
         self._shaper = None
+        self._held = np.zeros(k, dtype=np.bool_)
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
         self._solver = WarmSolver(
@@ -233,6 +244,11 @@ class ForceOptimizer:
             check_termination=5,
             adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
         )
+
+    def _by_osqp(self, balance: Array) -> OptimalForces:
+        """Solve for G~^T of shape (3k, 6) from OSQP's last answer."""
+        self._values[self._balance_slots] = balance.ravel()
+        return self._judge(*self._solver.solve(self._values), balance)
 
     def _judge(self, x: Array, y: Array, info: Any, balance: Array) -> OptimalForces:
         if info.status_val == _INFEASIBLE:
@@ -259,38 +275,15 @@ class ForceOptimizer:
         residuals = optimality(x, y, balance, self._weights)
         forces = np.array(x).reshape(self._k, 3)
         return OptimalForces(
-            Status.SOLVED, "", forces, *residuals, float(info.run_time), int(info.iter)
+            Status.SOLVED, "", forces, *residuals, int(info.iter), float(info.run_time)
         )
 
     def _sharpened(self, x: Array, y: Array, balance: Array) -> tuple[Array, Array] | None:
-        """Solve the optimality conditions exactly, where OSQP's polishing missed the active bounds.
-
-        Starts from the bounds that OSQP's answer touches and exchanges them until the conditions
-        hold (primal-dual active sets, Hintermueller et al. 2003). Returns x and y, or None.
-        """
-        n, least = self._columns, self.config.minimum_normal
-        equal = np.zeros((7, n))
-        equal[:6], equal[6, 1::3] = balance.T, 1.0
-        active = x[1::3] - least < -y[7:]
-        for _ in range(2 * self._k):
-            held = np.flatnonzero(active)
-            bounds = np.zeros((len(held), n))
-            bounds[np.arange(len(held)), 1 + 3 * held] = 1.0
-            rows = np.vstack([equal, bounds])
-            right = np.concatenate([np.zeros(6), [1.0], np.full(len(held), least)])
-            spread = rows / self._weights
-            try:
-                multipliers = np.linalg.solve(spread @ rows.T, -2.0 * right)
-            except np.linalg.LinAlgError:
-                return None
-            x = -0.5 * spread.T @ multipliers
-            y = np.zeros(7 + self._k)
-            y[:7], y[7 + held] = multipliers[:7], multipliers[7:]
-            following = np.where(active, y[7:] < 0.0, x[1::3] < least)
-            if (following == active).all():
-                return x, y
-            active = following
-        return None
+        """Solve exactly from the bounds that OSQP's answer touches, where its polishing missed."""
+        least = self.config.minimum_normal
+        held = x[1::3] - least < -y[7:]
+        x, y, systems = solve_exactly(balance, self._weights, least, held)
+        return (x, y) if systems else None
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
         return OptimalForces(status, reason, np.full((self._k, 3), np.nan))
@@ -317,6 +310,20 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
             row[0], row[1], row[2] = x, y, z
             row[3], row[4], row[5] = cross((a, b, c), (x, y, z))
     return out
+
+
+@compiled
+def _exact_answer(
+    points: Array, rotations: Array, weights: Array, least: float, held: NDArray[np.bool_]
+) -> tuple[Array, float, Array, float, float, float, int]:
+    """Return G~^T, the collinearity margin, f*, its three residuals and the number of systems.
+
+    Without systems, or on a line, f* is of no use. For `held` see `solve_exactly`.
+    """
+    balance, margin = scaled_balance(points, rotations), collinearity_margin(points)
+    x, y, systems = solve_exactly(balance, weights, least, held)
+    unbalanced, off, slope = optimality(x, y, balance, weights)
+    return balance, margin, x.reshape(-1, 3), unbalanced, off, slope, systems
 
 
 @compiled

@@ -42,7 +42,7 @@ def test_the_papers_layouts_have_the_forces_computed_by_hand(grasp, expected):
     assert found.ok and found.status is Status.SOLVED and found.reason == ""
     np.testing.assert_allclose(found.forces, expected, atol=1e-10)
     assert found.residual < 1e-9
-    assert found.solve_time > 0.0 and found.iterations > 0
+    assert 0 < found.iterations < 4 and found.solve_time == 0.0
 
 
 def test_weights_of_one_ask_for_more_friction():
