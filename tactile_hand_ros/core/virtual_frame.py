@@ -13,6 +13,7 @@ from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.errors import CollinearContactsError
 from tactile_hand_ros.core.grasp import (
     MIN_COLLINEARITY_MARGIN,
+    centred,
     check_spread,
     collinearity_margin,
     too_few,
@@ -59,11 +60,10 @@ class VirtualFrame:
         if len(points) <= 3:
             return self._plane_frame(points)
         check_spread(points)
+        arms = centred(points)
         if self._start is None:
-            self._start = (points - points.mean(axis=0), self._plane_frame(_leading(points)))
-            return self._start[1]
-        first, frame = self._start
-        return best_rotation(first, points - points.mean(axis=0)) @ frame
+            self._start = arms, self._plane_frame(_leading(points))
+        return turned_frame(*self._start, arms)
 
     def _plane_frame(self, points: Array) -> Array:
         if len(points) < 3:
@@ -142,8 +142,22 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
     return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]]), margin
 
 
+@compiled
+def turned_frame(before: Array, frame: Array, after: Array) -> Array:
+    """Return a frame of centred points, shape (k, 3), where they have turned to others."""
+    return best_rotation(before, after) @ frame
+
+
+@compiled
 def best_rotation(before: Array, after: Array) -> Array:
-    """Return the rotation that best maps centred points to centred points (Kabsch 1976)."""
+    """Return the rotation that best maps centred points to centred points (Kabsch 1976).
+
+    Where a reflection would fit better, the direction of the least extent is turned round.
+    """
     u, _, vt = np.linalg.svd(after.T @ before)
-    sign = np.sign(np.linalg.det(u @ vt))
-    return np.asarray(u @ np.diag([1.0, 1.0, sign]) @ vt)
+    product = u @ vt
+    (a, b, c), (d, e, f), (g, h, i) = product
+    if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+        u[:, 2] *= -1.0
+        product = u @ vt
+    return product

@@ -7,7 +7,9 @@ import numpy as np
 
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.compiled import completeness
+from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.core.virtual_frame import VirtualFrame
 
 
 def warm_up() -> None:
@@ -25,6 +27,7 @@ def run_every_block() -> None:
     for name in ("paper", "pull"):  # the plain law, and all that holds against disturbances
         loop = ClosedLoop(load_scenario(name))
         loop.run(3)
+    VirtualFrame().orientation(example_touch(4)[0].positions)  # of more than three contacts
     loop.plant.friction[:] = 0.0
     loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))
 
