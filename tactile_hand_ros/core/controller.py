@@ -215,8 +215,8 @@ class Controller:
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
-        torque = self._for_middle_of_period(parts.total) + self._gravity(theta)
-        return Command(torque, Mode.DRIVE, pose, refused)
+        torque = self._for_middle_of_period(parts.total)
+        return Command(self._with_gravity(torque, theta), Mode.DRIVE, pose, refused)
 
     def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
         """Answer a tick without what the law needs: keep posture and last good squeeze.
@@ -237,7 +237,7 @@ class Controller:
         if self._grasp_force > 0.0:
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
         torque = self._hold.torque(theta, rates) + self._more * self._squeeze
-        return Command(torque + self._gravity(theta), Mode.HOLD, None, reason)
+        return Command(self._with_gravity(torque, theta), Mode.HOLD, None, reason)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
@@ -245,7 +245,7 @@ class Controller:
         self._drove = False
         self._open_stamp = None
         self._squeeze = self._carry = np.zeros(self.hand.joints)
-        torque = self._gravity(theta) - self.config.law.damping * rates
+        torque = self._with_gravity(-self.config.law.damping * rates, theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:
@@ -269,7 +269,7 @@ class Controller:
         self._hold.move(
             self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
         )
-        torque = self._hold.torque(theta, rates) + self._gravity(theta)
+        torque = self._with_gravity(self._hold.torque(theta, rates), theta)
         return Command(torque, Mode.OPEN, None, "let go by the user")
 
     def _elapsed(self, stamp: int) -> float:
@@ -314,7 +314,8 @@ class Controller:
             return torque
         return torque + 0.5 * (torque - last)
 
-    def _gravity(self, theta: Array) -> Array:
+    def _with_gravity(self, torque: Array, theta: Array) -> Array:
+        """Return a torque that carries the links too, where that is wanted."""
         if not self.config.gravity_compensation:
-            return np.zeros(self.hand.joints)
-        return self.hand.gravity_torque(theta)
+            return torque
+        return torque + self.hand.gravity_torque(theta)

@@ -125,18 +125,20 @@ class ManipulationLaw:
             radii: Radii of the fingertips, shape (k,), m.
             law: Another law in the place of the one that `config` names.
         """
-        self.configure(config)
         self._factory = law
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
+        self.configure(config)
         self._observer = LoadObserver()
 
     def configure(self, config: LawConfig) -> None:
-        """Take other gains; the state of the integral stays."""
+        """Take other gains; the state of the integral stays, unless it is switched off."""
         self.config = config
         self._gains = np.repeat([config.k_p, config.k_o], 3)
         self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
+        if not self._integrates:
+            self._integral[:] = 0.0
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
@@ -195,7 +197,7 @@ class ManipulationLaw:
         seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
         law = (self._factory or LAWS[c.name])(seen, c)
         carried = self._carried(contacts, forces, dt)
-        carry = np.zeros_like(rates) if carried is None else law.drive(carried)
+        carry = np.zeros(len(rates)) if carried is None else law.drive(carried)
         return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
 
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
@@ -210,7 +212,6 @@ class ManipulationLaw:
     def _integrate(self, error: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
         if not self._integrates:
-            self._integral[:] = 0.0
             return
         c = self.config.integral
         for gain, limit, part in (

@@ -157,7 +157,9 @@ class Plant:
         theta, ahead = half_step(h, self._theta, v, self._v_before)
         terms = self.hand.raw_dynamics(theta, ahead[:m])
         hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
-        wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + self._weight
+        wrench = self._weight
+        if self.config.disturbances:
+            wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + wrench
         body = Body(
             self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
         )

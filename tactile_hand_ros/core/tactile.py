@@ -172,10 +172,9 @@ class TactileSensor:
         speeds = self._at_rest if sliding is None else sliding
         numbers, radii = self._numbers, self._radii
         measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
+        reading, dropout = TactileReading(*measured), self.config.dropout
         last = self._waiting[-1][1] if self._waiting else self._held
-        lost = luck < self.config.dropout
-        reading = TactileReading(*measured)
-        return reading if last is None or not lost.any() else last.where(lost, reading)
+        return reading if last is None or dropout == 0.0 else last.where(luck < dropout, reading)
 
 
 @compiled
