@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact solution of (13): whatever set it starts from, as OSQP, and none where there is none."""
+"""The exact solution of (13): the same from any start and by OSQP, and none where there is none."""
 
 from itertools import product
 
