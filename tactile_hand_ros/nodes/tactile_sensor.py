@@ -24,6 +24,7 @@ from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.core.tactile import TactileReading, TactileSensor, TactileSensorConfig
 from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.backlog import Backlog
 from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.readings import ReadingPublisher
@@ -62,7 +63,8 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._contacts = ContactsCodec(len(fingers))
         topics = [interfaces.true_wrench(name) for name in fingers]
         keys = (interfaces.TRUE_CONTACTS, interfaces.TRUE_SLIP, *topics)
-        self._matcher = StampMatcher(keys, on_restart=self._sensor.reset)
+        self._backlog = Backlog(self, interfaces.TRUE_CONTACTS, self._on_tick)
+        self._matcher = StampMatcher(keys, on_restart=self._restart)
         self._slip = SlipCodec(fingers)
         self.subscribe(PoseArray, interfaces.TRUE_CONTACTS, self._on_contacts, raw=True)
         self.subscribe(JointState, interfaces.TRUE_SLIP, self._on_slip, raw=True)
@@ -95,13 +97,18 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
 
     def _take(self, key: str, stamp: int, value: Any) -> None:
         matched = self._matcher.put(key, stamp, value)
-        if matched is None:
-            return
         if matched is REPEAT:
-            self._publisher.repeat()
-            return
+            self._backlog.repeat(self._publisher.repeat)
+        elif matched is not None:
+            self._backlog.put(stamp, matched)
+
+    def _restart(self) -> None:
+        self._backlog.clear()
+        self._sensor.reset()
+
+    def _on_tick(self, stamp: int, heard: tuple[Any, ...]) -> None:
         began = time.perf_counter()
-        (positions, quaternions), speeds, *forces = matched
+        (positions, quaternions), speeds, *forces = heard
         true = TactileReading(positions, quaternions, np.array(forces))
         self._publisher.publish(self._sensor.step(stamp, true, speeds), stamp)
         self.diagnostics.tick()

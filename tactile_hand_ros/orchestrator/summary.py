@@ -18,6 +18,7 @@ from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.core.errors import TactileHandError
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Outcome, Plan
+from tactile_hand_ros.ros.interfaces import JOINT_COMMAND
 
 LOST_KEY = "lost_messages"
 
@@ -68,7 +69,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
     results.recording["expected_ticks"] = expected
     lost = int(run.summary.custom_data.get(LOST_KEY, "0"))
     results.recording["lost_messages"] = lost
-    results.problems += _incomplete(results.recording, results.metrics["ticks"])
+    results.problems += incomplete(plan, results.recording, results.metrics["ticks"])
     if expected not in (None, results.metrics["ticks"]):
         results.problems.append(
             f"the bag holds {results.metrics['ticks']} ticks, expected {expected}"
@@ -80,16 +81,25 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
 
 def expected_ticks(plan: Plan) -> int | None:
     """Return how many ticks a finished run has; None in real time, where late ones are left out."""
-    return plan.scenario.ticks if plan.scenario.plant.pacing == "lockstep" else None
+    return plan.scenario.ticks if _is_lockstep(plan) else None
 
 
-def _incomplete(recording: dict[str, Any], ticks: int) -> list[str]:
-    """Say which topics lack messages, in one sentence for all that lack the same."""
+def _is_lockstep(plan: Plan) -> bool:
+    return plan.scenario.plant.pacing == "lockstep"
+
+
+def incomplete(plan: Plan, recording: dict[str, Any], ticks: int) -> list[str]:
+    """Say which topics lack messages, in one sentence for all that lack the same.
+
+    In real time nodes that fall behind leave out ticks, which is no fault of the recording.
+    """
     found: list[str] = []
     if recording["absent"]:
         found.append(f"the bag has nothing on {', '.join(recording['absent'])}")
     short = {
-        topic: c["ticks"] for topic, c in recording["topics"].items() if c["complete"] is False
+        topic: c["ticks"]
+        for topic, c in recording["topics"].items()
+        if c["complete"] is False and _is_lockstep(plan)
     }
     for count in sorted(set(short.values())):
         topics = ", ".join(topic for topic, present in short.items() if present == count)
@@ -243,6 +253,7 @@ def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str
         *((name, text, "") for name, text in recovered),
         ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
         ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
+        *_answered(plan, r),
         ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),
         ("messages recorded, lost", f"{r['messages']}, {r['lost_messages']}", "none lost"),
         (
@@ -251,6 +262,15 @@ def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str
             "< 5 s",
         ),
     ]
+
+
+def _answered(plan: Plan, recording: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return a row for how many ticks have a command, which goes without saying in lockstep."""
+    name = f"{plan.namespace.rstrip('/')}/{JOINT_COMMAND}"
+    commands = recording["topics"].get(name)
+    if _is_lockstep(plan) or commands is None:
+        return []
+    return [("ticks answered", str(commands["ticks"]), "")]
 
 
 def _number(value: float | None) -> str:

@@ -16,6 +16,7 @@ from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import MessageError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.backlog import Backlog
 from tactile_hand_ros.ros.input_watch import InputWatch
 from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
@@ -96,6 +97,7 @@ class ControllerInputs:
         for name in hand.finger_names if feels else ():
             codecs[interfaces.wrench(name)] = WrenchCodec(interfaces.contact_frame(name))
         keys = (interfaces.JOINT_STATES, interfaces.CONTACTS, *codecs)
+        self._backlog: Backlog[TickInputs] = Backlog(node, interfaces.JOINT_STATES, self._answer)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
         subscribe = partial(node.subscribe, raw=True)
         subscribe(JointState, interfaces.JOINT_STATES, self._on_joints, sensor=True)
@@ -130,13 +132,14 @@ class ControllerInputs:
 
     def _restart(self) -> None:
         self._answered_blindly = -1
+        self._backlog.clear()
         self._listener.on_restart()
 
     def _on_joints(self, data: bytes) -> None:
         stamp, joints = self._joints.decode(data)
         matched = self._matcher.put(interfaces.JOINT_STATES, stamp, joints)
         if matched is REPEAT:
-            self._listener.on_repeat()
+            self._backlog.repeat(self._listener.on_repeat)
         elif matched is not None:
             self._complete(stamp, matched)
         else:
@@ -171,4 +174,8 @@ class ControllerInputs:
         (theta, rates), contacts, grasp_force, *forces = matched
         optimal, felt = np.array(forces[: self._k]), forces[self._k :]
         k_f, measured = float(grasp_force[1]), np.array(felt) if felt else None
-        self._listener.on_tick(TickInputs(stamp, theta, rates, contacts, optimal, k_f, measured))
+        inputs = TickInputs(stamp, theta, rates, contacts, optimal, k_f, measured)
+        self._backlog.put(stamp, inputs)
+
+    def _answer(self, _: int, inputs: TickInputs) -> None:
+        self._listener.on_tick(inputs)

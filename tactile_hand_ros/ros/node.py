@@ -24,6 +24,7 @@ from tactile_hand_ros.ros.attention import Attention
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.parameters import ConfigParameters
 from tactile_hand_ros.ros.scheduling import report_scheduling
+from tactile_hand_ros.ros.spinning import WaitSetExecutor
 
 C = TypeVar("C", bound=Config)
 
@@ -121,6 +122,14 @@ class TactileNode(Node, Generic[C]):
             self.get_logger().error(str(error))
         else:
             self.diagnostics.clear("configuration")
+
+    def after_reading(self, callback: Callable[[], None]) -> None:
+        """Call back once when all that has arrived is read; at once where nobody can tell."""
+        executor = self.executor
+        if isinstance(executor, WaitSetExecutor):
+            executor.after_reading(callback)
+        else:
+            callback()
 
     def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
         """Create a publisher for something that carries a tick."""

@@ -20,7 +20,7 @@ Where one is missing, `make_executor` falls back to the public `SingleThreadedEx
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -122,6 +122,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     def __init__(self, *, context: Context | None = None) -> None:
         """Create the executor for a context, by default the global one."""
         self._stale = True
+        self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
 
     def wake(self) -> None:
@@ -138,6 +139,10 @@ class WaitSetExecutor(SingleThreadedExecutor):
         """Stop serving a node."""
         self._stale = True
         super().remove_node(node)
+
+    def after_reading(self, callback: Callable[[], None]) -> None:
+        """Call back once, after the callbacks of all messages that are there now."""
+        self._afterwards.append(callback)
 
     def spin(self) -> None:
         """Execute callbacks until the context or the executor is shut down."""
@@ -168,8 +173,15 @@ class WaitSetExecutor(SingleThreadedExecutor):
             subscription = entities.subscriptions.get(pointer)
             if subscription is not None:
                 self._drain(subscription)
+        if self._afterwards:
+            self._call_afterwards()
         if ready.has_left and not self._stale:
             self.spin_once(timeout_sec=0)
+
+    def _call_afterwards(self) -> None:
+        callbacks, self._afterwards = self._afterwards, []
+        for callback in callbacks:
+            callback()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)

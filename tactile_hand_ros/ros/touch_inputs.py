@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.backlog import Backlog
 from tactile_hand_ros.ros.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.wire import ContactsCodec, GripCodec, WrenchCodec
@@ -79,7 +80,8 @@ class TouchInputs:
         felt = {interfaces.wrench(name): name for name in fingers} if forces else {}
         grip = (interfaces.GRIP_STATE,) if friction else ()
         keys = (interfaces.CONTACTS, *grip, *felt)
-        self._matcher = StampMatcher(keys, on_restart=listener.on_restart)
+        self._backlog: Backlog[Touch] = Backlog(node, interfaces.CONTACTS, listener.on_tick)
+        self._matcher = StampMatcher(keys, on_restart=self._restart)
         subscribe = partial(node.subscribe, sensor=True, raw=True)
         subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts)
         if friction:
@@ -87,6 +89,10 @@ class TouchInputs:
         for topic, name in felt.items():
             codec = WrenchCodec(interfaces.contact_frame(name))
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec))
+
+    def _restart(self) -> None:
+        self._backlog.clear()
+        self._listener.on_restart()
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, poses = self._contacts.decode(data)
@@ -103,9 +109,9 @@ class TouchInputs:
     def _take(self, key: str, stamp: int, value: Any) -> None:
         matched = self._matcher.put(key, stamp, value)
         if matched is REPEAT:
-            self._listener.on_repeat()
+            self._backlog.repeat(self._listener.on_repeat)
         elif matched is not None:
             contacts, *rest = matched
             friction = rest.pop(0) if self._has_friction else None
             forces = np.array(rest) if rest else None
-            self._listener.on_tick(stamp, Touch(contacts, forces, friction))
+            self._backlog.put(stamp, Touch(contacts, forces, friction))

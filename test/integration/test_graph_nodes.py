@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -62,7 +63,7 @@ class Peer:
 
     def speak(self, kind: Any, *topics: str) -> None:
         for topic in topics:
-            self._publishers[topic] = self.node.create_publisher(kind, topic, 10)
+            self._publishers[topic] = self.node.create_publisher(kind, topic, 100)
 
     def connect(self) -> None:
         """Wait until both sides know of each other."""
@@ -75,6 +76,10 @@ class Peer:
 
     def send(self, topic: str, message: Any) -> None:
         self._publishers[topic].publish(message)
+
+    def all_have_arrived(self, topic: str) -> None:
+        """Wait until what was sent lies in the queue of the node."""
+        assert self._publishers[topic].wait_for_all_acked(Duration(seconds=60))
 
     def answer(self, topic: str, stamp: int) -> Any:
         """Wait for the message of a tick."""
@@ -116,6 +121,26 @@ def without(finger: int) -> Array:
     positions = TOUCH.positions.copy()
     positions[finger] = np.nan
     return positions
+
+
+def test_who_has_fallen_behind_answers_the_newest_tick(meet: Callable[..., Peer]) -> None:
+    """Forty ticks wait for a node that was busy: it answers the newest and the roundest."""
+    peer = meet(ForceOptimizerNode)
+    topic = interfaces.optimal_force(FINGERS[-1])
+    peer.listen(WrenchStamped, topic)
+    peer.speak(PoseArray, interfaces.CONTACTS)
+    peer.connect()
+    for tick in range(41):
+        peer.send(interfaces.CONTACTS, contacts(1000 * TICK + tick * TICK))
+    peer.all_have_arrived(interfaces.CONTACTS)
+    with spinning(peer.under_test, peer.node):
+        peer.answer(topic, 1040 * TICK)
+        peer.send(interfaces.CONTACTS, contacts(1041 * TICK))
+        peer.answer(topic, 1041 * TICK)
+    answered = [stamp_to_ns(m.header.stamp) // TICK for m in peer.heard[topic]]
+    assert answered == [1000, 1024, 1040, 1041]  # the first of all, of 2048 ms, and the newest
+    left_out = {k.value for k in peer.under_test.diagnostics.status().values if "left" in k.key}
+    assert left_out == {"38"}
 
 
 def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from tactile_hand_ros.orchestrator.summary import (
     Results,
     Verdict,
     expected_ticks,
+    incomplete,
     judge,
     read_results,
     table,
@@ -34,6 +36,7 @@ RECORDING = {
     "ticks_per_second": 500.0,
     "messages": 900,
     "lost_messages": 0,
+    "topics": {},
 }
 
 
@@ -107,6 +110,19 @@ def test_number_of_ticks_is_known_in_lockstep_only() -> None:
     assert expected_ticks(PLAN) == 51
     realtime = load_scenario("paper", {"plant.pacing": "realtime"})
     assert expected_ticks(Plan(realtime)) is None
+
+
+def test_ticks_that_nobody_answered_are_a_fault_in_lockstep_only() -> None:
+    recording = dict(
+        RECORDING, absent=[], topics={"/joint_command": {"ticks": 50, "complete": False}}
+    )
+    realtime = Plan(load_scenario("paper", {"plant.pacing": "realtime", "duration": 0.1}))
+    assert incomplete(PLAN, recording, 51) == ["the bag has 50 of 51 ticks on /joint_command"]
+    assert incomplete(realtime, recording, 51) == []
+    good = Results(metrics(ClosedLoop(PLAN.scenario).run(), PLAN.scenario).to_dict(), recording)
+    text = io.StringIO()
+    Console(width=100, file=text).print(table(realtime, Outcome(), good))
+    assert re.search(r"ticks answered .* 50 ", text.getvalue())
 
 
 def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path) -> None:
