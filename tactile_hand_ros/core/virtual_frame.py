@@ -155,7 +155,7 @@ def best_rotation(before: Array, after: Array) -> Array:
     Where a reflection would fit better, the direction of the least extent is turned round.
     """
     u, _, vt = np.linalg.svd(after.T @ before)
-    product = u @ vt
+    product: Array = u @ vt
     (a, b, c), (d, e, f), (g, h, i) = product
     if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
         u[:, 2] *= -1.0
