@@ -36,7 +36,8 @@ from tactile_hand_ros.orchestrator.wiring import (
 )
 from tactile_hand_ros.ros.scheduling import Scheduling
 
-START_ORDER = (RECORDER, CONTROLLER, OPTIMIZER, SENSOR, REGULATOR, PLANT)
+# After the recorder, which is soon there: what takes longest to load comes first.
+START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
 STALL = 15.0
