@@ -18,6 +18,7 @@ from tactile_hand_ros.bench.peers import measure_solvers, measure_steps
 from tactile_hand_ros.bench.realtime import measure_realtime
 from tactile_hand_ros.bench.recording import measure_recompute, measure_recorder
 from tactile_hand_ros.bench.results import Result
+from tactile_hand_ros.bench.wire import measure_wire
 from tactile_hand_ros.bench.workload import Workload
 
 Measurement = Callable[[Workload], list[Result]]
@@ -36,6 +37,7 @@ MEASUREMENTS: tuple[Measurement, ...] = (
     measure_steps,
     measure_integrator,
     measure_hops,
+    measure_wire,
     measure_idle,
     measure_graph,
     measure_realtime,

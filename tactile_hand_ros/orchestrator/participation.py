@@ -12,8 +12,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.wiring import ORCHESTRATOR
 from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.topology import ORCHESTRATOR
 
 
 @contextlib.contextmanager

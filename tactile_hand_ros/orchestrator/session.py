@@ -23,7 +23,9 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
-from tactile_hand_ros.orchestrator.wiring import (
+from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
+from tactile_hand_ros.ros.scheduling import Scheduling
+from tactile_hand_ros.ros.topology import (
     COMPOSED,
     CONTROLLER,
     OPTIMIZER,
@@ -31,10 +33,7 @@ from tactile_hand_ros.orchestrator.wiring import (
     RECORDER,
     REGULATOR,
     SENSOR,
-    Gap,
-    Wiring,
 )
-from tactile_hand_ros.ros.scheduling import Scheduling
 
 # After the recorder, which is soon there: what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)

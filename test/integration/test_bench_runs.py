@@ -8,6 +8,8 @@ import pytest
 
 from tactile_hand_ros.bench.realtime import LOADED, Case, run_case
 from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
+from tactile_hand_ros.bench.wire import rate
+from tactile_hand_ros.core.scenario import NODES
 
 
 def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:
@@ -29,3 +31,8 @@ def test_six_processes_are_told_apart() -> None:
 def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
     with pytest.raises(BenchError, match="no_such"):
         run_graph(0.2, "--set", "plant.no_such=1")
+
+
+@pytest.mark.parametrize("processes", [tuple(NODES), (",".join(NODES),)])
+def test_ticks_go_round_by_messages_alone(processes: tuple[str, ...]) -> None:
+    assert rate(processes, 20, recorded=False) > 0.0
