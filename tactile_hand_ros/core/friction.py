@@ -87,6 +87,7 @@ class FrictionEstimator:
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
+        self.share()  # changes nothing, and the first slip need not wait until it is loaded
 
     def configure(self, config: FrictionConfig) -> None:
         """Take other parameters; what was learned stays."""

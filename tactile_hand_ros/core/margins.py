@@ -7,14 +7,16 @@ quantity itself.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.contact import Contacts, hand_jacobian
-from tactile_hand_ros.core.grasp import collinearity_margin, joint_margin, net_wrench
+from tactile_hand_ros.core.grasp import collinearity_margin, contact_wrench, joint_margin
 from tactile_hand_ros.core.slip_detector import Grip
 
 if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
@@ -157,16 +159,11 @@ class SlipWatch:
             grip: `Grip` of each contact, shape (k,).
             likelihood: Evidence for slip, 0 to 1, shape (k,).
         """
-        known = grip != Grip.UNKNOWN
-        if known.any():
-            left = 0.0 if (grip == Grip.SLIP).any() else 1.0 - float(likelihood[known].max())
-            self.evidence = float(np.fmin(self.evidence, left))
-            inside = cone_distances(forces, friction)[known].min()
-            self.cone = float(np.fmin(self.cone, inside))
-        self._time(stamp, bool((grip == Grip.SLIP).any()))
-        if contacts.whole:
-            load = float(np.linalg.norm(net_wrench(contacts, forces)[:3]))
-            self.load = float(np.fmax(self.load, load))
+        worst = self.load, self.evidence, self.cone
+        touch = contacts.positions, contacts.rotations, forces
+        noted = _noted(*worst, *touch, friction, grip, likelihood)
+        self.load, self.evidence, self.cone, slips = noted
+        self._time(stamp, slips)
 
     def _time(self, stamp: int, slips: bool) -> None:
         if not slips:
@@ -174,3 +171,29 @@ class SlipWatch:
             return
         self._since = stamp if self._since is None else self._since
         self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - self._since))
+
+
+@compiled
+def _noted(
+    load: float,
+    evidence: float,
+    cone: float,
+    positions: Array,
+    rotations: Array,
+    forces: Array,
+    friction: Array,
+    grip: NDArray[np.int_],
+    likelihood: Array,
+) -> tuple[float, float, float, bool]:
+    """Return the worst of margins and a tick, NaN where neither is known, and whether one slips."""
+    x, y, z = contact_wrench(positions, rotations, forces)[:3]
+    load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
+    for i in range(len(grip)):
+        if grip[i] == Grip.UNKNOWN:
+            continue
+        slip = grip[i] == Grip.SLIP
+        slips = slips or slip
+        evidence = np.fmin(evidence, 0.0 if slip else 1.0 - likelihood[i])
+        tangential = math.sqrt(forces[i, 0] ** 2 + forces[i, 2] ** 2)
+        cone = np.fmin(cone, friction[i] * forces[i, 1] - tangential)
+    return load, evidence, cone, slips

@@ -7,6 +7,7 @@ import numpy as np
 
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.compiled import completeness
+from tactile_hand_ros.core.margins import SlipWatch
 from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.scenario import load_scenario
 from tactile_hand_ros.core.virtual_frame import VirtualFrame
@@ -27,7 +28,10 @@ def run_every_block() -> None:
     for name in ("paper", "pull"):  # the plain law, and all that holds against disturbances
         loop = ClosedLoop(load_scenario(name))
         loop.run(3)
-    VirtualFrame().orientation(example_touch(4)[0].positions)  # of more than three contacts
+    contacts, forces = example_touch(4)
+    knows = np.ones(4), np.ones(4, dtype=np.int64), np.zeros(4)  # friction, grip, evidence
+    SlipWatch().note(0, contacts, forces, *knows)
+    VirtualFrame().orientation(contacts.positions)  # of more than three contacts
     loop.plant.friction[:] = 0.0
     loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))
 

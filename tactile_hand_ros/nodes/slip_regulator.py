@@ -69,9 +69,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
-        self._regulator.step(0, *example_touch(len(fingers)))  # a rehearsal
-        self._regulator.reset()
         self._report = RegulatorReport(self.diagnostics, fingers)
+        self._rehearse(len(fingers))
         self._grips = GripCodec(fingers)
         self._grip_publisher = self.tick_publisher(JointState, interfaces.GRIP_STATE)
         self._codec = WrenchCodec(interfaces.PALM_FRAME)
@@ -86,6 +85,13 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
         self._inputs = TouchInputs(self, fingers, self, forces=True)
         self.create_service(Trigger, interfaces.RESET, self._on_reset)
+
+    def _rehearse(self, fingers: int) -> None:
+        touch, regulator = example_touch(fingers), self._regulator
+        regulator.step(0, *touch)
+        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
+        self._report.note(regulator, 0, *touch, state)
+        self.on_restart()
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
         """Take another mode, other limits and rates."""
