@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.core.compiled import compiled
 from tactile_hand_ros.core.contact import compiled_contact_frame
 from tactile_hand_ros.core.coulomb import solve_contacts
-from tactile_hand_ros.core.kinematics import mirrored, tip_jacobians
+from tactile_hand_ros.core.kinematics import divide_by_inertia, tip_jacobians
 from tactile_hand_ros.core.rotations import rodrigues
 from tactile_hand_ros.core.solid import Shape, closest_point
 
@@ -270,7 +270,7 @@ def _response(
     right[m + 3, c] = h * (body.wrench[3] - spin[1] * momentum[2] + spin[2] * momentum[1])
     right[m + 4, c] = h * (body.wrench[4] - spin[2] * momentum[0] + spin[0] * momentum[2])
     right[m + 5, c] = h * (body.wrench[5] - spin[0] * momentum[1] + spin[1] * momentum[0])
-    right[:m] = np.linalg.solve(mirrored(hand.inertia), right[:m])
+    divide_by_inertia(hand.inertia, right[:m])
     right[m : m + 3] /= body.mass
-    right[m + 3 :] = np.linalg.solve(turning, right[m + 3 :])
+    divide_by_inertia(turning, right[m + 3 :])
     return right[:, :c].copy(), v + right[:, c]
