@@ -9,6 +9,7 @@ here the result belongs to the sources of all compiled functions together.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.util
@@ -22,6 +23,7 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 DISABLE = "TACTILE_HAND_INTERPRETED"
+_COMPLETE = "complete"
 
 
 @functools.cache
@@ -70,20 +72,37 @@ def interpret() -> None:
     _interpreted = True
 
 
-def completeness() -> Path | None:
-    """Return the file that says whether everything is compiled and kept, None without Numba.
-
-    It can be looked at without loading Numba.
-    """
+def keeping_directory() -> Path | None:
+    """Return where what is compiled is kept, None without Numba, which need not be loaded."""
     if os.environ.get(DISABLE) or importlib.util.find_spec("numba") is None:
         return None
-    return Path(_cache_directory(os.environ.get("NUMBA_CACHE_DIR", ""))) / "complete"
+    return Path(_cache_directory(os.environ.get("NUMBA_CACHE_DIR", "")))
+
+
+def is_complete() -> bool:
+    """Return whether everything is compiled and kept, or nothing is to be compiled."""
+    kept = keeping_directory()
+    with contextlib.suppress(OSError):
+        return kept is None or (kept / _COMPLETE).read_text(encoding="utf-8") == _sources()
+    return False
+
+
+def note_complete() -> None:
+    """Note that everything is compiled, where it is kept at all."""
+    kept = keeping_directory()
+    if kept is not None and kept.is_dir():
+        (kept / _COMPLETE).write_text(_sources(), encoding="utf-8")
+
+
+def _sources() -> str:
+    """Return by what Numba knows the sources again: their places and times, not only contents."""
+    paths = sorted(Path(__file__).parent.glob("*.py"))
+    return "".join(f"{path} {path.stat().st_mtime_ns}\n" for path in paths)
 
 
 def have_completed() -> None:
     """Let another process compile what is not compiled yet: this one need not load Numba."""
-    done = completeness()
-    if done is None or done.exists():
+    if is_complete():
         return
     # In a session of its own: a Ctrl-C is answered by whoever waits here. Should it fail, each
     # process compiles for itself.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import osqp
@@ -44,6 +44,11 @@ class ForceOptimizerConfig(Config):
     )
     minimum_normal: float = param(
         0.0, "least share f_n of each contact in the unit squeeze", live=True, ge=0.0, lt=0.34
+    )
+    solver: Literal["exact", "osqp"] = param(
+        "exact",
+        "exact exchanges active bounds and asks OSQP where they do not settle, osqp always asks it",
+        live=True,
     )
     cones: bool = param(
         False, "keep squeeze and load inside the friction cones that the regulator has learned"
@@ -124,10 +129,10 @@ class ForceOptimizer:
     """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
 
     The answer is found by exchanging active bounds, exactly and mostly in one linear system, and is
-    taken when it meets the optimality conditions. Where that fails, or there is no answer, OSQP
-    decides: it is set up once, gets the numbers of G~ and starts from its last answer. Torques in
-    G~ are divided by the size of the grasp, which leaves the solution as it is and makes all rows
-    of one magnitude.
+    taken when it meets the optimality conditions. Where that fails, there is no answer, or the
+    configuration says so, OSQP decides: it is set up once, gets the numbers of G~ and starts from
+    its last answer. Torques in G~ are divided by the size of the grasp, which leaves the solution
+    as it is and makes all rows of one magnitude.
 
     Source: Shaw-Cortez et al., equation (13); Stellato et al., OSQP, 2020.
     """
@@ -191,7 +196,8 @@ class ForceOptimizer:
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
         solved = OptimalForces(Status.SOLVED, "", forces, unbalanced, off, slope, systems)
-        if not (systems and solved.residual < _GOOD_RESIDUAL):
+        is_exact = systems and solved.residual < _GOOD_RESIDUAL
+        if not is_exact or self.config.solver == "osqp":
             solved = self._by_osqp(balance)
         return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
 

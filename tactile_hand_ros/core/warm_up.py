@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.compiled import completeness
+from tactile_hand_ros.core.compiled import is_complete, note_complete
 from tactile_hand_ros.core.margins import SlipWatch
 from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.scenario import load_scenario
@@ -15,12 +15,9 @@ from tactile_hand_ros.core.virtual_frame import VirtualFrame
 
 def warm_up() -> None:
     """Compile everything, unless that was done for these sources and kept."""
-    done = completeness()
-    if done is not None and done.exists():
-        return
-    run_every_block()
-    if done is not None and done.parent.is_dir():
-        done.touch()
+    if not is_complete():
+        run_every_block()
+        note_complete()
 
 
 def run_every_block() -> None:

@@ -75,6 +75,33 @@ def test_results_are_kept_where_the_user_wants(package: Path, tmp_path: Path) ->
     assert not list(package.rglob("*.nbi"))
 
 
+COMPLETE = "from tactile_hand_ros.core.compiled import *; print(is_complete())"
+NOTE = "from tactile_hand_ros.core.compiled import *; note_complete()"
+
+
+def test_a_copied_or_touched_tree_is_compiled_anew(package: Path) -> None:
+    """Numba knows a source by place and time: with equal contents alone nodes would compile."""
+
+    def run(code: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=package.parents[1],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=120,
+        )
+        return done.stdout.strip()
+
+    assert run(COMPLETE) == "False"
+    assert call(package) == 20.0
+    assert run(COMPLETE) == "False"
+    run(NOTE)
+    assert run(COMPLETE) == "True"
+    os.utime(package / "inner.py", ns=(0, 0))
+    assert run(COMPLETE) == "False"
+
+
 REGULATED = """
 import numpy as np
 from tactile_hand_ros.core.rehearsal import example_touch
@@ -116,12 +143,12 @@ COVERED = """
 import importlib, pkgutil
 from numba.core.registry import CPUDispatcher
 from tactile_hand_ros import core
-from tactile_hand_ros.core.compiled import completeness
+from tactile_hand_ros.core.compiled import keeping_directory
 from tactile_hand_ros.core.warm_up import run_every_block, warm_up
 
 warm_up()
 run_every_block()
-kept = [path.name for path in completeness().parent.rglob("*.nbi")]
+kept = [path.name for path in keeping_directory().parent.rglob("*.nbi")]
 for module in pkgutil.iter_modules(core.__path__):
     name = f"{core.__name__}.{module.name}"
     for function in vars(importlib.import_module(name)).values():
