@@ -129,6 +129,16 @@ def test_orchestrator_pins_the_nodes_and_not_the_recorder(tmp_path: Path) -> Non
     assert recorder == ",".join(map(str, sorted(os.sched_getaffinity(0))))
 
 
+def test_the_recorder_interrupts_nobody_unless_it_is_asked_to(tmp_path: Path, reports) -> None:
+    """What the kernel told to its threads when they were made is in force."""
+    output = ("--ros-args", "-p", f"output:={tmp_path / 'bag'}")
+    with start_executable("recorder", *output) as process:
+        _, facts = first(reports)
+        assert facts["scheduling_policy"] == "SCHED_BATCH"
+        policies = {os.sched_getscheduler(thread) for thread in threads(process.pid)}
+        assert policies == {os.SCHED_BATCH}
+
+
 def test_orchestrator_refuses_nonsense(tmp_path: Path) -> None:
     with start_executable("orchestrator", "--out", str(tmp_path), "--priority", "100") as run:
         assert run.wait(90.0) == 2
