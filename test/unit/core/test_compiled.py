@@ -123,11 +123,12 @@ print(np.array(out).tobytes().hex())
 """
 
 
-def test_slip_and_friction_are_the_same_numbers_without_numba() -> None:
+def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path: Path) -> None:
     """To the bit: the readable source is the reference for what is compiled from it."""
     found = [
         subprocess.run(
             [sys.executable, "-c", REGULATED],
+            cwd=tmp_path,  # here `-c` would take the tree for the installed package
             env={**os.environ, **environment},
             capture_output=True,
             text=True,
@@ -158,10 +159,15 @@ for module in pkgutil.iter_modules(core.__path__):
 """
 
 
-def test_warming_up_compiles_every_function_and_for_one_kind_of_arguments() -> None:
+def test_warming_up_compiles_every_function_and_for_one_kind_of_arguments(tmp_path: Path) -> None:
     """What it left out, or another layout of an array, would be compiled in the middle of a run."""
     done = subprocess.run(
-        [sys.executable, "-c", COVERED], capture_output=True, text=True, check=True, timeout=300
+        [sys.executable, "-c", COVERED],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
     )
     found = [line.split() for line in done.stdout.splitlines()]
     assert len(found) > 30
