@@ -91,7 +91,7 @@ def audit(run: Run) -> list[Check]:
     hand = Hand.load(
         scenario.hand, scenario.layout, np.array(scenario.manipulation_controller.gravity)
     )
-    forces = _audit_forces(scenario.force_optimizer, inputs.record)
+    forces = _audit_forces(scenario.force_optimizer, inputs)
     return [*forces, _audit_absence(inputs), *_audit_torques(scenario, hand, inputs)]
 
 
@@ -138,18 +138,23 @@ def _grasped(record: Record) -> Flags:
     return grasped
 
 
+def _heard(inputs: Inputs) -> Flags:
+    """Return at which ticks touch was heard at all, shape (n,)."""
+    return np.array([contacts is not None for contacts in inputs.contacts], dtype=np.bool_)
+
+
 def _audit_absence(inputs: Inputs) -> Check:
     """Check that no f*, such as an old one, was given for contacts that are no grasp."""
     record = inputs.record
-    heard = np.array([contacts is not None for contacts in inputs.contacts], dtype=np.bool_)
-    rows = np.flatnonzero(heard & ~_grasped(record))
+    rows = np.flatnonzero(_heard(inputs) & ~_grasped(record))
     given = np.isfinite(record.optimal_forces[rows]).any(axis=(1, 2))
     return _check("no f* where there is no grasp", record, rows, np.asarray(1.0 * given), 0.5, "1")
 
 
-def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
+def _audit_forces(config: ForceOptimizerConfig, inputs: Inputs) -> list[Check]:
     """Check every f* that was given, and that one was given wherever there is one."""
-    rows = np.flatnonzero(_grasped(record))
+    record = inputs.record
+    rows = np.flatnonzero(_grasped(record) & inputs.heeded(record.optimal_forces))
     k = len(record.finger_names)
     positions = record.contact_positions[rows]
     rotations = _rotations(record.contact_quaternions[rows])
@@ -163,7 +168,7 @@ def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
     both: Flags = np.asarray(answered & wanted)
     plain, checks = both, list[Check]()
     if config.cones:
-        pyramids = _pyramids(config, record, rows)
+        pyramids = _pyramids(config, inputs, rows)
         known = np.array([p is not None for p in pyramids], dtype=np.bool_)
         felt: Flags = np.asarray(np.isfinite(record.forces[rows]).all(axis=(1, 2)))
         felt &= np.isfinite(record.friction[rows]).all(axis=1)
@@ -181,11 +186,11 @@ def _audit_forces(config: ForceOptimizerConfig, record: Record) -> list[Check]:
 
 
 def _pyramids(
-    config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp]
+    config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp]
 ) -> list[optimum.Pyramids | None]:
     """Return the friction pyramids at some ticks, None where load or friction is not known."""
-    loads = _loads(config, record, rows)
-    friction = config.cone_share * record.friction[rows]
+    loads = _loads(config, inputs, rows)
+    friction = config.cone_share * inputs.record.friction[rows]
     known: Flags = np.asarray(
         np.isfinite(loads).all(axis=(1, 2)) & np.isfinite(friction).all(axis=1)
     )
@@ -226,8 +231,9 @@ def _audit_cones(
     return checks
 
 
-def _loads(config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp]) -> Array:
+def _loads(config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp]) -> Array:
     """Return the smoothed load per unit of squeeze at some ticks, shape (n, k, 3)."""
+    record = inputs.record
     positions = record.contact_positions[rows]
     rotations = _rotations(record.contact_quaternions[rows])
     forces = record.forces[rows]
@@ -238,12 +244,13 @@ def _loads(config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp])
     load = np.einsum("nkij,nki->nkj", rotations, carried)
     squeeze = (forces - load)[:, :, 1].sum(axis=1)
     usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
+    losses = np.cumsum(_heard(inputs) & ~_grasped(record))
     out: Array = np.full_like(load, np.nan)
     last = -1
     for i in np.flatnonzero(usable):
         out[i] = load[i] / squeeze[i]
         # The filter forgets at ticks without a grasp.
-        if last == i - 1 and last >= 0 and rows[i] == rows[last] + 1:
+        if last == i - 1 and last >= 0 and losses[rows[i]] == losses[rows[last]]:
             passed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
             out[i] = out[last] + (1.0 - np.exp(-passed / config.load_time)) * (out[i] - out[last])
         last = int(i)
@@ -339,12 +346,17 @@ def _law_torques(
         torque = np.einsum("nfm,nf->nm", jacobian, forces)
     torque -= config.law.damping * record.rates[rows]
     if config.midpoint_hold:
-        follows = np.flatnonzero(np.diff(rows) == 1) + 1
+        follows = np.flatnonzero(np.diff(_turns(inputs)[rows]) == 1) + 1
         before = torque.copy()
         torque[follows] += 0.5 * (before[follows] - before[follows - 1])
     if config.gravity_compensation:
         torque += np.array([hand.gravity_torque(record.theta[row]) for row in rows])
     return np.asarray(torque)
+
+
+def _turns(inputs: Inputs) -> NDArray[np.intp]:
+    """Return the place of each tick among those that the controller has heeded, shape (n,)."""
+    return np.cumsum(inputs.heeded(inputs.record.command)) - 1
 
 
 def _wrenches(
@@ -363,9 +375,10 @@ def _wrenches(
     grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
     unsaid = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
     queue: list[Wish] = []
+    turns = _turns(inputs)[rows]
     for i, row in enumerate(rows):
-        follows = i > 0 and rows[i - 1] == row - 1
-        dt = 1e-9 * float(record.stamps[row] - record.stamps[row - 1]) if follows else 0.0
+        follows = i > 0 and turns[i - 1] == turns[i] - 1
+        dt = 1e-9 * float(record.stamps[row] - record.stamps[rows[i - 1]]) if follows else 0.0
         if not follows:
             reference.reset()
         now = AuxiliaryPose(record.auxiliary_position[row], frames[i])

@@ -284,14 +284,21 @@ class ShadowLoop:
 
     def run(self) -> Record:
         """Answer all ticks."""
-        for row in range(len(self._recorded)):
+        r, heeded = self._recorded, self._inputs.heeded
+        regulated, optimized = heeded(r.grasp_force), heeded(r.optimal_forces)
+        controlled = heeded(r.command)
+        for row in range(len(r)):
             contacts = self._inputs.contacts[row]
             felt = bool(self._inputs.felt[row])
-            if contacts is not None and felt:
+            if contacts is not None and felt and regulated[row]:
                 self._regulator.step(row, self._regulate)
-            if contacts is not None and (felt or not self._optimizer.config.cones):
+            if (
+                contacts is not None
+                and (felt or not self._optimizer.config.cones)
+                and optimized[row]
+            ):
                 self._optimize(row, contacts)
-            if contacts is not None and felt:
+            if contacts is not None and felt and controlled[row]:
                 self._controller.step(row, self._control)
             elif np.isfinite(self._recorded.command[row]).all():
                 self._controller.step(row, self._hold)

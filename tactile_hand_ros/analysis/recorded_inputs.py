@@ -18,6 +18,7 @@ from tactile_hand_ros.core.manipulation import Target
 from tactile_hand_ros.core.record import Record
 from tactile_hand_ros.core.rotations import rotation_from_quaternion
 
+Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 USER_FORCE = "user_grasp_force"
@@ -62,6 +63,7 @@ class Inputs:
         felt: Ticks with a force of every finger, shape (n,).
         poses: Desired poses in order.
         forces: Requested squeezes in order.
+        may_leave_out: Whether a node may have left out ticks, as in real time when it falls behind.
     """
 
     record: Record
@@ -69,6 +71,16 @@ class Inputs:
     felt: Flags
     poses: list[Wish]
     forces: list[Wish]
+    may_leave_out: bool = False
+
+    def heeded(self, answers: Array) -> Flags:
+        """Return which ticks a node has not left out, shape (n,).
+
+        Args:
+            answers: What it said at each tick, NaN where it said nothing, shape (n, ...).
+        """
+        said: Flags = np.asarray(np.isfinite(answers.reshape(len(answers), -1)).any(axis=1))
+        return said if self.may_leave_out else np.ones(len(said), dtype=np.bool_)
 
 
 def read_inputs(run: Run) -> Inputs:
@@ -86,7 +98,8 @@ def read_inputs(run: Run) -> Inputs:
         for pose, known in zip(poses, heard, strict=True)
     ]
     felt = np.asarray(np.isfinite(record.forces).all(axis=(1, 2)))
-    return Inputs(record, contacts, felt, _poses(run), _forces(run))
+    is_realtime = run.scenario is not None and run.scenario.plant.pacing == "realtime"
+    return Inputs(record, contacts, felt, _poses(run), _forces(run), is_realtime)
 
 
 def _poses(run: Run) -> list[Wish]:

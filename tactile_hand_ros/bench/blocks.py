@@ -12,6 +12,7 @@ from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer
+from tactile_hand_ros.core.scenario import Scenario, changed
 
 Array = NDArray[np.float64]
 
@@ -88,13 +89,21 @@ def measure_plant(work: Workload) -> list[Result]:
 
 
 def measure_closed_loop(work: Workload) -> list[Result]:
-    """Run the whole loop by function calls."""
-    ticks, simulated = len(work.record), work.record.times[-1]
-    speeds = []
-    for _ in range(work.repeats):
-        loop = ClosedLoop(work.scenario)
-        start = time.perf_counter()
-        loop.run(ticks)
-        speeds.append(simulated / (time.perf_counter() - start))
-    goal = Goal("median", at_least=5.0)
-    return [Result.of("closed loop, times real time", "x", speeds, goal)]
+    """Run the whole loop by function calls, at its own rate and at one plant step a tick."""
+    scenario, ticks = work.scenario, len(work.record)
+    single = changed(scenario, {"plant.rate": 1.0 / scenario.plant.time_step})
+    rates = [[_loop_rate(each, ticks) for _ in range(work.repeats)] for each in (scenario, single)]
+    speeds = [rate / scenario.plant.rate for rate in rates[0]]
+    ten = Goal("median", at_least=10.0)
+    many = Goal("median", at_least=10_000.0)
+    return [
+        Result.of("closed loop, times real time", "x", speeds, ten),
+        Result.of("closed loop, one plant step a tick", "ticks/s", rates[1], many),
+    ]
+
+
+def _loop_rate(scenario: Scenario, ticks: int) -> float:
+    loop = ClosedLoop(scenario)
+    start = time.perf_counter()
+    loop.run(ticks)
+    return ticks / (time.perf_counter() - start)

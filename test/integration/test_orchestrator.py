@@ -18,6 +18,8 @@ from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 
 from tactile_hand_ros.analysis import Run
+from tactile_hand_ros.analysis.audit import audit
+from tactile_hand_ros.analysis.recompute import recompute
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.core.scenario import load_scenario
 from tactile_hand_ros.orchestrator import keeper
@@ -136,6 +138,21 @@ def member(processes: list[psutil.Process], name: str) -> psutil.Process:
 def assert_gone(processes: list[psutil.Process]) -> None:
     """Insist that all processes end."""
     wait_until(lambda: not any(p.is_running() for p in processes), 20.0, "the end of all")
+
+
+def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
+    start: Start, near: Path, tmp_path: Path
+) -> None:
+    """At 4 kHz no computer answers every tick; those that it answers are right, to the bit."""
+    rate = ("--pacing", "realtime", "--set", "plant.rate=4000", "--set", "plant.time_step=0.00025")
+    orchestrator = start("--scenario", near, "--composed", "--no-report", *rate)
+    assert end_of(orchestrator) in (0, 1), orchestrator.stdout + orchestrator.stderr
+    run = Run(latest(tmp_path))
+    answered = np.isfinite(run.record.command).all(axis=1)
+    assert 1 < answered.sum() < 0.6 * 4000
+    assert all(check.ok for check in audit(run))
+    assert recompute(run).same
+    assert "ticks answered" in orchestrator.stdout
 
 
 def test_run_reaches_its_goal_and_is_recorded_completely(
