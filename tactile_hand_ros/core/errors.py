@@ -36,6 +36,10 @@ class HandModelError(TactileHandError):
     """A hand that cannot be built from its URDF and YAML."""
 
 
+class DivergedError(TactileHandError):
+    """A simulation whose numbers mean nothing any more."""
+
+
 class ObjectModelError(TactileHandError):
     """An object that cannot be simulated."""
 

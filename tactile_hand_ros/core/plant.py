@@ -24,13 +24,14 @@ from tactile_hand_ros.core.contact_step import (
     step,
 )
 from tactile_hand_ros.core.disturbance import external_wrench
-from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
+from tactile_hand_ros.core.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.plant_config import PlantConfig
 from tactile_hand_ros.core.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
 
+_FASTEST = 1e4  # rad/s and m/s
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
 
 
@@ -143,11 +144,20 @@ class Plant:
         """Move one tick ahead while the joints keep a torque, shape (m,), N m.
 
         The torque is limited to the joints' effort limits, as a motor would.
+
+        Raises:
+            DivergedError: If something has become faster than anything real; only a reset helps.
         """
         limit = self.hand.effort_limits
         self._torque = np.minimum(np.maximum(torque, -limit), limit)
         for _ in range(self.config.steps_per_tick):
             self._step(self.config.time_step)
+        if not self._v.dot(self._v) < _FASTEST**2:  # NaN is not, either
+            raise DivergedError(
+                f"the simulation has diverged at {self.time:.3f} s, joints or object are faster "
+                f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
+                "lower the gains or the load of the computer, and reset the plant"
+            )
         return self.state
 
     def _step(self, h: float) -> None:

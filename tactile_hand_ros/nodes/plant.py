@@ -5,7 +5,9 @@ Safe state: without a good command for `command_timeout` (silence, or nothing bu
 unknown joints, missing joints or NaN) the joints are held where they are on top of the last torque,
 so that the object is neither dropped nor crushed; time then follows the wall clock and the level in
 `/diagnostics` is ERROR. In lockstep time stands still at the first tick until the first command:
-there is no torque yet to hold with. A plant that dies stops the ticks, and with them everybody.
+there is no torque yet to hold with. Where the simulation diverges, under torques that are far too
+late, time stands still too, with an ERROR, until `~/reset` and `~/run`. A plant that dies stops the
+ticks, and with them everybody.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
+from tactile_hand_ros.core.errors import DivergedError
 from tactile_hand_ros.core.plant_config import PlantConfig
 from tactile_hand_ros.core.plant_run import Array, PlantRun
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
@@ -119,13 +120,23 @@ class PlantDriver:
                     self._publish()
                 self._finish()
                 return
-            self._run.advance()
+            try:
+                self._run.advance()
+            except DivergedError as error:
+                self._stop(str(error))
+                return
         self._publish()
 
     def _publish(self) -> None:
         self._topics.publish(self._run.state, self._run.stamp)
         self._sent_at = time.monotonic()
         self._diagnostics.tick()
+
+    def _stop(self, reason: str) -> None:
+        """Let time stand still: there is no state to go on from, or to publish."""
+        self._is_on = False
+        self._let_time_pass(False)
+        self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
 
     def _finish(self) -> None:
         self._is_finished = True

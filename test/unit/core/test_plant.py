@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant without contact: free bodies, energy, limits, and what it refuses."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from support.plants import momentum, plant
 
+from tactile_hand_ros.core.closed_loop import ClosedLoop
 from tactile_hand_ros.core.contact_step import TOUCH
 from tactile_hand_ros.core.disturbance import Disturbance
-from tactile_hand_ros.core.errors import ConfigurationError, ObjectModelError
+from tactile_hand_ros.core.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.core.plant_config import PlantConfig
+from tactile_hand_ros.core.scenario import load_scenario
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
 UNEQUAL = (0.001, 0.002, 0.004)
@@ -203,3 +207,20 @@ def test_ticks_are_counted_in_nanoseconds():
     assert PlantConfig(rate=500.0).tick == 2_000_000
     assert PlantConfig(rate=500.0, time_step=0.001).steps_per_tick == 2
     assert PlantConfig(rate=1000.0, time_step=0.001).steps_per_tick == 1
+
+
+def test_a_simulation_that_diverges_says_so_and_can_begin_anew():
+    """Torques that are a tenth of a second old shake the hand to pieces."""
+    loop = ClosedLoop(load_scenario("paper"))
+    late = deque([np.zeros(loop.plant.hand.joints)] * 60)
+    advance = loop.plant.advance
+
+    def advance_late(torque):
+        late.append(torque)
+        return advance(late.popleft())
+
+    loop.plant.advance = advance_late
+    with pytest.raises(DivergedError, match="has diverged at .* s.* reset the plant"):
+        loop.run()
+    loop.plant.reset()
+    assert np.isfinite(advance(np.zeros(loop.plant.hand.joints)).theta).all()
