@@ -289,16 +289,13 @@ class ShadowLoop:
         controlled = heeded(r.command)
         for row in range(len(r)):
             contacts = self._inputs.contacts[row]
-            felt = bool(self._inputs.felt[row])
-            if contacts is not None and felt and regulated[row]:
+            touched = contacts is not None and bool(self._inputs.felt[row])
+            if touched and regulated[row]:
                 self._regulator.step(row, self._regulate)
-            if (
-                contacts is not None
-                and (felt or not self._optimizer.config.cones)
-                and optimized[row]
-            ):
-                self._optimize(row, contacts)
-            if contacts is not None and felt and controlled[row]:
+            if contacts is not None and optimized[row]:
+                if touched or not self._optimizer.config.cones:
+                    self._optimize(row, contacts)
+            if touched and controlled[row]:
                 self._controller.step(row, self._control)
             elif np.isfinite(self._recorded.command[row]).all():
                 self._controller.step(row, self._hold)

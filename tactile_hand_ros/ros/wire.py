@@ -95,15 +95,19 @@ class CdrTemplate:
         self._numbers = (first, self._parts[-1].stop)
 
     def view(self, block: int) -> Array:
-        """Return the numbers of a block of the next message, to be written in place."""
+        """Return the numbers of a block, to be written in place before `stamped`."""
         return self._views[block]
 
-    def encode(self, stamp_ns: int, *values: Array) -> bytes:
-        """Return the bytes with a stamp [ns], and arrays for the first blocks, flat and full."""
+    def stamped(self, stamp_ns: int) -> bytes:
+        """Return the bytes with a stamp [ns] and the numbers that are in the blocks."""
         _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _SECOND))
-        for view, block in zip(self._views, values, strict=False):
-            view[:] = block
         return bytes(self._buffer)
+
+    def encode(self, stamp_ns: int, *values: Array) -> bytes:
+        """Return the bytes with a stamp [ns] and one array per block, flat and of its size."""
+        for view, block in zip(self._views, values, strict=True):
+            view[:] = block
+        return self.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]] | None:
         """Return stamp [ns] and blocks, None if not finite or anything but the numbers differs."""
@@ -139,7 +143,7 @@ class WrenchCodec:
     def encode(self, force: Array | Sequence[float], stamp_ns: int) -> bytes:
         """Return the message for a force of shape (3,)."""
         self._force[:] = force
-        return self._template.encode(stamp_ns)
+        return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
         """Return stamp [ns] and force, shape (3,).
@@ -179,7 +183,7 @@ class ContactsCodec:
             stamp_ns: The tick [ns].
         """
         self._rows[:, :3], self._rows[:, 3:] = positions, quaternions
-        return self._template.encode(stamp_ns)
+        return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Contacts]:
         """Return stamp [ns] and contacts.
@@ -255,7 +259,7 @@ class PoseCodec:
     def encode(self, position: Array, quaternion: Array, stamp_ns: int) -> bytes:
         """Return the message for a position [m] and a quaternion (x, y, z, w)."""
         self._row[:3], self._row[3:] = position, quaternion
-        return self._template.encode(stamp_ns)
+        return self._template.stamped(stamp_ns)
 
 
 class SlipCodec(JointCodec):

@@ -176,3 +176,10 @@ def test_wrong_contacts_are_refused():
     positions[1, 1] = np.nan
     with pytest.raises(MessageError, match="numbers or all NaN"):
         ContactsCodec(3).decode(ContactsCodec(3).encode(positions, quaternions, 1))
+
+
+def test_a_message_is_written_with_all_its_blocks_or_not_at_all() -> None:
+    """Fewer would leave numbers of an earlier message in the others."""
+    joints = JointCodec(["a", "b"], ("position", "velocity"))
+    with pytest.raises(ValueError, match="zip"):
+        joints.encode(0, np.zeros(2))
