@@ -234,7 +234,7 @@ class Controller:
         if not self.enabled:
             return self._disabled(theta, rates)
         self._hold.engage(theta, self._squeeze + self._carry)
-        if self._grasp_force > 0.0:
+        if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
         torque = self._hold.torque(theta, rates) + self._more * self._squeeze
         return Command(self._with_gravity(torque, theta), Mode.HOLD, None, reason)

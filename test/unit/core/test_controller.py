@@ -153,6 +153,7 @@ def test_nan_is_out_of_reach(bench):
         (lambda b: {"optimal_forces": np.full((3, 3), np.nan)}, "no optimal force"),
         (lambda b: {"optimal_forces": b.optimal + [[0], [0], [np.nan]]}, "no optimal force"),
         (lambda b: {"grasp_force": float("nan")}, "k_f = nan"),
+        (lambda b: {"grasp_force": float("inf")}, "k_f = inf"),
         (lambda b: {"grasp_force": -1.0}, "k_f = -1.0"),
         (
             lambda b: {
