@@ -230,9 +230,9 @@ class Controller:
         self._last_torque = None
         self._drove = False
         self._open_stamp = None
-        self._reference.reset()
         if not self.enabled:
             return self._disabled(theta, rates)
+        self._reference.reset()
         self._hold.engage(theta, self._squeeze + self._carry)
         if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
@@ -241,6 +241,7 @@ class Controller:
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
+        self._reference.reset()
         self._last_torque = None
         self._drove = False
         self._open_stamp = None

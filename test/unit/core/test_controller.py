@@ -306,7 +306,7 @@ def test_midpoint_hold_extrapolates_nothing_over_an_interruption(interrupt):
     np.testing.assert_array_equal(bench.step(**force).torque, plain.step(**force).torque)
 
 
-@pytest.mark.parametrize("interrupt", [miss])
+@pytest.mark.parametrize("interrupt", [miss, idle])
 def test_a_smooth_reference_starts_again_from_where_the_grasp_is(interrupt):
     """What was on its way before an interruption must not pull at the grasp after it."""
     bench = Bench(reference_time=0.05)
