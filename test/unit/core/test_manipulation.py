@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.grasps import literal_grasp_map
+from support.grasps import literal_grasp_map, moved
 
 from tactile_hand_ros.core.contact import Contacts, contact_frame, hand_jacobian
 from tactile_hand_ros.core.errors import CollinearContactsError
@@ -16,6 +16,7 @@ from tactile_hand_ros.core.rotations import rotation_from_vector
 
 RADII = np.array([0.06, 0.05, 0.04])
 K_F, DT = 7.0, 0.002
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 GAINS = {"k_p": 3.0, "k_o": 0.5, "damping": 0.07, "k_st": 0.3, "r_ref": (0.1, -0.2, 0.3)}
 
 
@@ -38,7 +39,7 @@ class Grip:
         turn = rotation_from_vector(random.uniform(-0.5, 0.5, 3))
         self.target = Target(self.contacts.centroid + random.uniform(-0.1, 0.1, 3), turn)
 
-    def torque(self, name, target=None, law=None, **values):
+    def torque(self, name, target=None, law=None, forces=None, **values):
         law = law or ManipulationLaw(LawConfig(name=name, **{**GAINS, **values}), RADII)
         pose = law.auxiliary_pose(self.tips, self.contacts)
         return law.step(
@@ -50,7 +51,21 @@ class Grip:
             target or self.target,
             pose,
             DT,
+            forces,
         )
+
+    def net(self, forces):
+        """Return the wrench of forces in contact frames about the centroid, shape (6,)."""
+        in_palm = [r @ f for r, f in zip(self.contacts.rotations, forces, strict=True)]
+        return self.about_centroid @ np.concatenate(in_palm)
+
+    @property
+    def about_centroid(self):
+        return literal_grasp_map(self.contacts.positions, self.contacts.positions.mean(axis=0))
+
+    def carrying(self, wrench):
+        """Return the torques of (14) for a wrench, J_h^T G~^+ wrench, shape (9,)."""
+        return self.jacobian.T @ np.linalg.pinv(self.about_centroid) @ wrench
 
 
 @pytest.fixture
@@ -191,9 +206,7 @@ def test_integral_action_is_the_gain_times_the_integral_of_the_error(grip):
         parts = grip.torque("optimal", target, law)
     expected = [2.0 * 0.2 * 0.01, 0.0, -2.0 * 0.2 * 0.02, 0.0, 0.4 * 0.2 * 2 * np.sin(0.1), 0.0]
     np.testing.assert_allclose(law.integral_wrench, expected, atol=1e-12)
-    about = literal_grasp_map(grip.contacts.positions, grip.contacts.centroid)
-    forces = np.linalg.pinv(about) @ expected
-    np.testing.assert_allclose(parts.carry, grip.jacobian.T @ forces, atol=1e-10)
+    np.testing.assert_allclose(parts.carry, grip.carrying(expected), atol=1e-10)
 
 
 def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):
@@ -223,6 +236,75 @@ def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
     grip.torque("optimal", law=law)
     law.reset()
     assert not law.integral_wrench.any()
+
+
+@pytest.mark.parametrize(("off", "part"), [("k_p", slice(0, 3)), ("k_o", slice(3, 6))])
+def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
+    """Its part is forgotten at the next tick; the other one goes on as if nothing had happened."""
+    gains = {"k_p": 2.0, "k_o": 0.4}
+    law, both = integral_law(**gains), integral_law(**gains)
+    target = offset(law, grip, (0.01, 0.03, -0.02), (0.2, 0.1, -0.1))
+    for _ in range(5):
+        grip.torque("optimal", target, law)
+    assert np.abs(law.integral_wrench).min() > 0.0
+    law.configure(LawConfig(k_p=0.0, k_o=0.0, integral={**gains, off: 0.0}))
+    grip.torque("optimal", target, law)
+    for _ in range(6):
+        grip.torque("optimal", target, both)
+    expected = both.integral_wrench
+    expected[part] = 0.0
+    np.testing.assert_array_equal(law.integral_wrench, expected)
+    np.testing.assert_allclose(
+        grip.torque("optimal", target, law).carry, grip.carrying(7.0 / 6.0 * expected), atol=1e-12
+    )
+
+
+def test_integral_and_observed_load_are_carried_together(grip):
+    """Each as it would be alone: the integral of the error, and 1 - exp(-t / T) of the forces."""
+    law = ManipulationLaw(LawConfig(integral={"k_p": 2.0}, observer={"time": 0.02}), RADII)
+    target = offset(law, grip, (0.01, 0.0, -0.02))
+    for _ in range(10):
+        carry = grip.torque("optimal", target, law, forces=FORCES).carry
+    told = law.integral_wrench
+    integral = np.array([2.0 * 10 * DT * 0.01, 0.0, -2.0 * 10 * DT * 0.02, 0.0, 0.0, 0.0])
+    load = (1.0 - np.exp(-10 * DT / 0.02)) * grip.net(FORCES)
+    np.testing.assert_allclose(carry, grip.carrying(integral + load), atol=1e-11)
+    blind = grip.torque("optimal", target, law).carry
+    np.testing.assert_allclose(blind, grip.carrying(1.1 * integral), atol=1e-11)
+    np.testing.assert_allclose(told, integral, atol=1e-12)  # what was told does not change
+
+
+def test_the_observed_load_is_carried_without_integral_action(grip):
+    law = ManipulationLaw(LawConfig(observer={"time": 0.02}), RADII)
+    parts = grip.torque("optimal", law=law, forces=FORCES)
+    load = (1.0 - np.exp(-DT / 0.02)) * grip.net(FORCES)
+    np.testing.assert_allclose(parts.carry, grip.carrying(load), atol=1e-12)
+    off = grip.torque("optimal", law=ManipulationLaw(LawConfig(), RADII), forces=FORCES)
+    np.testing.assert_array_equal(off.carry, 0.0)
+    np.testing.assert_allclose(parts.total, off.total + parts.carry, atol=1e-12)
+
+
+def test_reset_forgets_frame_integral_and_load(grip):
+    """A grasp may be taken upside down: the side of its plane is chosen anew, along palm +z."""
+    config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
+    law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
+    for _ in range(20):
+        grip.torque("optimal", law=law, forces=FORCES)
+    turned = moved(grip.contacts, rotation_from_vector([3.0, 0.3, 0.2]), np.zeros(3))
+    assert law.auxiliary_pose(grip.tips, turned).orientation[2, 2] < 0.0
+    law.reset()
+    np.testing.assert_array_equal(
+        law.auxiliary_pose(grip.tips, turned).orientation,
+        fresh.auxiliary_pose(grip.tips, turned).orientation,
+    )
+    law.reset()
+    fresh.reset()
+    for _ in range(3):
+        again = grip.torque("optimal", law=law, forces=FORCES)
+        np.testing.assert_array_equal(
+            again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
+        )
+    np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
 
 
 def test_a_grasp_on_a_line_is_an_error(grip):
