@@ -129,16 +129,18 @@ class ManipulationLaw:
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
-        self.configure(config)
         self._observer = LoadObserver()
+        self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
-        """Take other gains; the state of the integral stays, unless it is switched off."""
+        """Take other gains; integral and observed load stay, unless they are switched off."""
         self.config = config
         self._gains = np.repeat([config.k_p, config.k_o], 3)
         self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
         if not self._integrates:
             self._integral[:] = 0.0
+        if config.observer.time == 0.0:
+            self._observer.reset()
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""

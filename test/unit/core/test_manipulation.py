@@ -284,6 +284,19 @@ def test_the_observed_load_is_carried_without_integral_action(grip):
     np.testing.assert_allclose(parts.total, off.total + parts.carry, atol=1e-12)
 
 
+def test_a_load_observer_that_is_switched_off_forgets(grip):
+    """Switched on again it begins without a load, not with one of long ago."""
+    on = LawConfig(observer={"time": 0.02})
+    law, fresh = ManipulationLaw(on, RADII), ManipulationLaw(on, RADII)
+    for _ in range(20):
+        grip.torque("optimal", law=law, forces=FORCES)
+    law.configure(LawConfig())
+    law.configure(on)
+    again = grip.torque("optimal", law=law, forces=FORCES).carry
+    expected = grip.torque("optimal", law=fresh, forces=FORCES).carry
+    np.testing.assert_array_equal(again, expected)
+
+
 def test_reset_forgets_frame_integral_and_load(grip):
     """A grasp may be taken upside down: the side of its plane is chosen anew, along palm +z."""
     config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
