@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+from support.grasps import contacts_at, moved
 from support.hands import write_hand
 from support.plants import plant
 
+from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import PoseError
 from tactile_hand_ros.core.hand import Hand
 from tactile_hand_ros.core.manipulation import AuxiliaryPose, Target
@@ -42,6 +44,70 @@ def test_joint_limits_are_kept():
     assert missing.max() > 1e-3
 
 
+class Carried:
+    """A grasp that a rigid motion carries so that its fingertips come where they shall.
+
+    Fingertips, normals and the motion have no symmetry: the wrong way round, they come elsewhere.
+    """
+
+    def __init__(self):
+        self.hand = Hand.load("paper")
+        self.shift, self.turn = (
+            np.array([0.03, -0.04, 0.02]),
+            rotation_from_vector([0.3, -0.2, 0.4]),
+        )
+        self.before = rotation_from_vector([-0.5, 0.3, 0.7])
+        self.theta = START + np.linspace(-0.15, 0.15, 9)
+        self.tips = self.hand.fingertips(self.theta).positions
+
+    def stretch(self, finger, beyond):
+        """Ask for a fingertip that is a distance beyond where the straight finger ends."""
+        straight = self.theta.copy()
+        straight[3 * finger + 2] = 0.0
+        reached = self.hand.fingertips(straight)
+        block = reached.linear[finger, :, 3 * finger : 3 * finger + 3]
+        outward = np.linalg.svd(block)[0][:, 2]  # where no joint can move it
+        outward *= np.sign(outward @ (reached.positions[finger] - self.tips[finger]))
+        self.tips[finger] = reached.positions[finger] + beyond * outward
+
+    def check(self):
+        contacts = contacts_at(self.tips, [[-1.0, 0.2, 0.1], [0.9, 0.3, -0.2], [0.1, -1.0, 0.3]])
+        there = Contacts(
+            self.tips + self.hand.radii[:, None] * contacts.normals, contacts.rotations
+        )
+        now = moved(there, self.turn.T, -self.turn.T @ self.shift)
+        pose = AuxiliaryPose(now.centroid, self.before)
+        target = Target(self.turn @ now.centroid + self.shift, self.turn @ self.before)
+        check_reach(self.hand, START, now, pose, target)
+
+
+@pytest.mark.parametrize("finger", range(3))
+def test_ten_millimetres_may_be_missing_and_no_more(finger):
+    grasp = Carried()
+    grasp.stretch(finger, 0.0099)
+    grasp.check()
+    grasp = Carried()
+    grasp.stretch(finger, 0.0101)
+    with pytest.raises(PoseError, match=rf"finger_{finger + 1} would stay 10 mm short"):
+        grasp.check()
+
+
+@pytest.mark.parametrize(
+    ("beyond", "expected"),
+    [
+        ((0.015, 0.023, 0.0), "finger_2 would stay 23 mm short"),
+        ((0.041, 0.0, 0.023), "finger_1 would stay 41 mm short"),
+        ((0.005, 0.012, 0.037), "finger_3 would stay 37 mm short"),
+    ],
+)
+def test_the_finger_that_misses_most_is_named_with_what_is_missing(beyond, expected):
+    grasp = Carried()
+    for finger, distance in enumerate(beyond):
+        grasp.stretch(finger, distance)
+    with pytest.raises(PoseError, match=expected):
+        grasp.check()
+
+
 def reach(target):
     world = plant()
     contacts = world.state.contacts
@@ -57,8 +123,11 @@ def reach(target):
         ([0.05, 0.0, 0.38], [0.0, 0.0, 0.15]),
     ],
 )
-def test_the_shipped_targets_are_in_reach(position, turn):
+def test_the_shipped_targets_are_in_reach_and_those_40_cm_higher_are_not(position, turn):
     reach(Target(np.array(position), rotation_from_vector(turn)))
+    higher = np.array(position) + [0.0, 0.0, 0.4]
+    with pytest.raises(PoseError):
+        reach(Target(higher, rotation_from_vector(turn)))
 
 
 @pytest.mark.parametrize(
