@@ -112,7 +112,9 @@ class TactileSensor:
     """Samples true contacts as a skin would, all from one seed.
 
     A force passes, in this order: vibration while the contact slides, the skin's bandwidth, the
-    drifting zero, white noise, resolution, dropout and latency.
+    drifting zero, white noise, resolution, dropout and latency. A skin that is faster than the
+    ticks takes all its samples of a vibration, at its own rate, and a tick reads the newest; what
+    is true is known at ticks only, and stands for the samples since the last one.
     """
 
     def __init__(self, config: TactileSensorConfig, radii: Array) -> None:
@@ -136,7 +138,9 @@ class TactileSensor:
         self._waiting: deque[tuple[int, TactileReading]] = deque()
         self._memory: Rows = np.zeros(k, _MEMORY)
         self._memory["felt"] = self._memory["arm"] = np.nan
-        self._rumble = BandNoise((k, 3), c.vibration.low, c.vibration.high, c.rate)
+        self._unread = np.random.default_rng([c.seed, 1])  # of samples that no tick reads
+        band = c.vibration.low, c.vibration.high
+        self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
 
     def step(
         self, stamp: int, true: TactileReading, sliding: Array | None = None
@@ -150,9 +154,10 @@ class TactileSensor:
         """
         sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
         if sample != self._sample:
+            count = 1 if self._sample < 0 else sample - self._sample
             elapsed = (sample - self._sample) / self.config.rate
             self._sample = sample
-            self._waiting.append((stamp, self._measure(true, sliding, elapsed)))
+            self._waiting.append((stamp, self._measure(true, sliding, elapsed, count)))
         due = stamp - round(self.config.latency * 1e9)
         # The first sample stands in for what was before it.
         while self._held is None or (self._waiting and self._waiting[0][0] <= due):
@@ -160,14 +165,17 @@ class TactileSensor:
         return self._held
 
     def _measure(
-        self, true: TactileReading, sliding: Array | None, elapsed: float
+        self, true: TactileReading, sliding: Array | None, elapsed: float, count: int
     ) -> TactileReading:
+        """Return the newest of a number of samples."""
         k = len(self._radii)
         # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
         white = self._random.standard_normal((4, k, 3))
         luck = self._random.random(k)
         if self.config.vibration.gain > 0.0:
-            white[1] = self._rumble.step(white[1])
+            unread = max(0, min(count, math.ceil(self.config.rate)) - 1)  # of a second at most
+            earlier = self._unread.standard_normal((unread, k, 3))
+            white[1] = self._rumble.step(np.concatenate((earlier, white[1:2])))
         touch = true.positions, true.quaternions, true.forces
         speeds = self._at_rest if sliding is None else sliding
         numbers, radii = self._numbers, self._radii
@@ -287,26 +295,50 @@ class BandNoise:
     result is that of its impulse response.
     """
 
-    def __init__(self, shape: tuple[int, int], low: float, high: float, rate: float) -> None:
-        """Start at rest; frequencies above half the rate count as half the rate."""
+    def __init__(
+        self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
+    ) -> None:
+        """Start at rest; frequencies above half the rate count as half the rate.
+
+        Args:
+            shape: Shape of a sample.
+            low: Lower edge of the band, Hz.
+            high: Upper edge of the band, Hz.
+            rate: Samples per second, Hz.
+            bandwidth: Corner frequency of what the noise is led through next, 0 for none, Hz.
+        """
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
         self._follow = 1.0 - math.exp(-2.0 * math.pi * min(low, 0.9 * nyquist) / rate)
+        self._keep = math.exp(-2.0 * math.pi * bandwidth / rate) if bandwidth > 0.0 else 0.0
         self._scale = 1.0
         self._smooth, self._slow = np.zeros((1, 1)), np.zeros((1, 1))
-        impulse = [float(self.step(np.full((1, 1), float(i == 0)))[0, 0]) for i in range(2000)]
+        impulse = [float(self.step(np.full((1, 1, 1), float(i == 0)))[0, 0]) for i in range(2000)]
         self._scale = 1.0 / math.sqrt(sum(x * x for x in impulse))
         self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
 
     def step(self, white: Array) -> Array:
-        """Return the next sample for white noise of unit variance of the same shape."""
+        """Return the mean of the next samples, each weighted with what the bandwidth leaves of it.
+
+        A low-pass that takes this mean for all their time comes out where it would with each of
+        them in turn. A single sample is itself, and without a bandwidth only the newest counts.
+
+        Args:
+            white: White noise of unit variance, shape (n, *shape), oldest first.
+        """
         memory = self._smooth, self._slow
-        return self._scale * _filtered(*memory, self._pass, self._follow, white)
+        return self._scale * _filtered(*memory, self._pass, self._follow, self._keep, white)
 
 
 @compiled
-def _filtered(smooth: Array, slow: Array, passes: float, follows: float, white: Array) -> Array:
-    """Move a low-pass and a slower one behind it on by a sample; return their difference."""
-    smooth += passes * (white - smooth)
-    slow += follows * (smooth - slow)
-    return smooth - slow
+def _filtered(
+    smooth: Array, slow: Array, passes: float, follows: float, keep: float, white: Array
+) -> Array:
+    """Move a low-pass and a slower one behind it on; return the mean of their difference."""
+    total, weight = np.zeros_like(smooth), 0.0
+    for i in range(len(white)):
+        smooth += passes * (white[i] - smooth)
+        slow += follows * (smooth - slow)
+        total = keep * total + (smooth - slow)
+        weight = keep * weight + 1.0
+    return total / weight

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support.grasps import HALF
 
 from tactile_hand_ros.core.contact import contact_frame
@@ -237,9 +238,9 @@ def test_the_zero_drifts_as_a_random_walk():
     assert late == pytest.approx(0.01, rel=0.34) and early == pytest.approx(0.005, rel=0.34)
 
 
-def vibration(speed, ticks=4000):
-    skin = sensor(rate=1000.0, vibration={"gain": 10.0, "limit": 0.2})
-    return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0])) - constant(0)
+def vibration(speed, ticks=4000, period=1_000_000, rate=1000.0, **values):
+    skin = sensor(rate=rate, vibration={"gain": 10.0, "limit": 0.2}, **values)
+    return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0]), period) - constant(0)
 
 
 def test_only_a_contact_that_slides_vibrates_and_the_faster_the_more():
@@ -254,3 +255,45 @@ def test_vibration_lies_in_its_band():
     power = np.abs(np.fft.rfft(vibration(1.0, 8000)[:, 0, 0])) ** 2
     per_hertz = power.reshape(-1)[: 8 * 480].reshape(-1, 8).mean(axis=1)  # bins of 1 Hz
     assert per_hertz[1:10].mean() < per_hertz[100:300].mean() / 3.0
+
+
+def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
+    """One at 10 kHz, read every 2 ms, against the autocorrelation of band-limited noise.
+
+    White noise through first-order passes at a and b rad/s is correlated after t as
+    a exp(-a t) - b exp(-b t), so that its second difference has 6 - 8 r(t) + 2 r(2 t) of its power.
+    """
+    felt = vibration(1e3, 4000, TICK, rate=10e3)[:, 0]
+    a, b = 2.0 * np.pi * 400.0, 2.0 * np.pi * 60.0
+    once, twice = ((a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b) for t in (0.002, 0.004))
+    assert felt.std() == pytest.approx(0.2, rel=0.03)
+    ratio = np.diff(felt, n=2, axis=0).var() / felt.var()
+    assert ratio == pytest.approx(6.0 - 8.0 * once + 2.0 * twice, rel=0.05)
+
+
+def test_a_skin_too_slow_for_its_vibration_smooths_every_sample_of_it():
+    """100 Hz at 10 kHz: what its three first-order filters leave, however seldom it is read."""
+    impulse = np.eye(1, 4000)[0]
+    gains = 1.0 - np.exp(-2.0 * np.pi * np.array([400.0, 60.0, 100.0]) / 10e3)
+    first, slow = lfilter([gains[0]], [1.0, gains[0] - 1.0], impulse), 1.0 - gains[1]
+    band = first - lfilter([gains[1]], [1.0, -slow], first)
+    smooth = lfilter([gains[2]], [1.0, gains[2] - 1.0], band)
+    expected = 0.2 * np.linalg.norm(smooth) / np.linalg.norm(band)
+    for period in (TICK, 300_000):
+        felt = vibration(1e3, 4000, period, rate=10e3, bandwidth=100.0)[100:, 0]
+        assert felt.std() == pytest.approx(expected, rel=0.05)
+
+
+def test_vibration_leaves_the_other_noise_alone():
+    for period in (100_000, TICK):
+        plain = forces_of(sensor(rate=10e3, force_noise=0.1), 50, constant, period=period)
+        noisy = vibration(0.0, 50, period, rate=10e3, force_noise=0.1) + constant(0)
+        np.testing.assert_array_equal(plain, noisy)
+
+
+def test_after_a_long_silence_or_a_late_start_vibration_goes_on():
+    skin = sensor(rate=10e3, vibration={"gain": 10.0, "limit": 0.2})
+    still, speeds = truth(), np.ones(3)
+    for stamp in (10**18, 10**18 + 100_000, 10**18 + 10**15):
+        felt = skin.step(stamp, still, speeds).forces - still.forces
+        assert 0.0 < np.abs(felt).max() < 1.5
