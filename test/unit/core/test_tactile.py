@@ -219,14 +219,53 @@ def test_bandwidth_smooths_a_step_with_its_time_constant():
     )
 
 
-def test_bandwidth_of_the_location_smooths_its_noise_only():
-    quick = sensor(rate=1000.0, location_noise=1e-4)
-    slow = sensor(rate=1000.0, location_noise=1e-4, location_bandwidth=20.0)
-    spread = [
-        np.std([skin.step(i * 1_000_000, truth()).positions for i in range(1500)], axis=0).max()
-        for skin in (quick, slow)
-    ]
-    assert 0.1 * spread[0] < spread[1] < 0.5 * spread[0]
+def test_the_first_force_of_a_skin_is_no_step_from_nothing():
+    """With a bandwidth of 40 Hz; nor is the first one after a reset."""
+    skin = sensor(rate=1000.0, bandwidth=40.0)
+    for scale in (1.0, 3.0):
+        felt = forces_of(skin, 3, lambda _, scale=scale: scale * constant(0))
+        np.testing.assert_array_equal(felt, np.broadcast_to(scale * constant(0), (3, 3, 3)))
+        skin.reset()
+
+
+def test_bandwidth_of_the_location_smooths_its_noise():
+    """A first-order filter leaves share / (2 - share) of the power of white noise."""
+    skin = sensor(rate=1000.0, location_noise=1e-4, location_bandwidth=20.0)
+    off = np.array([skin.step(i * 1_000_000, truth()).positions for i in range(1500)])
+    off = (off - truth().positions)[50:]
+    across = off[:, [0, 0, 1, 1, 2, 2], [1, 2, 1, 2, 0, 2]]  # tangential directions
+    share = 1.0 - np.exp(-2.0 * np.pi * 20.0 * 1e-3)
+    assert across.std() == pytest.approx(1e-4 * np.sqrt(share / (2.0 - share)), rel=0.1)
+
+
+def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once():
+    """Three tips of their own size, under each of which the contact jumps by 0.3 rad."""
+    here, there = truth(), np.array([[-1.0, 0.0, 0.3], [1.0, 0.3, 0.0], [0.0, -1.0, -0.3]])
+    there /= np.linalg.norm(there, axis=1)[:, None]
+    frames = quaternion_from_rotation([contact_frame(n) for n in there])
+    turned = TactileReading(here.positions, frames, here.forces)
+    config = TactileSensorConfig(rate=1000.0, location_resolution=1e-10, location_bandwidth=20.0)
+    skin = TactileSensor(config, np.array([0.03, 0.06, 0.05]))
+
+    def shows(stamps, true):
+        return [skin.step(i * 1_000_000, true).contacts.normals for i in stamps]
+
+    def is_at(normals, expected):
+        np.testing.assert_allclose(normals, expected, atol=1e-7)
+
+    old = here.contacts.normals
+    is_at(shows(range(3), here)[-1], old)
+    for n, seen in enumerate(shows((3, 4, 7, 20), turned)):
+        left = np.exp(-2.0 * np.pi * 20.0 * 1e-3 * (1, 2, 5, 18)[n])
+        expected = there + left * (old - there)
+        is_at(seen, expected / np.linalg.norm(expected, axis=1)[:, None])
+    gone = truth(missing=[1])
+    assert np.isnan(shows([21], gone)[0][1]).all()
+    back = shows([22], here)[0]
+    is_at(back[1], old[1])  # lost meanwhile, seen at once
+    assert np.abs(back[0] - old[0]).max() > 0.1  # the others go on settling
+    skin.reset()
+    is_at(shows([0], turned)[0], there)
 
 
 def test_the_zero_drifts_as_a_random_walk():
