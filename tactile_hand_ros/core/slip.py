@@ -90,6 +90,8 @@ class SlipRegulator:
             self._asked = self.grasp_force
             self._reflex.start(self.grasp_force)
             self._need.reset()
+        # What a limit has cut off would come back as a jump when the limit is lifted.
+        self._asked = min(max(self._asked, config.minimum), config.maximum)
         self.config, self._reflex.config = config, config.reflex
         self._detector.configure(config.detector)
         self._estimator.configure(config.friction)

@@ -3,9 +3,12 @@
 
 import numpy as np
 import pytest
+from support.grasps import three_faces
 
+from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import ConfigurationError, MessageError
 from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.core.slip_detector import Grip
 
 TICK = 2_000_000
 
@@ -91,13 +94,35 @@ def test_a_clock_that_starts_again_makes_no_jump():
     assert squeezes(slip, 2000, start=1)[-1] == pytest.approx(20.0)
 
 
-def test_a_lower_limit_takes_hold_at_the_falling_rate_or_at_once():
+@pytest.mark.parametrize(
+    ("asked", "limits", "bound"), [(30.0, {"maximum": 15.0}, 15.0), (6.0, {"minimum": 9.0}, 9.0)]
+)
+def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted(
+    asked, limits, bound
+):
     slip = regulator(grasp_force=10.0)
     slip.step(0)
-    slip.request(30.0)
-    squeezes(slip, 1000, start=1)
-    slip.configure(SlipRegulatorConfig(maximum=15.0))
-    assert squeezes(slip, 2000, start=1001)[-1] == pytest.approx(15.0)
+    slip.request(asked)
+    assert squeezes(slip, 1500, start=1)[-1] == pytest.approx(asked)
+    slip.configure(SlipRegulatorConfig(**limits))
+    np.testing.assert_array_equal(squeezes(slip, 20, start=1501), bound)
+    slip.configure(SlipRegulatorConfig())
+    lifted = np.array([bound, *squeezes(slip, 1500, start=1521)])
+    assert np.diff(lifted).max() <= 50.0 * 0.002 + 1e-12
+    assert np.diff(lifted).min() >= -20.0 * 0.002 - 1e-12
+    assert lifted[-1] == pytest.approx(asked)
+
+
+def test_the_limits_hold_for_what_the_object_needs_too():
+    """An object that needs less than the least squeeze, and one that needs more than the largest."""
+    contacts = three_faces()
+    light, lost = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]]), np.zeros((3, 3))
+    lost[:] = [0.0, 1.0, 4.0]
+    slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0)
+    found = np.array([slip.step(i * TICK, contacts, light) for i in range(2000)])
+    assert 0.0 < slip.needed < 1.5 and found.min() == found[-1] == 2.0
+    found = [slip.step((2000 + i) * TICK, contacts, lost) for i in range(200)]
+    assert slip.needed > 8.0 and max(found) == found[-1] == 8.0
 
 
 def test_reset_goes_back_to_the_configured_squeeze():
@@ -107,6 +132,51 @@ def test_reset_goes_back_to_the_configured_squeeze():
     squeezes(slip, 100, start=1)
     slip.reset()
     np.testing.assert_array_equal(squeezes(slip, 10), 8.0)
+
+
+FELT = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
+
+
+def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
+    """Return all that is told at each tick while some fingers slide, 2 ms apart from 0 on."""
+    told, random = [], np.random.default_rng(seed)
+    rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
+    for i in range(ticks):
+        now = forces + rms * random.standard_normal((3, 3))
+        squeeze = slip.step(i * TICK, contacts or three_faces(), now)
+        likelihood = slip.slip_likelihood
+        told.append([squeeze, slip.needed, *slip.friction, *slip.state, *likelihood])
+    return np.array(told)
+
+
+@pytest.mark.parametrize("slides", [(), (1,)])
+def test_a_regulator_that_was_reset_cannot_be_told_from_a_new_one(slides):
+    fresh, used = (regulator(mode="shared", grasp_force=8.0) for _ in range(2))
+    used.request(30.0)
+    feel(used, 150, seed=1)
+    feel(used, 15, slides=(0, 2), seed=2)
+    assert (used.friction != fresh.friction).all() and used.grasp_force > 8.0
+    assert Grip.SLIP in used.state and used.slip_likelihood.max() == 1.0
+    used.reset()
+    np.testing.assert_array_equal(used.friction, [0.4, 0.4, 0.4])
+    assert (used.state == Grip.UNKNOWN).all() and not used.slip_likelihood.any()
+    assert np.isnan(used.needed) and used.grasp_force == 8.0
+    np.testing.assert_array_equal(feel(used, 150, slides), feel(fresh, 150, slides))
+
+
+@pytest.mark.parametrize("mode", ["user", "auto"])
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode, lost):
+    """A skin that has drifted may report some; here it would prove a friction of 0.7 and more."""
+    positions, slip = three_faces().positions, regulator(mode=mode)
+    positions[lost] = np.nan
+    feel(slip, 200, contacts=Contacts(positions, three_faces().rotations))
+    known = np.hypot(FELT[:, 0], FELT[:, 2]) / FELT[:, 1] > 0.45
+    for finger in range(3):
+        assert slip.state[finger] == (Grip.UNKNOWN if finger == lost else Grip.STICK)
+        assert (slip.friction[finger] > 0.45) == (known[finger] and finger != lost)
+    assert slip.friction[lost] == 0.4
+    assert np.isnan(slip.needed)
 
 
 def test_a_start_outside_the_limits_is_refused():
