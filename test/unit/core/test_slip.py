@@ -8,7 +8,7 @@ from support.grasps import three_faces
 from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import ConfigurationError, MessageError
 from tactile_hand_ros.core.slip import SlipRegulator, SlipRegulatorConfig
-from tactile_hand_ros.core.slip_detector import Grip
+from tactile_hand_ros.core.slip_detector import Grip, SlipDetector, SlipDetectorConfig
 
 TICK = 2_000_000
 
@@ -114,14 +114,14 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
 
 
 def test_the_limits_hold_for_what_the_object_needs_too():
-    """An object that needs less than the least squeeze, and one that needs more than the largest."""
+    """One that needs less than the least squeeze, and one that needs more than the largest."""
     contacts = three_faces()
-    light, lost = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]]), np.zeros((3, 3))
-    lost[:] = [0.0, 1.0, 4.0]
+    light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
+    heavy = np.array([[0.0, 1.0, 4.0]] * 3)
     slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0)
     found = np.array([slip.step(i * TICK, contacts, light) for i in range(2000)])
     assert 0.0 < slip.needed < 1.5 and found.min() == found[-1] == 2.0
-    found = [slip.step((2000 + i) * TICK, contacts, lost) for i in range(200)]
+    found = [slip.step((2000 + i) * TICK, contacts, heavy) for i in range(200)]
     assert slip.needed > 8.0 and max(found) == found[-1] == 8.0
 
 
@@ -218,3 +218,30 @@ def test_a_change_of_mode_makes_no_jump():
     assert change("auto", 1500, 500)[-1] < needed  # the user's wish does not count there
     up = change("shared", 2000, 1000)
     assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
+
+
+def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
+    """Up and down in turns; a detector that is told as much says the same."""
+    slip = regulator(grasp_force=5.0, rise_rate=400.0, fall_rate=250.0, smoothing=0.01)
+    detector = SlipDetector(SlipDetectorConfig(), 3)
+    random, squeezed, normals = np.random.default_rng(5), [5.0], np.tile([0.0, 1.0, 0.0], (3, 1))
+    bent = []
+    for i in range(400):
+        if i % 37 == 0:
+            slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
+        forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.friction
+        squeezed.append(slip.step(i * TICK, three_faces(), forces))
+        bends = np.abs(np.diff(squeezed[:-1][-6:], n=2))
+        bent.append(max(bends, default=0.0))
+        detector.step(forces, normals, bent[-1], 1e-9 * TICK if i else 0.0, friction)
+        np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
+    assert max(bent) > 0.3 and np.count_nonzero(bent) > 100
+
+
+def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():
+    """It has a tangential part at fingers 1 and 2, as f* may have."""
+    shape = np.array([[1 / 8, 3 / 8, 0.0], [-1 / 8, 3 / 8, 0.0], [0.0, 1 / 4, 0.0]])
+    slip, random = regulator(mode="auto"), np.random.default_rng(6)
+    for i in range(100):
+        slip.step(i * TICK, three_faces(), (10.0 + random.standard_normal()) * shape)
+    assert (slip.state == Grip.STICK).all() and not slip.slip_likelihood.any()
