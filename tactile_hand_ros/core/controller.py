@@ -57,7 +57,11 @@ class ControllerConfig(Config):
     hold: HoldConfig = HoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
     input_timeout: float = param(
-        0.5, "silence of touch, f* or k_f after which the hand holds", unit="s", gt=0.0, le=60.0
+        0.5,
+        "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
+        unit="s",
+        gt=0.0,
+        le=60.0,
     )
 
 

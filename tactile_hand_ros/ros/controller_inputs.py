@@ -59,7 +59,7 @@ class ControllerInputs:
     """Subscribes to joints, contacts, f*, k_f and, if asked, forces; joins those of one stamp.
 
     Where joint states keep coming without the others for a time-out, each of them is passed on
-    alone and at once, until a complete set is seen again.
+    alone and at once, until a complete set is seen again; see `InputWatch`.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class ControllerInputs:
 
     def _wait(self, stamp: int, theta: Array, rates: Array) -> None:
         was_blind = self._watch.blind
-        if self._watch.triggered():
+        if self._watch.triggered(stamp):
             if not was_blind:
                 self._complain(self._matcher.missing(stamp))
             self._answered_blindly = stamp

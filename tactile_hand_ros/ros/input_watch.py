@@ -10,25 +10,31 @@ from collections.abc import Callable
 class InputWatch:
     """Measures the time for which a trigger has come without a complete set of inputs.
 
-    Silence of the trigger itself does not count: then there is nothing to answer.
+    Silence of the trigger itself does not count: then there is nothing to answer. The time must
+    have passed by the stamps of the triggers and by the wall clock. By the stamps, because in
+    lockstep they stand still while a tick waits for its inputs: then all wait for whoever stalls,
+    and no result depends on how fast the machine is. Nobody needs to be told the pacing: in real
+    time and on a real hand the stamps go on, and silence is noticed. By the wall clock, because one
+    stamp that lies ahead is no time that has passed.
 
     Attributes:
         blind: Whether the inputs are missing.
     """
 
-    def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, timeout: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
         """Take the time [s] after which inputs count as missing."""
-        self._timeout = timeout
+        self._timeout = round(1e9 * timeout)
         self._clock = clock
-        self._since: float | None = None
+        self._since: tuple[int, int] | None = None  # wall clock and stamp, ns
         self.blind = False
 
-    def triggered(self) -> bool:
+    def triggered(self, stamp_ns: int) -> bool:
         """Note a trigger whose set is not complete yet; return whether the inputs are missing."""
         if not self.blind:
-            if self._since is None:
-                self._since = self._clock()
-            self.blind = self._clock() - self._since >= self._timeout
+            now = self._clock()
+            if self._since is None or stamp_ns < self._since[1]:
+                self._since = now, stamp_ns
+            self.blind = min(now - self._since[0], stamp_ns - self._since[1]) >= self._timeout
         return self.blind
 
     def complete(self) -> bool:

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.input_watch import InputWatch
 from tactile_hand_ros.ros.pacing import Pace
 
 TICK = 1_000_000
@@ -70,17 +69,3 @@ def test_the_report_names_delays_in_microseconds():
     made.due()
     made.report(shown.__setitem__)
     assert shown["jitter_max_us"] == "300"
-
-
-def test_inputs_are_missing_after_the_time_out_and_not_while_nobody_asks():
-    hands = Hands()
-    watch = InputWatch(0.5, hands)
-    assert not watch.triggered()
-    hands.now = 0.4
-    assert not watch.triggered() and not watch.complete()
-    hands.now = 10.0  # nothing was asked for in the meantime
-    assert not watch.triggered()
-    hands.now = 10.5
-    assert watch.triggered() and watch.blind
-    assert watch.complete() and not watch.blind
-    assert not watch.triggered()
