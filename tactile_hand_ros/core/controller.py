@@ -28,6 +28,9 @@ from tactile_hand_ros.core.safe_hold import HoldConfig, SafeHold
 
 Array = NDArray[np.float64]
 
+MOST_WAITING = 1000
+"""Desired poses that may wait for their tick."""
+
 _LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
 
 
@@ -95,6 +98,11 @@ class Controller:
 
     Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
     or the contacts lie on a line, the hand holds its posture and its last good squeeze.
+
+    Attributes:
+        enabled: Whether the law acts, instead of mere damping.
+        dropped: Desired poses that were forgotten because too many waited.
+        target: The desired pose in force; None before the first tick.
     """
 
     def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
@@ -114,6 +122,7 @@ class Controller:
         self._hold = SafeHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
+        self.dropped = 0
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
@@ -138,7 +147,7 @@ class Controller:
         self._queue: list[tuple[int, Target]] = []
 
     def command(self, target: Target, stamp: int = 0) -> None:
-        """Take a desired pose.
+        """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
 
         Args:
             target: Desired pose of the contact centroid's virtual frame, palm frame.
@@ -152,6 +161,15 @@ class Controller:
         if stamp <= (self._last_stamp or 0):
             stamp = 0
         self._queue = sorted([*self._queue, (stamp, target)], key=lambda item: item[0])
+        if len(self._queue) > MOST_WAITING:
+            del self._queue[0]
+            self.dropped += 1
+
+    def forget_after(self, stamp: int) -> list[int]:
+        """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
+        forgotten = [due for due, _ in self._queue if due > stamp]
+        self._queue = [item for item in self._queue if item[0] <= stamp]
+        return forgotten
 
     def release(self) -> None:
         """Let go of the object: the fingers open along the normals of the last grasp.

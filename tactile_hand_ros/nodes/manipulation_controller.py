@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,13 +21,24 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.core.controller import Command, Controller, ControllerConfig
+from tactile_hand_ros.core.controller import (
+    MOST_WAITING,
+    Command,
+    Controller,
+    ControllerConfig,
+)
 from tactile_hand_ros.core.errors import ConfigurationError
 from tactile_hand_ros.core.manipulation import Target
 from tactile_hand_ros.core.rehearsal import example_touch
 from tactile_hand_ros.core.rotations import quaternion_from_rotation
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.controller_inputs import Array, ControllerInputs, TickInputs
+from tactile_hand_ros.ros.controller_inputs import (
+    DAY_NS,
+    Array,
+    ControllerInputs,
+    TickInputs,
+    far_ahead,
+)
 from tactile_hand_ros.ros.controller_report import ControllerReport
 from tactile_hand_ros.ros.controller_services import ControllerServices
 from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
@@ -51,6 +63,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     of the contacts; not while holding). Once a second: `/diagnostics` with mode, distance to the
     target and margins of A1 (travel on faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
 
+    At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
+    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
+    latest when the first of them comes.
+
     Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
     the stamps does; by std_srvs/SetBool: `~/enable`, the law or mere damping, and `~/grasp`, close
     the fingers until all touch and hold that, or open them.
@@ -69,7 +85,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._controller = Controller(self.config)
         self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)
-        self._fresh: list[tuple[Target, int]] = []
+        self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._sent = b""
         hand = self._controller.hand
         self._commands = JointCodec(hand.joint_names, ("effort",))
@@ -115,17 +131,29 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _on_desired(self, message: PoseStamped) -> None:
         target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
         self._inputs.check_time(stamp)
+        dropped = self._controller.dropped
         self._controller.command(target, stamp)
         self._fresh.append((target, stamp))
+        if self._controller.dropped > dropped:
+            text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
+            self.reject(interfaces.DESIRED_POSE, text)
+            self.diagnostics.value("dropped_poses", self._controller.dropped)
 
     def on_tick(self, inputs: TickInputs) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
+        if self._fresh:
+            self._check_fresh(inputs.stamp)
         command = self._controller.step(*inputs)
         self._answer(inputs.stamp, command)
         self._report.note(command, inputs.theta, inputs.contacts)
         self._fresh.clear()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _check_fresh(self, tick: int) -> None:
+        """Refuse poses of another clock that came when the time of the ticks was not known yet."""
+        for stamp in self._controller.forget_after(tick + DAY_NS):
+            self.reject(interfaces.DESIRED_POSE, far_ahead(stamp, tick))
 
     def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""

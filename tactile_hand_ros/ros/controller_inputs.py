@@ -24,7 +24,15 @@ from tactile_hand_ros.ros.wire import ContactsCodec, JointCodec, WrenchCodec
 
 Array = NDArray[np.float64]
 
-_DAY_NS = 86_400_000_000_000
+DAY_NS = 86_400_000_000_000
+
+
+def far_ahead(stamp: int, tick: int) -> str:
+    """Return what is wrong with a stamp that is more than a day ahead of a tick [ns]."""
+    return (
+        f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
+        f"{1e-9 * tick:.3f} s; use their time, or 0 for at once."
+    )
 
 
 class TickInputs(NamedTuple):
@@ -111,14 +119,12 @@ class ControllerInputs:
         """Check that something for a later tick [ns] is not stamped by another clock.
 
         Raises:
-            MessageError: If it is more than a day ahead of the ticks.
+            MessageError: If it is more than a day ahead of the ticks. Before the first one
+                nobody can tell; check again then.
         """
         last = self._matcher.last
-        if last is not None and stamp > last + _DAY_NS:
-            raise MessageError(
-                f"the stamp is {1e-9 * (stamp - last):.0f} s ahead of the ticks, which are at "
-                f"{1e-9 * last:.3f} s; use their time, or 0 for at once."
-            )
+        if last is not None and stamp > last + DAY_NS:
+            raise MessageError(far_ahead(stamp, last))
 
     def report(self) -> None:
         """Name what is missing now."""

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros.core.controller import MOST_WAITING
 from tactile_hand_ros.core.plant import Plant
 from tactile_hand_ros.core.scenario import load_scenario
 from tactile_hand_ros.core.truth import true_reading
@@ -50,11 +51,13 @@ class Peer:
         self.under_test = node
         self.heard: dict[str, list[Any]] = {}
         self.health: list[tuple[bytes, str]] = []
+        self.values: dict[str, str] = {}
         self._publishers: dict[str, Any] = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
 
     def _on_health(self, message: DiagnosticArray) -> None:
         self.health.extend((s.level, s.message) for s in message.status)
+        self.values = {pair.key: pair.value for s in message.status for pair in s.values}
 
     def listen(self, kind: Any, *topics: str) -> None:
         for topic in topics:
@@ -269,3 +272,49 @@ def test_ticks_that_begin_anew_forget_all_poses_but_those_sent_meanwhile(
         assert list(world.tick(TICK, 1.0 / 3.0).effort) == still
         desire(near)
         assert list(world.tick(0, 1.0 / 3.0).effort) not in (still, pulled)
+
+
+DAY = 86_400 * 10**9
+
+
+def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_tick(
+    meet: Callable[..., Peer],
+) -> None:
+    """Nobody knows yet what time it is; at the first tick it is too far ahead, if by 1 ns only."""
+    peer = meet(ManipulationControllerNode)
+    world = ControllersWorld(peer)
+    at = TOUCH.positions.mean(axis=0) + [0.0, 0.05, 0.0]
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        for stamp in (DAY + 1, DAY + 5 * TICK, DAY + 5 * TICK + 1, 7 * TICK):
+            peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), stamp))
+        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), 0, frame="world"))
+        peer.says(WARN, "frame_id is 'world'")  # so all are handled
+        world.tick(5 * TICK, 1.0 / 3.0)
+        peer.says(WARN, "is 86400 s ahead of the ticks, which are at 0.010 s")
+        assert peer.values["rejected desired_pose"] == "2"
+        still = list(world.tick(6 * TICK, 1.0 / 3.0).effort)
+        assert list(world.tick(7 * TICK, 1.0 / 3.0).effort) != still
+        peer.health.clear()
+        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK))
+        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK + 1))
+        wait_until(lambda: peer.values["rejected desired_pose"] == "3")
+        kept = [DAY + 1, DAY + 5 * TICK, DAY + 7 * TICK]
+        assert peer.under_test._controller.forget_after(0) == kept
+
+
+def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> None:
+    """Without ticks, and again when the ticks begin anew: the latest are kept, the rest counted."""
+    peer = meet(ManipulationControllerNode)
+    node: Any = peer.under_test
+    centre = TOUCH.positions.mean(axis=0)
+    for number in range(MOST_WAITING + 3):
+        at = centre + [0.0, 1e-5 * number, 0.0]
+        node._on_desired(pose_to_ros(at, np.eye(3), (number + 1) * TICK))
+    with spinning(node, peer.node):
+        peer.says(WARN, f"more than {MOST_WAITING} poses wait for their tick")
+    assert peer.values["dropped_poses"] == peer.values["rejected desired_pose"] == "3"
+    kept = [(number + 1) * TICK for number in range(3, MOST_WAITING + 3)]
+    assert [stamp for _, stamp in node._fresh] == kept
+    node.on_restart()
+    assert node._controller.forget_after(0) == kept

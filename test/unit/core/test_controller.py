@@ -7,7 +7,7 @@ from support.grasps import moved
 from support.plants import plant
 
 from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.controller import Controller, ControllerConfig, Mode
+from tactile_hand_ros.core.controller import MOST_WAITING, Controller, ControllerConfig, Mode
 from tactile_hand_ros.core.errors import GraspError, PoseError
 from tactile_hand_ros.core.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.core.manipulation import Target
@@ -120,6 +120,34 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
         bench.step()
         wanted.append(bench.controller.target.position[0] - bench.centroid[0])
     np.testing.assert_allclose(wanted, [0.02, 0.02, 0.03, 0.03], atol=1e-12)
+
+
+def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
+    bench.step()
+    for tick in range(MOST_WAITING, 0, -1):
+        bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
+    assert bench.controller.dropped == 0
+    for _ in range(2):
+        bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
+    assert bench.controller.dropped == 2
+    bench.stamp = 4 * TICK
+    bench.step()  # the first two are gone
+    np.testing.assert_array_equal(bench.controller.target.position, bench.centroid)
+    bench.step()
+    np.testing.assert_allclose(bench.controller.target.position, bench.target(3e-5, 0, 0)[0])
+    bench.controller.reset()
+    assert bench.controller.dropped == 2
+
+
+def test_targets_after_a_tick_can_be_forgotten(bench):
+    bench.step()
+    for tick in (7, 8, 9, 9):
+        bench.controller.command(bench.target(1e-3 * tick, 0.0, 0.0), stamp=tick * TICK)
+    assert bench.controller.forget_after(8 * TICK) == [9 * TICK, 9 * TICK]
+    assert bench.controller.forget_after(8 * TICK) == []
+    bench.stamp = 20 * TICK
+    bench.step()
+    np.testing.assert_allclose(bench.controller.target.position, bench.target(8e-3, 0, 0)[0])
 
 
 def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
