@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import shutil
@@ -439,19 +440,31 @@ def _renamed(file: FileMetadata) -> FileMetadata:
 
 
 def _keep(file: Path) -> Path:
-    """Give a broken file a second name that is not taken."""
-    number = 0
-    while (kept := file.with_name(f"{file.name}{BROKEN}{number or ''}")).exists():
-        number += 1
+    """Give a broken file a second name that is not taken, by whomever and whenever."""
+    for number in itertools.count():
+        kept = file.with_name(f"{file.name}{BROKEN}{number or ''}")
+        with contextlib.suppress(FileExistsError):
+            _link_or_copy(file, kept)
+            break
+    return kept
+
+
+def _link_or_copy(file: Path, kept: Path) -> None:
+    """Give a file a second name.
+
+    Raises:
+        FileExistsError: If the name is taken; what has it is left as it is.
+    """
     try:
         os.link(file, kept)
-    except OSError:  # a file system without links
-        try:
-            shutil.copy2(file, kept)
-        except OSError:
-            kept.unlink(missing_ok=True)
-            raise
-    return kept
+    except OSError:  # the name is taken, or this is a file system without links
+        with file.open("rb") as source, kept.open("xb") as target:
+            try:
+                shutil.copyfileobj(source, target)
+            except OSError:
+                kept.unlink(missing_ok=True)
+                raise
+        shutil.copystat(file, kept)
 
 
 def _create(folder: Path) -> None:

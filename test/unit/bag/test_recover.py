@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import resource
 import shutil
 import signal
@@ -423,6 +425,56 @@ def test_in_place_keeps_the_metadata_too(tmp_path: Path) -> None:
     recovery = recover(tmp_path / "run", in_place=True)
     assert [file.name for file in recovery.kept] == ["metadata.yaml.broken"]
     assert recovery.kept[0].read_text() == "mine: ["
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_however_often_a_bag_is_repaired_no_earlier_file_is_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    """Neither what earlier repairs kept nor what the user gave such a name, whatever it is."""
+    if not links:  # as on exFAT
+
+        def refuse(*_: object) -> None:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+
+        monkeypatch.setattr(os, "link", refuse)
+    folder, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    sent = write_bag(folder)
+    file, metadata = folder / "run_0.mcap", folder / "metadata.yaml"
+    (folder / "run_0.mcap.broken1").write_text("the user's own")
+    (folder / "run_0.mcap.broken2").symlink_to(elsewhere)  # to nothing
+    (folder / "metadata.yaml.broken").mkdir()
+    kept = {folder / "run_0.mcap.broken1": b"the user's own"}
+    for cut_off in range(100, 104):
+        file.write_bytes(file.read_bytes()[:-cut_off])
+        metadata.write_text(f"repair {cut_off}: [")
+        broken = [file.read_bytes(), metadata.read_bytes()]
+        recovery = recover(folder, in_place=True)
+        assert not kept.keys() & set(recovery.kept)
+        kept |= zip(recovery.kept, broken, strict=True)
+        assert {path: path.read_bytes() for path in kept} == kept
+        assert is_whole(folder)
+    assert len(kept) == 9 and not elsewhere.exists()
+    got = [m.data for m in read_raw(folder)]
+    assert got == sent[: len(got)]
+
+
+def test_half_a_copy_of_a_broken_file_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that is full, without links: the broken file stays, and nothing looks like it."""
+    write_bag(tmp_path / "run")
+    before = cut(tmp_path / "run", 9000).read_bytes()
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(shutil, "copyfileobj", refuse)
+    with pytest.raises(BagError, match="No space left on device"):
+        repair(tmp_path / "run")
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert (tmp_path / "run" / "run_0.mcap").read_bytes() == before
 
 
 def test_file_that_grows_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
