@@ -214,7 +214,7 @@ def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
 
 def _provenance_inside(path: Path) -> dict[str, str]:
     """Return what a single file says of its origin; it has no metadata.yaml beside it."""
-    if path.suffix != ".mcap":
+    if path.is_dir() or path.suffix != ".mcap":
         return {}
     with path.open("rb") as file:
         records = make_reader(file).iter_metadata()

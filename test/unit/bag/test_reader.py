@@ -10,6 +10,7 @@ import pytest
 
 from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.provenance import RECORD_NAME
+from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.writer import BagWriter
 
@@ -59,6 +60,36 @@ def test_single_file_still_knows_where_it_comes_from(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run") as writer:
         writer.add_metadata(RECORD_NAME, {"scenario": "name: mine"})
     assert summarize(tmp_path / "run" / "run_0.mcap").custom_data == {"scenario": "name: mine"}
+
+
+def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: Path) -> None:
+    """Two publishers with different offers are two connections in a file of its own."""
+    with BagWriter(tmp_path / "run") as writer:
+        kinds = [OfferedQos(), OfferedQos(reliability="best_effort")]
+        first, second = [
+            writer.add_channel("/x", "std_msgs/msg/Float64", offers=[kind]) for kind in kinds
+        ]
+        for time, channel in enumerate((first, second, first, second, first)):
+            writer.write(channel, FLOAT, time, time)
+        writer.write(writer.add_channel("/y", "std_msgs/msg/Float64"), FLOAT, 9, 9)
+    file = tmp_path / "run" / "run_0.mcap"
+    assert summarize(file).counts == {"/x": 5, "/y": 1}
+    assert [m.log_time for m in read_raw(file, ["/x"])] == [0, 1, 2, 3, 4]
+
+
+def test_folder_may_be_named_like_a_file(tmp_path: Path) -> None:
+    """Also where it says nothing of its origin, which is then not looked for inside."""
+    folder = tmp_path / "run.mcap"
+    BagWriter(folder).close()
+    assert summarize(folder).custom_data == {}
+
+
+def test_custom_data_of_the_folder_count_before_those_inside(tmp_path: Path) -> None:
+    """They are written last."""
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine"})
+        writer.custom_data["lost_messages"] = "3"
+    assert summarize(tmp_path / "run").custom_data == {"lost_messages": "3"}
 
 
 def test_single_file_without_metadata_can_be_read(bag: Path) -> None:
