@@ -8,6 +8,7 @@ import os
 import resource
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.qos import OfferedQos, parse_qos, qos_text
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import continue_bag, is_whole, recover, repair
-from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.writer import BagWriter
 
 STRING = "std_msgs/msg/String"
@@ -295,6 +296,63 @@ def test_qos_text_is_read_back() -> None:
         qos_text(offers[:1]).replace("depth: 0", "depth: .inf"),
     ]
     assert [parse_qos(text) for text in wrong] == [(), ()]
+
+
+@pytest.mark.parametrize(("opcode", "lost"), [(0x03, 3), (0x04, 2)], ids=["schema", "channel"])
+def test_what_nobody_has_introduced_is_left_out_and_counted(
+    tmp_path: Path, opcode: int, lost: int
+) -> None:
+    """Without its schema a channel is lost, without its channel a message; others are not."""
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        for topic in ("/a", "/b"):
+            schema = writer.register_schema(topic, "ros2msg", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for i in range(2):
+                writer.add_message(channel, i, payload(i), i)
+        writer.finish()
+    records = list(cut_into_records(file.read_bytes()))
+    gone = next(i for i, record in enumerate(records) if record[0] == opcode)
+    orphans = [record for record in records[gone + 1 :] if record[0] in (0x04, 0x05)][:lost]
+    file.write_bytes(MAGIC + b"".join(records[:gone] + records[gone + 1 :]) + MAGIC)
+    recovery = recover(file, tmp_path / "out")
+    assert [(m.topic, m.data) for m in read_raw(tmp_path / "out")] == [
+        ("/b", payload(0)),
+        ("/b", payload(1)),
+    ]
+    assert recovery.left == sum(len(record) - 9 for record in orphans)
+    assert not is_whole(file)
+
+
+def cut_into_records(data: bytes) -> Iterator[bytes]:
+    """Yield the records between the magic at both ends of a file."""
+    at = len(MAGIC)
+    while at < len(data) - len(MAGIC):
+        end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        yield data[at:end]
+        at = end
+
+
+def test_the_next_file_of_a_continued_bag_comes_after_all_that_are_there(tmp_path: Path) -> None:
+    """Also where one in the middle is gone: files are read in the order of their numbers."""
+    folder = tmp_path / "run"
+    with BagWriter(folder, max_duration=1) as writer:
+        channel = writer.add_channel("/a", STRING)
+        for i in range(8):
+            writer.write(channel, payload(i), i, i)
+    (folder / "metadata.yaml").unlink()
+    (folder / "run_1.mcap").unlink()
+    before = {file: file.read_bytes() for file in folder.iterdir()}
+    assert sorted(file.name for file in before) == ["run_0.mcap", "run_2.mcap", "run_3.mcap"]
+    earlier = continue_bag(folder)
+    assert earlier is not None
+    with BagWriter(folder, earlier=earlier.metadata) as writer:
+        assert writer.path == folder / "run_4.mcap"
+        writer.write(writer.add_channel("/a", STRING), payload(8), 8, 8)
+    assert {file: file.read_bytes() for file in before} == before
+    assert [m.data for m in read_raw(folder)] == [payload(i) for i in (0, 1, 4, 5, 6, 7, 8)]
 
 
 @pytest.mark.parametrize("part", ["compression", "size"])

@@ -300,6 +300,56 @@ def test_bag_is_split_and_reads_as_one(tmp_path: Path, limit: str) -> None:
     assert records == ["rosbag2", "origin", "rosbag2"]
 
 
+def test_file_ends_with_the_message_that_reaches_the_size(tmp_path: Path) -> None:
+    """At just that size, not one byte later."""
+
+    def fill(name: str, limit: int) -> BagWriter:
+        writer = BagWriter(tmp_path / name, chunk_size=1, max_size=limit)
+        channel = add_string(writer)
+        for i in range(9):
+            sizes.append(writer.path.stat().st_size)
+            writer.write(channel, payload("x"), i, i)
+            assert writer.message_count == i + 1
+        return writer
+
+    sizes: list[int] = []
+    fill("none", 0).close()
+    reached = sizes[5]  # with five messages; equally long names give equal sizes
+    for name, limit, expected in (("same", reached, 5), ("more", reached + 1, 6)):
+        writer = fill(name, limit)
+        assert [file.message_count for file in writer.close().files][:1] == [expected]
+        assert writer.message_count == summarize(writer.folder).message_count == 9
+
+
+def test_file_ends_with_the_message_that_reaches_the_duration(tmp_path: Path) -> None:
+    """Recorded time counts, from the earliest message to the latest, in whatever order."""
+    with BagWriter(tmp_path / "run", max_duration=300) as writer:
+        channel = add_string(writer)
+        counts = []
+        for time in (1000, 1100, 1299, 1300, 1400, 1350, 1101, 1100, 5000):
+            writer.write(channel, payload("x"), time, 0)
+            counts.append(writer.message_count)
+    assert counts == list(range(1, 10))
+    assert [file.message_count for file in writer.metadata().files] == [4, 4, 1]
+
+
+def test_messages_of_all_files_are_counted_also_when_the_disk_is_full(
+    tmp_path: Path, small_disk: int
+) -> None:
+    """The sentence tells how many there are, in files that were finished, too."""
+    writer = BagWriter(tmp_path / "run", chunk_size=1)
+    channel = add_string(writer)
+    for i in range(6):
+        writer.write(channel, payload("x"), i, i)
+        if i % 2:
+            writer.split()
+    writer.write(channel, payload("x"), 6, 6)
+    with pytest.raises(BagError, match="recording ended after 7 messages"):
+        writer.write(channel, payload("x" * small_disk), 7, 7)
+    assert writer.message_count == 7
+    assert [file.message_count for file in writer.metadata().files] == [2, 2, 2, 1]
+
+
 def test_checkpoint_is_a_whole_bag_that_goes_on(tmp_path: Path) -> None:
     """metadata.yaml is there only while all files are whole."""
     writer = BagWriter(tmp_path / "run", lazy=True)
