@@ -12,9 +12,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from tactile_hand_ros.core.contact import Contacts
 from tactile_hand_ros.core.errors import MessageError
 from tactile_hand_ros.core.rotations import rotation_from_quaternion
 from tactile_hand_ros.ros import conversions as c
+from tactile_hand_ros.ros.wire import ContactsCodec
 
 NAMES = ["f1_j1", "f1_j2", "f2_j1"]
 stamps = st.integers(0, 2**31 * 10**9 - 1)
@@ -194,6 +196,32 @@ def test_bad_poses_are_refused(change, words):
     change(message)
     with pytest.raises(MessageError, match=words):
         c.pose_from_ros(message)
+
+
+@pytest.mark.parametrize(("square", "taken"), [(0.9989, 0), (0.9991, 1), (1.0009, 1), (1.0011, 0)])
+def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused(square, taken):
+    """In a pose, in contacts and in the bytes of contacts alike, longer ones as shorter ones."""
+    positions, turns = contacts()
+    rotation = rotation_from_quaternion(turns[1])
+    turns[1] *= np.sqrt(square)
+    pose = c.pose_to_ros(positions[1], turns[1], 1)
+    poses = c.contacts_to_ros(positions, turns, 1)
+    data, codec = serialize_message(poses), ContactsCodec(3)
+    if not taken:
+        for read in (
+            lambda: c.pose_from_ros(pose),
+            lambda: c.contacts_from_ros(poses, 3),
+            lambda: codec.decode(data),
+        ):
+            with pytest.raises(MessageError, match="expected one of length 1"):
+                read()
+        return
+    # What follows must not be stretched by it.
+    np.testing.assert_allclose(c.pose_from_ros(pose).rotation, rotation, atol=1e-15)
+    for got in (c.contacts_from_ros(poses, 3), codec.decode(data)[1]):
+        np.testing.assert_array_equal(got.quaternions, turns)
+        got = Contacts.from_poses(*got)
+        np.testing.assert_allclose(got.rotations[1], rotation, atol=1e-15)
 
 
 def test_plain_numbers():

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each kind of topic promises, which no consumer can tell from its own side."""
+
+from __future__ import annotations
+
+import pytest
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from tactile_hand_ros.ros import interfaces
+
+PROFILES = {
+    "tick": (interfaces.tick_qos, 100, DurabilityPolicy.VOLATILE),
+    "tick publisher": (interfaces.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
+    "latched": (interfaces.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
+    "user": (interfaces.user_qos, 100, DurabilityPolicy.VOLATILE),
+}
+
+
+@pytest.mark.parametrize("kind", PROFILES)
+def test_profiles_promise_what_the_documentation_says(kind: str) -> None:
+    make, depth, durability = PROFILES[kind]
+    profile: QoSProfile = make()
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.history == HistoryPolicy.KEEP_LAST
+    assert (profile.depth, profile.durability) == (depth, durability)
+
+
+@pytest.mark.parametrize("kind", PROFILES)
+def test_profiles_are_new_each_time_since_rclpy_writes_into_them(kind: str) -> None:
+    make, depth, _ = PROFILES[kind]
+    make().depth = 7
+    assert make().depth == depth
+
+
+def test_topics_of_fingers_are_told_apart() -> None:
+    names = ("wrench", "optimal_force", "true_wrench", "contact_frame")
+    made = [getattr(interfaces, name)(finger) for name in names for finger in ("one", "two")]
+    assert made == [
+        "tactile/one/wrench",
+        "tactile/two/wrench",
+        "optimal_force/one",
+        "optimal_force/two",
+        "ground_truth/one/wrench",
+        "ground_truth/two/wrench",
+        "one_contact",
+        "two_contact",
+    ]
