@@ -142,7 +142,7 @@ def test_the_tick_before_those_that_wait_counts_until_ticks_begin_anew() -> None
     made.backlog.put(21 * MS, "of the past")
     made.backlog.clear()
     assert made.node.has_read() == 1 and made.given[-1] == (20 * MS, "heard 20")
-    assert made.to(1, 2) == [1, 2]  # the first of all has no tick before it
+    assert made.to(21, 22) == [21, 22]  # the first of all has no tick before it
     assert made.node.left_out == "2"
 
 

@@ -206,7 +206,8 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     turns[1] *= np.sqrt(square)
     pose = c.pose_to_ros(positions[1], turns[1], 1)
     poses = c.contacts_to_ros(positions, turns, 1)
-    data, codec = serialize_message(poses), ContactsCodec(3)
+    codec = ContactsCodec(3)
+    data = codec.encode(positions, turns, 1)
     if not taken:
         for read in (
             lambda: c.pose_from_ros(pose),
