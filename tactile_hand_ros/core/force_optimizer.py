@@ -75,6 +75,19 @@ class ForceOptimizerConfig(Config):
             )
         return np.tile(given, fingers) if len(given) == 3 else given
 
+    def check_minimum(self, fingers: int) -> None:
+        """Check that the least shares leave something to share.
+
+        Raises:
+            ConfigurationError: If they add up to the whole squeeze or more.
+        """
+        if self.minimum_normal * fingers >= 1.0:
+            raise ConfigurationError(
+                f"minimum_normal = {self.minimum_normal}: {fingers} contacts share a squeeze of "
+                f"1, so that it must be below {1.0 / fingers:.3g}",
+                place="minimum_normal",
+            )
+
 
 class Status(enum.Enum):
     """How an optimization ended."""
@@ -155,12 +168,7 @@ class ForceOptimizer:
             ConfigurationError: If they do not fit; nothing is changed then.
         """
         weights = config.weight_vector(self._k)
-        if config.minimum_normal * self._k >= 1.0:
-            raise ConfigurationError(
-                f"minimum_normal = {config.minimum_normal}: {self._k} contacts share a squeeze of "
-                f"1, so that it must be below {1.0 / self._k:.3g}",
-                place="minimum_normal",
-            )
+        config.check_minimum(self._k)
         self.config, self._weights = config, weights
         self._set_up()
 

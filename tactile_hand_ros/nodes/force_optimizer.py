@@ -82,8 +82,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
-        """Refuse weights that do not fit the hand."""
+        """Refuse weights and a least share that do not fit the hand."""
         config.weight_vector(self._fingers)
+        config.check_minimum(self._fingers)
 
     def on_config(self, config: ForceOptimizerConfig) -> None:
         """Take other weights or another least share."""

@@ -176,6 +176,26 @@ def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) 
         assert peer.heard[topics[0]][-1] == peer.heard[topics[0]][-2]
 
 
+def test_an_optimizer_refuses_a_least_share_of_more_than_the_whole(
+    meet: Callable[..., Peer],
+) -> None:
+    """What is refused changes nothing, so that the next change is taken as ever."""
+    node: Any = meet(ForceOptimizerNode, minimum_normal=0.1).under_test
+
+    def change(name: str, value: Any) -> Any:
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    refused = change("minimum_normal", 0.335)
+    assert not refused.successful
+    assert refused.reason == (
+        "minimum_normal = 0.335: 3 contacts share a squeeze of 1, so that it must be below 0.333"
+    )
+    assert node.get_parameter("minimum_normal").value == node.config.minimum_normal == 0.1
+    assert change("weights", [1.0, 1.0, 1.0]).successful
+    assert change("minimum_normal", 0.33).successful
+    assert not [pair for pair in node.diagnostics.status().values if "fault" in pair.key]
+
+
 def test_the_regulator_is_silent_at_ticks_without_a_finger(meet: Callable[..., Peer]) -> None:
     peer = meet(SlipRegulatorNode)
     wrenches = [interfaces.wrench(name) for name in FINGERS]

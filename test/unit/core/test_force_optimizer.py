@@ -162,8 +162,10 @@ def test_new_weights_take_effect_and_refused_ones_change_nothing():
 
 def test_shares_that_add_up_to_more_than_the_whole_are_refused():
     assert optimizer(fingers=3, minimum_normal=0.3).config.minimum_normal == 0.3
-    with pytest.raises(ConfigurationError, match=r"4 contacts.*below 0.25"):
-        optimizer(fingers=4, minimum_normal=0.3)
+    assert optimizer(fingers=4, minimum_normal=0.2499).config.minimum_normal == 0.2499
+    for share in (0.25, 0.3):  # of a quarter each nothing is left to share
+        with pytest.raises(ConfigurationError, match=rf"= {share}: 4 contacts.*below 0.25"):
+            optimizer(fingers=4, minimum_normal=share)
 
 
 def test_four_contacts_on_four_faces_share_alike():
