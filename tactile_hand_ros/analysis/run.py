@@ -162,12 +162,35 @@ class Run:
         """What was achieved."""
         return metrics(self.record, self.scenario)
 
-    @cached_property
+    @property
     def ledger(self) -> list[Assumption]:
         """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
+        return self._ledger[0]
+
+    @property
+    def ledger_problem(self) -> str:
+        """Why there is no ledger although there is a scenario, empty otherwise.
+
+        A bag is read elsewhere too, where the file of its hand is another or none.
+        """
+        return self._ledger[1]
+
+    @cached_property
+    def _ledger(self) -> tuple[list[Assumption], str]:
         if self.scenario is None:
-            return []
-        return ledger(self.record, Hand.load(self.scenario.hand, self.scenario.layout))
+            return [], ""
+        try:
+            hand = Hand.load(self.scenario.hand, self.scenario.layout)
+        except TactileHandError as error:
+            return [], f"The ledger is left out, because the hand is not known here: {error}."
+        here = hand.fingers, hand.joints
+        recorded = len(self.record.finger_names), len(self.record.joint_names)
+        if here != recorded:
+            return [], (
+                f"The ledger is left out, because the hand '{self.scenario.hand}' has {here[0]} "
+                f"fingers and {here[1]} joints here, {recorded[0]} and {recorded[1]} in the bag."
+            )
+        return ledger(self.record, hand), ""
 
     @cached_property
     def recoveries(self) -> list[Recovery]:

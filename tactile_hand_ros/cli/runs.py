@@ -100,6 +100,8 @@ def summary(
 ) -> None:
     """Print what a recorded run achieved, and whether its recording is complete."""
     opened = _open(run, namespace)
+    if opened.ledger_problem:
+        print(f"note: {opened.ledger_problem}", file=sys.stderr)
     if as_json:
         results = {
             "metrics": opened.metrics.to_dict(),

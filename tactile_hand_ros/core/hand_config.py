@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -86,7 +87,7 @@ def find_hand(name: str) -> Path:
     Raises:
         HandModelError: If neither a file nor a hand of that name exists.
     """
-    path = Path(name).expanduser()
+    path = Path(os.path.expanduser(name))  # as it is where there is no such user
     if path.suffix in (".yaml", ".yml"):
         if path.is_file():
             return path

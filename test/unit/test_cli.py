@@ -103,6 +103,24 @@ def test_scenario_that_does_not_fit_is_told(run: Path, capsys: pytest.CaptureFix
     assert "20 ticks" in printed.out and "unknown key 'duratoin'" in printed.err
 
 
+@pytest.mark.parametrize("hand", ["lost/hand.yaml", "~nobody-here/hand.yaml"])
+def test_run_of_a_hand_that_is_elsewhere_is_told_but_for_its_ledger(
+    hand: str, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (run / "scenario.yaml").read_text()
+    (run / "scenario.yaml").write_text(text.replace("hand: paper", f"hand: {hand}"))
+    said = f"The ledger is left out, because the hand is not known here: hand file '{hand}' does"
+    assert main(["summary", str(run)]) == 0
+    printed = capsys.readouterr()
+    assert "20 ticks" in printed.out and "assumptions" not in printed.out
+    assert printed.err.startswith(f"note: {said}") and printed.err.count("\n") == 1
+    assert main(["summary", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["assumptions"] == [] and told["metrics"]["ticks"] == 20
+    assert main(["report", str(run)]) == 0
+    assert said in (run / "report.html").read_text(encoding="utf-8")
+
+
 def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The refusal names the command, which makes a bag that opens; in place it opens as before."""
     file = run / "bag" / "bag_0.mcap"

@@ -132,6 +132,8 @@ def notes(run: Run) -> list[str]:
         )
     elif run.scenario is None:
         found.append("No scenario is known: goal, shape of the object and ledger are left out.")
+    if run.ledger_problem:
+        found.append(run.ledger_problem)
     if not run.bag_metrics.complete:
         found.append("The recording is incomplete; gaps in the plots are ticks without a message.")
     return found

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import recorded
+from support.hands import write_hand
 from support.recorded import (
     LATENCY,
     PERIOD,
@@ -228,6 +229,22 @@ class TestFolders:
         run = Run(folder)
         assert run.scenario is not None and run.scenario_problem == ""
         assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
+        assert run.ledger == [] and "'lost/hand.yaml' does not exist" in run.ledger_problem
+        assert run.metrics.ticks == 20
+
+    def test_hand_that_is_another_here(self, folder: Path, tmp_path: Path) -> None:
+        """A file of the same name tells of more joints than were recorded."""
+        file = write_hand(tmp_path, [3, 4, 5])
+        text = resolved(load_scenario("paper")).replace("hand: paper", f"hand: {file}")
+        (folder / "scenario.yaml").write_text(text.replace("layout: three_faces", "layout: ''"))
+        run = Run(folder)
+        assert run.ledger == [] and len(run.record) == 20
+        assert "3 fingers and 12 joints here, 3 and 9 in the bag" in run.ledger_problem
+
+    def test_ledger_of_a_hand_that_is_known(self, folder: Path) -> None:
+        assert Run(folder).ledger == [] and Run(folder).ledger_problem == ""
+        (folder / "scenario.yaml").write_text(resolved(load_scenario("paper")))
+        assert len(Run(folder).ledger) == 9 and Run(folder).ledger_problem == ""
 
     def test_nothing_there(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="nowhere does not exist"):
