@@ -108,15 +108,17 @@ class Scenario(Config):
         data = dict(data)
         for node in NODES:
             section, model = data.get(node) or {}, cls.model_fields[node].annotation
-            if not isinstance(section, dict):
-                continue  # a finished model, or nonsense that validation will name
             assert isinstance(model, type) and issubclass(model, Config)
             shared = [name for name in _SHARED if name in model.model_fields]
+            top = {name: data.get(name, cls.model_fields[name].default) for name in shared}
+            if isinstance(section, model):
+                section = _unshared(section, top)
+            if not isinstance(section, dict):
+                continue  # nonsense that validation will name
             if wrong := [name for name in shared if name in section]:
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
             # Defaults too: those of a node need not be those of the scenario.
-            given = {name: data.get(name, cls.model_fields[name].default) for name in shared}
-            data[node] = {**section, **given}
+            data[node] = {**section, **top}
         return data
 
     @model_validator(mode="after")
@@ -130,6 +132,10 @@ class Scenario(Config):
             )
         return self
 
+    def changed(self, changes: Mapping[str, Any]) -> Scenario:
+        """Return a validated copy with other values, see the function of this name."""
+        return changed(self, changes)
+
     @property
     def ticks(self) -> int:
         """Number of ticks in the run; the first is at 0 s and the last at the duration."""
@@ -139,6 +145,19 @@ class Scenario(Config):
         """Return the parameters of a node by its name."""
         section: Config = getattr(self, node)
         return section
+
+
+def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a finished section without those that only repeat the scenario's.
+
+    Its defaults are nobody's word, and so go as well.
+    """
+    values = {name: getattr(section, name) for name in type(section).model_fields}
+    for name, given in top.items():
+        own, default = values[name], type(section).model_fields[name].default
+        if np.array_equal(own, default) or np.array_equal(own, given):
+            del values[name]
+    return values
 
 
 def resolved(scenario: Scenario) -> str:

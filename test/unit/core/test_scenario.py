@@ -3,12 +3,16 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from tactile_hand_ros.core.controller import ControllerConfig
 from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.core.plant_config import PlantConfig
 from tactile_hand_ros.core.preflight import check_scenario
 from tactile_hand_ros.core.scenario import (
     NODES,
     Scenario,
+    changed,
     find_scenario,
     load_scenario,
     resolved,
@@ -95,6 +99,49 @@ def test_defaults_of_the_scenario_reach_every_node_too(tmp_path):
         for node in NODES:
             section = scenario.node_config(node)
             assert getattr(section, "hand", scenario.hand) == scenario.hand
+
+
+GRAVITY = (1.0, -2.0, 3.0)
+
+
+@pytest.mark.parametrize("plant", [PlantConfig(rate=250.0), PlantConfig().changed({"rate": 250.0})])
+def test_what_is_said_once_reaches_finished_sections_too(plant):
+    """What a section has by default, nobody has said."""
+    scenario = Scenario(gravity=GRAVITY, hand="other", plant=plant, duration=3.0)
+    assert scenario.plant.gravity == scenario.manipulation_controller.gravity == GRAVITY
+    assert scenario.plant.hand == scenario.manipulation_controller.hand == "other"
+    assert (scenario.plant.duration, scenario.plant.rate) == (3.0, 250.0)
+    still = Scenario(manipulation_controller=ControllerConfig())
+    assert still.manipulation_controller.gravity == still.plant.gravity == (0.0, 0.0, 0.0)
+
+
+def test_finished_sections_of_a_scenario_fit_into_its_like():
+    paper = load_scenario("paper")
+    sections = {name: getattr(paper, name) for name in type(paper).model_fields}
+    assert Scenario(**sections) == paper
+
+
+def test_a_finished_section_cannot_contradict_the_scenario():
+    with pytest.raises(ValidationError, match="set 'gravity' once at the top, not in 'plant'"):
+        Scenario(plant=PlantConfig(gravity=GRAVITY))
+    with pytest.raises(ValidationError, match="set 'layout' once at the top, not in 'plant'"):
+        Scenario(layout="pinch", plant=load_scenario("paper").plant)
+    with pytest.raises(ValidationError, match=r"plant\n.*PlantConfig"):
+        Scenario(plant=ControllerConfig())
+
+
+def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is():
+    paper = load_scenario("paper")
+    changes = {"gravity": GRAVITY, "plant.rate": 250.0, "targets": []}
+    other = paper.changed(changes)
+    assert other.plant.gravity == other.manipulation_controller.gravity == GRAVITY
+    assert (other.plant.rate, other.targets) == (250.0, [])
+    assert paper == load_scenario("paper") and paper.changed({}) == paper
+    assert other == changed(paper, changes)
+    with pytest.raises(ConfigurationError, match="unknown key 'raet'"):
+        paper.changed({"plant.raet": 1.0})
+    with pytest.raises(ConfigurationError, match="set 'gravity' once at the top"):
+        paper.changed({"plant.gravity": GRAVITY})
 
 
 @pytest.mark.parametrize(
