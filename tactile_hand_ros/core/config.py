@@ -207,6 +207,9 @@ def parse_yaml(text: str, source: str = "") -> Any:
         problem = getattr(error, "problem", None) or "it cannot be parsed"
         message = f"{_before(source)}{place} is not valid YAML: {problem}."
         raise ConfigurationError(message, source=source, place=place) from None
+    except RecursionError:
+        message = f"{_before(source)}it is nested too deeply to be read."
+        raise ConfigurationError(message, source=source) from None
     return {} if data is None else data
 
 
@@ -238,10 +241,22 @@ def _parsed(text: str) -> Any:
 class _Loader(yaml.SafeLoader):
     """YAML loader that refuses repeated keys and reads ``1e-3`` as a number."""
 
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        """Say where a value is that is not what it looks like, such as a 13th month."""
+        try:
+            return super().construct_object(node, deep=deep)
+        except (ValueError, KeyError, AttributeError) as error:
+            kind = node.tag.rpartition(":")[2]
+            problem = f"{_short(node.value)} is no {kind} ({error})"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
+
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Refuse a key that appears twice: the first value would be lost silently."""
+        """Refuse a key that is no text or appears twice: a value would be lost silently."""
         seen = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                problem = f"a {key.id} is no key, expected a text"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             if key.value in seen:
                 problem = f"the key '{key.value}' appears twice"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
