@@ -118,7 +118,7 @@ $(PREFIX)/.package: $(INSTALLED) $(PREFIX)/.sources $(PREFIX)/.run
 	@rm -rf build/lib build/bdist.* *.egg-info
 	@$(PIP) install -qq --no-deps --no-build-isolation --force-reinstall .
 	@rm -rf build/lib build/bdist.* *.egg-info
-	@cd '$(PREFIX)' && $(PY) -m tactile_hand_ros.core.warm_up
+	@cd '$(PREFIX)' && $(PY) -m tactile_hand_ros.closed_loop.warm_up
 	@touch '$@'
 
 clean:

@@ -42,7 +42,7 @@ setup(
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
         PACKAGE: ["py.typed"],
-        f"{PACKAGE}.analysis.report": ["template.html", "viewer.js", "viewer.css"],
+        f"{PACKAGE}.report": ["template.html", "viewer.js", "viewer.css"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

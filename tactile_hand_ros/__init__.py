@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hold and turn an unknown object with a tactile prosthetic hand, on ROS 2.
 
-The paper lives in `core` (plain NumPy, no ROS), `ros` knows rclpy, `nodes` joins the two in one
-thin file per process, `bag` records and reads, `analysis` measures and draws.
+`control` is what runs on a real hand and `simulation` what replaces one; both are plain NumPy.
+`ros` knows rclpy, `nodes` has one folder per process, `bag`, `run`, `verify` and `report` work
+on recordings.
 """
 
 __version__ = "0.1.0"

@@ -6,7 +6,7 @@ import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { build } from "esbuild";
 
-const OUT = "../tactile_hand_ros/analysis/report";
+const OUT = "../tactile_hand_ros/report";
 const FIXED = ["build.mjs", "package.json", "package-lock.json"];
 
 /** Return all source files, sorted by name, with / between folders. */

@@ -15,9 +15,9 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.metadata import FILE_NAME
 from tactile_hand_ros.bag.provenance import RECORD_NAME
+from tactile_hand_ros.errors import BagError
 
 
 class RecordedMessage(NamedTuple):

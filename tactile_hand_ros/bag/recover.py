@@ -17,7 +17,6 @@ import yaml
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 
 from tactile_hand_ros.bag.bag_file import LIBRARY, BagFile
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.metadata import (
     FILE_NAME,
     RECORD_KEY,
@@ -31,6 +30,7 @@ from tactile_hand_ros.bag.qos import parse_qos
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.stream import is_being_written
 from tactile_hand_ros.bag.writer import write_whole
+from tactile_hand_ros.errors import BagError
 
 BROKEN = ".broken"
 _CHUNK_SIZE = 2**20

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from tactile_hand_ros.bag.errors import BagError
+from tactile_hand_ros.errors import BagError
 
 _SEPARATOR = "=" * 80 + "\n"
 _PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string"}

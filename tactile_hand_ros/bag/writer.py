@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any
 
 from tactile_hand_ros.bag.bag_file import CHUNK_SIZE, COMPRESSIONS, BagFile
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.metadata import (
     FILE_NAME,
     RECORD_NAME,
@@ -23,6 +22,7 @@ from tactile_hand_ros.bag.metadata import (
 )
 from tactile_hand_ros.bag.qos import OfferedQos, qos_text
 from tactile_hand_ros.bag.schema import MessageDefinition, message_definition
+from tactile_hand_ros.errors import BagError
 
 
 @dataclass

@@ -13,8 +13,8 @@ from tactile_hand_ros.bench.blocks import (
 )
 from tactile_hand_ros.bench.graph import measure_graph, measure_idle
 from tactile_hand_ros.bench.hops import measure_hops
-from tactile_hand_ros.bench.integrator import measure_integrator
-from tactile_hand_ros.bench.peers import measure_solvers, measure_steps
+from tactile_hand_ros.bench.peers.integrator import measure_integrator
+from tactile_hand_ros.bench.peers.libraries import measure_solvers, measure_steps
 from tactile_hand_ros.bench.realtime import measure_realtime
 from tactile_hand_ros.bench.recording import measure_recompute, measure_recorder
 from tactile_hand_ros.bench.results import Result

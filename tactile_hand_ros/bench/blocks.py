@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.force_optimizer import ForceOptimizer
-from tactile_hand_ros.core.scenario import Scenario, changed
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import Scenario, changed
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 
 Array = NDArray[np.float64]
 

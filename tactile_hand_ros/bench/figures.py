@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.analysis.style import FAINT, PAGE, label_panel, look, new_figure, run_color
 from tactile_hand_ros.bench.realtime import CONDITIONS, RATES, RealtimeRun
 from tactile_hand_ros.bench.sizes import (
     CONTROLLER,
@@ -21,6 +20,7 @@ from tactile_hand_ros.bench.sizes import (
     TWO_HANDS,
     Cost,
 )
+from tactile_hand_ros.report.style import FAINT, PAGE, label_panel, look, new_figure, run_color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ import psutil
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.runs import GraphRun, run_graph
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.core.scenario import NODES
+from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.ros.node import CALM_AFTER
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable, wait_until
 

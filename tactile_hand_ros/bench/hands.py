@@ -13,9 +13,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.hand import Hand
-from tactile_hand_ros.core.reach import inverse_kinematics
+from tactile_hand_ros.control.reach import inverse_kinematics
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,6 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.analysis.recompute import ShadowLoop
-from tactile_hand_ros.analysis.recorded_inputs import Inputs, Wish
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
@@ -32,6 +30,8 @@ from tactile_hand_ros.ros.testing import (
     start_executable,
     wait_until,
 )
+from tactile_hand_ros.verify.recompute import ShadowLoop
+from tactile_hand_ros.verify.recorded_inputs import Inputs, Wish
 
 TOPICS = 12
 RATE = 5000.0  # messages/s on all topics

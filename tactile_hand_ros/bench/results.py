@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.analysis import tables
-from tactile_hand_ros.analysis.metrics import json_ready
 from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.report import tables
+from tactile_hand_ros.run.metrics import json_ready
 
 Array = NDArray[np.float64]
 

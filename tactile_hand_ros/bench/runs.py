@@ -19,11 +19,11 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from tactile_hand_ros.analysis.run import Run
-from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.scenario import NODES
+from tactile_hand_ros.closed_loop.scenario import NODES
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.histogram import parse_histogram
 from tactile_hand_ros.ros.testing import ProcessUnderTest, isolated_domain
+from tactile_hand_ros.run.run import Run
 
 Array = NDArray[np.float64]
 

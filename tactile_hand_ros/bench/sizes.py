@@ -21,9 +21,9 @@ from tactile_hand_ros.bench.blocks import controller_times, optimizer_times, pla
 from tactile_hand_ros.bench.hands import prism_grasp
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
 

@@ -27,17 +27,17 @@ from rclpy.publisher import Publisher
 
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import SCENARIO, Workload
-from tactile_hand_ros.core.scenario import NODES, load_scenario
+from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
+from tactile_hand_ros.orchestrator.topology import PLANT, Link, links
 from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.spinning import spin
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
     start_executable,
     wait_until,
 )
-from tactile_hand_ros.ros.topology import PLANT, Link, links
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.control.contact import Contacts
 
 SCENARIO = "paper"
 

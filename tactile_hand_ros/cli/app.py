@@ -16,7 +16,7 @@ except ModuleNotFoundError:  # the nodes run without it
     )
 
 from tactile_hand_ros.cli import bags, measure, runs, scenarios
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 EXIT_FAILED = 2
 EXIT_INTERRUPTED = 130

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_hand_ros.cli.output import NamespaceOption
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.analysis import Run
-    from tactile_hand_ros.analysis.recompute import Comparison
-    from tactile_hand_ros.bag.replay import Replay
-    from tactile_hand_ros.bag.replay_options import Progress, ReplayOptions
+    from tactile_hand_ros.nodes.replay.options import Progress, ReplayOptions
+    from tactile_hand_ros.nodes.replay.replay import Replay
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify.recompute import Comparison
 
 EXIT_DIFFERS = 1
 
@@ -95,7 +95,7 @@ def replay(
     if changes or law or nodes:
         raise TactileHandError("--set, --law or --nodes was given, expected --recompute too.")
     from tactile_hand_ros.bag.recover import find_bag
-    from tactile_hand_ros.bag.replay_options import ReplayOptions
+    from tactile_hand_ros.nodes.replay.options import ReplayOptions
 
     if not 0.0 < rate < float("inf"):
         raise TactileHandError(f"--rate is {rate}, expected a number above 0.")
@@ -114,9 +114,9 @@ def replay(
 
 
 def _recompute(bag: Path, changes: list[str], law: str, namespace: str, *, nodes: bool) -> None:
-    from tactile_hand_ros.analysis import Run
-    from tactile_hand_ros.analysis import recompute as r
-    from tactile_hand_ros.core.config import parse_changes
+    from tactile_hand_ros.config.model import parse_changes
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify import recompute as r
 
     run = Run(bag, namespace=namespace or None)
     values = parse_changes(changes, "law.name=contact")
@@ -139,7 +139,7 @@ def _ask_nodes(run: Run, values: dict[str, Any], law: str) -> list[Comparison]:
     if law:
         raise TactileHandError("--law and --nodes were given: nodes know their own laws only.")
     try:
-        from tactile_hand_ros.analysis.question_nodes import ask_nodes
+        from tactile_hand_ros.verify.replay_through_nodes import ask_nodes
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"The nodes need ROS, but there is no module '{error.name}'; source ROS 2 or leave "
@@ -159,9 +159,9 @@ def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = N
 
     Exit code 0 if all agree, 1 if not.
     """
-    from tactile_hand_ros.analysis import Run
-    from tactile_hand_ros.analysis import audit as a
-    from tactile_hand_ros.analysis.recompute import reason
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify import audit as a
+    from tactile_hand_ros.verify.recompute import reason
 
     run = Run(bag, namespace=namespace)
     checks = a.audit(run)
@@ -181,7 +181,7 @@ def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = N
 def _print(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from rich.console import Console
 
-    from tactile_hand_ros.analysis.tables import rich_table
+    from tactile_hand_ros.report.tables import rich_table
 
     console = Console()
     if not console.is_terminal:
@@ -202,7 +202,7 @@ def _patterns(given: list[str]) -> list[str]:
 
 def _publish(bag: Path, options: ReplayOptions) -> None:
     try:
-        from tactile_hand_ros.bag.replay_node import replaying
+        from tactile_hand_ros.nodes.replay.node import replaying
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "

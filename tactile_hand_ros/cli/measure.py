@@ -38,10 +38,10 @@ def reproduce(
     formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims beside what was measured."""
-    from tactile_hand_ros.analysis import tables
-    from tactile_hand_ros.analysis.experiments import EXPERIMENTS, LAYOUTS
-    from tactile_hand_ros.analysis.reproduce import draw, write
-    from tactile_hand_ros.analysis.reproduce import reproduce as run
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, LAYOUTS
+    from tactile_hand_ros.studies.paper.reproduce import draw, write
+    from tactile_hand_ros.studies.paper.reproduce import reproduce as run
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
     figure_formats(formats)
@@ -83,8 +83,8 @@ def bench(
     formats: FormatOption = None,
 ) -> None:
     """Measure speed and compare it with the goals."""
-    from tactile_hand_ros.analysis import tables
     from tactile_hand_ros.bench.results import COLUMNS, rows, to_json
+    from tactile_hand_ros.report import tables
 
     figure_formats(formats)
     for folder in (None if out is None else out.parent, figures):
@@ -104,7 +104,7 @@ def bench(
         out.write_text(json.dumps(to_json(results), indent=2) + "\n", encoding="utf-8")
         print(out)
     if figures is not None:
-        from tactile_hand_ros.analysis.style import save
+        from tactile_hand_ros.report.style import save
 
         for name, draw in drawn.items():
             print(*save(draw(), figures, name, figure_formats(formats)))
@@ -157,15 +157,13 @@ def slip(
     formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what squeeze."""
-    from tactile_hand_ros.analysis import (
-        roc_figure,
-        slip_roc,
-        slip_study,
-        study_figures,
-        tables,
-    )
-    from tactile_hand_ros.analysis import study_tables as s
-    from tactile_hand_ros.analysis.style import save
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.studies.slip import figures as study_figures
+    from tactile_hand_ros.studies.slip import roc as slip_roc
+    from tactile_hand_ros.studies.slip import roc_figure
+    from tactile_hand_ros.studies.slip import study as slip_study
+    from tactile_hand_ros.studies.slip import tables as s
 
     figure_formats(formats)
     check_writable(out if out.exists() else out.absolute().parent)

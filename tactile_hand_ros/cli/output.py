@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -19,10 +19,10 @@ from tactile_hand_ros.cli.output import (
     figure_formats,
     print_table,
 )
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.run.run import Run
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Folder of a run, or a bag; runs/latest by default.")
@@ -39,15 +39,15 @@ def figures(
     namespace: NamespaceOption = None,
 ) -> None:
     """Draw the paper's Fig. 2, 3 and 4 from a recorded run, as PNG and SVG."""
-    from tactile_hand_ros.analysis.figures import friction_figure, motion_figure
-    from tactile_hand_ros.analysis.style import save
+    from tactile_hand_ros.report.figures import friction_figure, motion_figure
+    from tactile_hand_ros.report.style import save
 
     opened = _open(run, namespace)
     folder = out or _folder_of(opened) / "figures"
     check_writable(folder)
     drawn = {"fig3": motion_figure(opened.record), "fig4": friction_figure({"": opened.record})}
     if opened.scenario is not None:
-        from tactile_hand_ros.analysis.scene import grasp_figure
+        from tactile_hand_ros.report.scene import grasp_figure
 
         drawn["fig2"] = grasp_figure(opened.record, opened.scenario)
     for name, figure in sorted(drawn.items()):
@@ -64,7 +64,7 @@ def report(
     namespace: NamespaceOption = None,
 ) -> None:
     """Write a run as one page, report.html: 3D playback, plots, metrics, assumptions."""
-    from tactile_hand_ros.analysis.report import write_report
+    from tactile_hand_ros.report.page import write_report
 
     start = time.perf_counter()
     if out is not None:
@@ -78,8 +78,8 @@ def compare(
     namespace: NamespaceOption = None,
 ) -> None:
     """Lay runs over each other: one page with their plots, and their metrics side by side."""
-    from tactile_hand_ros.analysis import tables
-    from tactile_hand_ros.analysis.report import COMPARISON, write_comparison
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.page import COMPARISON, write_comparison
 
     start = time.perf_counter()
     if len(runs) < 2:
@@ -110,7 +110,7 @@ def summary(
         }
         print(json.dumps(results, indent=2))
         return
-    from tactile_hand_ros.analysis import tables
+    from tactile_hand_ros.report import tables
 
     name = opened.scenario.name if opened.scenario else "unknown scenario"
     columns = ("", "")
@@ -122,7 +122,7 @@ def summary(
 
 
 def _open(path: Path, namespace: str | None) -> Run:
-    from tactile_hand_ros.analysis import Run
+    from tactile_hand_ros.run.run import Run
 
     opened = Run(path, namespace=namespace)
     if opened.scenario_problem:

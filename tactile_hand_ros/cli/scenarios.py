@@ -12,8 +12,8 @@ from tactile_hand_ros.cli.output import print_table
 
 def scenarios() -> None:
     """List the scenarios of the package."""
-    from tactile_hand_ros.analysis import tables
-    from tactile_hand_ros.core.scenario import load_scenario, scenario_names
+    from tactile_hand_ros.closed_loop.scenario import load_scenario, scenario_names
+    from tactile_hand_ros.report import tables
 
     rows = []
     for name in scenario_names():
@@ -26,7 +26,7 @@ def show(
     scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
 ) -> None:
     """Print a scenario as YAML with every value resolved."""
-    from tactile_hand_ros.core.scenario import load_scenario, resolved
+    from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 
     print(resolved(load_scenario(scenario)), end="")
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
-from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
-from tactile_hand_ros.nodes.plant import PlantNode
-from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
-from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
+from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.plant.node import PlantNode
+from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
+from tactile_hand_ros.nodes.tactile_sensor.node import TactileSensorNode
 from tactile_hand_ros.ros.runner import run_nodes
 
 MEMBERS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tactile_hand_ros.core.compiled import interpret
+from tactile_hand_ros.jit.compiled import interpret
 from tactile_hand_ros.orchestrator.signals import Signals
 
 

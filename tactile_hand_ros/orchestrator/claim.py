@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import socket
 
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 
 class ClaimedError(TactileHandError):

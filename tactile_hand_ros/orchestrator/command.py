@@ -15,11 +15,11 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
 
-from tactile_hand_ros.core.compiled import have_completed
-from tactile_hand_ros.core.config import parse_changes
-from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.core.preflight import check_scenario
-from tactile_hand_ros.core.scenario import Scenario, load_scenario
+from tactile_hand_ros.closed_loop.preflight import check_scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.jit.compiled import have_completed
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
 from tactile_hand_ros.orchestrator.processes import Launcher

@@ -16,15 +16,15 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.bag.raw_topic import DirectTakeGroup
-from tactile_hand_ros.core.errors import MessageError
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.orchestrator.topology import PLANT
 from tactile_hand_ros.orchestrator.wiring import Peers
 from tactile_hand_ros.ros import interfaces as names
-from tactile_hand_ros.ros.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.diagnostics import OK, STALE
+from tactile_hand_ros.ros.executor import take_latest
+from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
-from tactile_hand_ros.ros.spinning import take_latest
-from tactile_hand_ros.ros.topology import PLANT
+from tactile_hand_ros.ros.raw_topic import DirectTakeGroup
 
 _HEADER = 4  # bytes of a CDR message before its first field, which is the stamp here
 _LATEST, _ALL = 1, 100

@@ -11,9 +11,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.orchestrator.topology import ORCHESTRATOR
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.topology import ORCHESTRATOR
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ from types import TracebackType
 
 from ament_index_python.packages import get_package_prefix
 
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.orchestrator.signals import pause
 from tactile_hand_ros.ros.executables import PACKAGE, child_environment, executable_path

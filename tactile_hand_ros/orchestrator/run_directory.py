@@ -9,9 +9,9 @@ import os
 import re
 from pathlib import Path
 
-from tactile_hand_ros.core.config import Config
-from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.scenario import Scenario, resolved
+from tactile_hand_ros.closed_loop.scenario import Scenario, resolved
+from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.parameters import to_params_yaml
 
 LATEST = "latest"

@@ -13,19 +13,16 @@ from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
-from tactile_hand_ros.bag.config import RecorderConfig
-from tactile_hand_ros.core.config import Config
-from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.scenario import Scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.orchestrator.monitor import Monitor
 from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
-from tactile_hand_ros.orchestrator.view import Rate, View
-from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
-from tactile_hand_ros.ros.scheduling import Scheduling
-from tactile_hand_ros.ros.topology import (
+from tactile_hand_ros.orchestrator.topology import (
     COMPOSED,
     CONTROLLER,
     OPTIMIZER,
@@ -34,6 +31,9 @@ from tactile_hand_ros.ros.topology import (
     REGULATOR,
     SENSOR,
 )
+from tactile_hand_ros.orchestrator.view import Rate, View
+from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
+from tactile_hand_ros.ros.scheduling import Scheduling
 
 # After the recorder, which is soon there: what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)

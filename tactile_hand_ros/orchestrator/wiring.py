@@ -10,9 +10,16 @@ from typing import NamedTuple
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tactile_hand_ros.core.errors import TactileHandError
-from tactile_hand_ros.core.scenario import Scenario
-from tactile_hand_ros.ros.topology import CONTROLLER, PLANT, RECORDER, REGULATOR, Link, links
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.orchestrator.topology import (
+    CONTROLLER,
+    PLANT,
+    RECORDER,
+    REGULATOR,
+    Link,
+    links,
+)
 
 
 class DuplicateNodeError(TactileHandError):

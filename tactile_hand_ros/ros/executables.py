@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 
 PACKAGE = "tactile_hand_ros"
 

@@ -13,8 +13,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.paths import config_directory
+from tactile_hand_ros.config.paths import config_directory
+from tactile_hand_ros.errors import ConfigurationError
 
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -17,14 +17,14 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from tactile_hand_ros.core.config import Config
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.attention import Attention
 from tactile_hand_ros.ros.diagnostics import Diagnostics
+from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.parameters import ConfigParameters
+from tactile_hand_ros.ros.poll_backoff import Attention
 from tactile_hand_ros.ros.scheduling import report_scheduling
-from tactile_hand_ros.ros.spinning import WaitSetExecutor
 
 C = TypeVar("C", bound=Config)
 

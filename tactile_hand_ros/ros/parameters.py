@@ -18,7 +18,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tactile_hand_ros.core.config import (
+from tactile_hand_ros.config.model import (
     Config,
     allowed,
     bound_of,
@@ -34,7 +34,7 @@ from tactile_hand_ros.core.config import (
     parse_yaml,
     unit_of,
 )
-from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 
 C = TypeVar("C", bound=Config)
 Type = Parameter.Type

@@ -17,10 +17,10 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from tactile_hand_ros.core.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling
-from tactile_hand_ros.ros.spinning import spin
 
 EXIT_OK = 0
 EXIT_FAILED = 1

@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics
 
 PRIORITY, CPUS = "--priority", "--cpus"

@@ -22,8 +22,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from tactile_hand_ros.ros.executables import ExecutableError, child_environment, executable_path
+from tactile_hand_ros.ros.executor import make_executor
 from tactile_hand_ros.ros.middleware import socket_settings
-from tactile_hand_ros.ros.spinning import make_executor
 
 _PORT_BASE = 32768
 _DOMAINS = range(60, 102)

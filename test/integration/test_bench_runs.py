@@ -9,7 +9,7 @@ import pytest
 from tactile_hand_ros.bench.realtime import LOADED, Case, run_case
 from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
 from tactile_hand_ros.bench.wire import rate
-from tactile_hand_ros.core.scenario import NODES
+from tactile_hand_ros.closed_loop.scenario import NODES
 
 
 def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:

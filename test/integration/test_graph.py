@@ -13,14 +13,14 @@ import pytest
 from std_srvs.srv import SetBool
 from support.graph import Graph
 
-from tactile_hand_ros.analysis.run import Run
 from tactile_hand_ros.bag.reader import read_raw
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.scenario import Scenario, load_scenario
-from tactile_hand_ros.core.slip_detector import Grip
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable
+from tactile_hand_ros.run.run import Run
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position

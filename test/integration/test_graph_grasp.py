@@ -12,7 +12,7 @@ import pytest
 from std_srvs.srv import SetBool
 from support.graph import Graph
 
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.testing import isolated_domain
 

@@ -18,23 +18,23 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.core.controller import MOST_WAITING
-from tactile_hand_ros.core.plant import Plant
-from tactile_hand_ros.core.scenario import load_scenario
-from tactile_hand_ros.core.truth import true_reading
-from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
-from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
-from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.controller import MOST_WAITING
+from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.conversions import (
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.messages.conversions import (
     contacts_to_ros,
     force_to_ros,
     pose_to_ros,
     stamp_to_ns,
 )
-from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
-from tactile_hand_ros.ros.wire import JointCodec
+from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.truth import true_reading
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
 TICK = 2_000_000

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
 
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.testing import isolated_domain

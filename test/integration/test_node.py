@@ -12,10 +12,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
-from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.errors import MessageError, TactileHandError
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.conversions import number_from_ros
+from tactile_hand_ros.ros.messages.conversions import number_from_ros
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
@@ -133,8 +133,8 @@ def test_a_sensor_subscription_may_be_made_best_effort(domain):
 
 PROGRAM = '''
 import sys
-from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_nodes
 

@@ -17,15 +17,12 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 
-from tactile_hand_ros.analysis import Run
-from tactile_hand_ros.analysis.audit import audit
-from tactile_hand_ros.analysis.recompute import recompute
 from tactile_hand_ros.bag.reader import summarize
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.orchestrator.session import START_ORDER
-from tactile_hand_ros.ros.conversions import pose_to_ros
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+from tactile_hand_ros.ros.messages.conversions import pose_to_ros
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -34,6 +31,9 @@ from tactile_hand_ros.ros.testing import (
     start_executable,
     wait_until,
 )
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.recompute import recompute
 
 # Six processes and their libraries start; a machine that does other things too takes its time.
 PATIENCE = 90.0

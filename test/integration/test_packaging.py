@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
-from tactile_hand_ros.core.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import executables
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,8 +11,8 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
-from tactile_hand_ros.core.config import Config, param
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.parameters import ConfigParameters, document, to_params_yaml
 from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
 

@@ -31,10 +31,10 @@ from std_srvs.srv import Trigger
 from support.kills import kill, talker
 
 import tactile_hand_ros
-from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, parse_peers
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.testing import (

@@ -24,19 +24,19 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 from support.recorded import PERIOD, START, RunWriter, pose_stamped, write_tick
 
-from tactile_hand_ros.analysis import Run
-from tactile_hand_ros.analysis.question_nodes import ask_nodes
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.rotations import quaternion_from_rotation
-from tactile_hand_ros.core.scenario import load_scenario, resolved
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
     private_context,
     wait_until,
 )
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.replay_through_nodes import ask_nodes
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=1000)

@@ -13,7 +13,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
@@ -24,6 +23,7 @@ from tactile_hand_ros.ros.testing import (
     start_executable,
     wait_until,
 )
+from tactile_hand_ros.run.run import Run
 
 PRIORITY = 7
 CPU = min(os.sched_getaffinity(0))

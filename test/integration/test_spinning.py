@@ -19,8 +19,8 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.ros import spinning as spinning_module
-from tactile_hand_ros.ros.spinning import (
+from tactile_hand_ros.ros import executor as spinning_module
+from tactile_hand_ros.ros.executor import (
     WaitSetExecutor,
     is_supported,
     make_executor,

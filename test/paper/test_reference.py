@@ -13,10 +13,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.plants import plant, torque_for
 
-from tactile_hand_ros.bench.reference import Reference, State, World
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.disturbance import Disturbance
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.bench.peers.reference import Reference, State, World
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.simulation.disturbance import Disturbance
 
 FACES = {
     "three_faces": np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]]),

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactile_hand_ros.analysis import derived
-from tactile_hand_ros.analysis.experiments import LAYOUTS, Outcome, run_experiment
-from tactile_hand_ros.analysis.stiffness import translational_stiffness
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.run import derived
+from tactile_hand_ros.studies.paper.experiments import LAYOUTS, Outcome, run_experiment
+from tactile_hand_ros.studies.paper.stiffness import translational_stiffness
 
 LAWS = ("optimal", "contact", "kawamura")
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support.exact import contact_law_violation
 from support.grasps import balance_in_frames, grasps
 
-from tactile_hand_ros.core.coulomb import solve_contacts
+from tactile_hand_ros.simulation.coulomb import solve_contacts
 
 
 @st.composite

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from support.exact import best_forces
 from support.grasps import balance_in_frames, grasps, moved, rotations, vectors
 
-from tactile_hand_ros.core.contact import Contacts
-from tactile_hand_ros.core.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 
 weights = st.lists(st.floats(0.5, 20.0), min_size=3, max_size=3)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.exact import nearest_point
 from support.grasps import normals
 
-from tactile_hand_ros.core.solid import ConvexPolyhedron, closest_point
+from tactile_hand_ros.simulation.solid import ConvexPolyhedron, closest_point
 
 random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 

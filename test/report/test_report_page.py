@@ -14,13 +14,13 @@ from selenium.webdriver.common.keys import Keys
 from support.browser import Page, browser
 from support.recorded import random_record, write_record
 
-from tactile_hand_ros.analysis import Run
-from tactile_hand_ros.analysis.report import write_comparison, write_report
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.hand import Hand
-from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.scenario import Scenario, load_scenario, resolved
-from tactile_hand_ros.core.slip_detector import Grip
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report.page import write_comparison, write_report
+from tactile_hand_ros.run.run import Run
 
 PICTURE = "const s = report.scene; s.draw(); return s.renderer.domElement.toDataURL()"
 

@@ -6,9 +6,9 @@ import pytest
 from joblib import Parallel, delayed
 from support.outcomes import run_scenario
 
-from tactile_hand_ros.analysis.study_outcomes import SLIDING
-from tactile_hand_ros.analysis.survival import least_at, survival
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.studies.slip.outcomes import SLIDING
+from tactile_hand_ros.studies.slip.survival import least_at, survival
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.grasps import balance_in_frames
-from tactile_hand_ros.core.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from tactile_hand_ros.core.hand_config import load_hand_config
-from tactile_hand_ros.core.scenario import NODES, Scenario
+from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.ros.conversions import (
+from tactile_hand_ros.ros.messages.conversions import (
     Array,
     contacts_from_ros,
     force_from_ros,

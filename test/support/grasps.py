@@ -9,8 +9,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_hand_ros.core.contact import Contacts, contact_frame
-from tactile_hand_ros.core.grasp import collinearity_margin
+from tactile_hand_ros.control.contact import Contacts, contact_frame
+from tactile_hand_ros.control.grasp import collinearity_margin
 
 Array = NDArray[np.float64]
 

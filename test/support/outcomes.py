@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run scenarios by function calls, in processes that can import this."""
 
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.record import Record
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 
 
 def run_scenario(name: str, changes: dict) -> Record:

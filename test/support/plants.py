@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.core.contact import hand_jacobian
-from tactile_hand_ros.core.plant import Plant, PlantState
-from tactile_hand_ros.core.plant_config import PlantConfig
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.simulation.plant import Plant, PlantState
+from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 Array = NDArray[np.float64]
 

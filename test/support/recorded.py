@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.core.record import Record
+from tactile_hand_ros.closed_loop.record import Record
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000  # log time of the first tick, ns

@@ -13,7 +13,7 @@ import pytest
 from support.recorded import random_record, write_record
 
 from tactile_hand_ros.cli import main
-from tactile_hand_ros.core.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved, scenario_names
 from tactile_hand_ros.ros.testing import ProcessUnderTest, wait_until
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]

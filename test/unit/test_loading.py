@@ -12,12 +12,12 @@ import pytest
 from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.testing import isolated_domain
 
-FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.analysis"}
+FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
 COMMANDS = {"typer", "rich"}
-MODEL = {"pinocchio", "tactile_hand_ros.core.hand"}
-SOLVER = {"osqp", "scipy.sparse", "tactile_hand_ros.core.cone_optimizer"}
+MODEL = {"pinocchio", "tactile_hand_ros.hand.hand"}
+SOLVER = {"osqp", "scipy.sparse", "tactile_hand_ros.control.optimizer.cone_optimizer"}
 HULL = {"scipy.spatial"}
-PLANT = {"tactile_hand_ros.core.plant"}
+PLANT = {"tactile_hand_ros.simulation.plant"}
 COMPILER = {"numba"}
 
 UNNEEDED = {
@@ -43,7 +43,7 @@ def loaded(name: str) -> set[str]:
 @pytest.mark.parametrize("name", UNNEEDED)
 def test_an_executable_loads_only_what_it_needs(name: str) -> None:
     found = loaded(name)
-    assert "rclpy" in found and "tactile_hand_ros.core.config" in found
+    assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]
 
 

@@ -18,7 +18,7 @@ LOCK = json.loads((VIEWER / "package-lock.json").read_text("utf-8"))
 
 
 def bundle(name: str) -> str:
-    return (files("tactile_hand_ros.analysis.report") / name).read_text("utf-8")
+    return (files("tactile_hand_ros.report") / name).read_text("utf-8")
 
 
 def digest() -> str:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.provenance import RECORD_NAME
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.errors import BagError
 
 FLOAT = b"\0\1\0\0" + bytes(range(8))
 

@@ -23,12 +23,12 @@ from rosbags.rosbag2 import Writer as ForeignWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag import recover as recover_module
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.qos import OfferedQos, parse_qos, qos_text
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import continue_bag, is_whole, recover, repair
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.errors import BagError
 
 STRING = "std_msgs/msg/String"
 COUNT = 400

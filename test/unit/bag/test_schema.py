@@ -10,8 +10,8 @@ from ament_index_python.packages import get_package_share_directory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tactile_hand_ros.bag import schema
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.schema import message_definition
+from tactile_hand_ros.errors import BagError
 
 LINE = "=" * 80 + "\n"
 TYPES = [

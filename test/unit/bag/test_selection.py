@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_hand_ros.bag.config import RecorderConfig
 from tactile_hand_ros.bag.selection import TopicSelection
-from tactile_hand_ros.core.config import from_flat
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.config.model import from_flat
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 
 
 @pytest.mark.parametrize(

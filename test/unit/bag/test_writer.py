@@ -24,11 +24,11 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import String
 
-from tactile_hand_ros.bag.errors import BagError
 from tactile_hand_ros.bag.qos import OfferedQos, qos_text
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.errors import BagError
 
 STRING = "std_msgs/msg/String"
 STRING_HASH = get_typestore(Stores.ROS2_JAZZY).hash_rihs01(STRING)

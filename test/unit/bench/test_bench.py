@@ -10,7 +10,7 @@ import pytest
 
 from tactile_hand_ros.bench import BLOCKS, run_measurements
 from tactile_hand_ros.bench.hops import measure_hops
-from tactile_hand_ros.bench.peers import measure_solvers
+from tactile_hand_ros.bench.peers.libraries import measure_solvers
 from tactile_hand_ros.bench.results import COLUMNS, Goal, Result, rows, to_json
 from tactile_hand_ros.bench.workload import Workload
 

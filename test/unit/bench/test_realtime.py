@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_hand_ros.analysis.style import save
 from tactile_hand_ros.bench.figures import realtime_figure
 from tactile_hand_ros.bench.realtime import (
     ALONE,
@@ -23,6 +22,7 @@ from tactile_hand_ros.bench.realtime import (
     summed_up,
 )
 from tactile_hand_ros.bench.runs import GraphRun, Usage
+from tactile_hand_ros.report.style import save
 from tactile_hand_ros.ros.histogram import Histogram
 
 USAGE = [Usage(float(t), {"plant": 0.5 * t, "recorder": 0.1 * t}, {"plant": 100.0}) for t in (0, 4)]

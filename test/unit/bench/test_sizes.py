@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_hand_ros.analysis.style import save
 from tactile_hand_ros.bench.figures import sizes_figure
 from tactile_hand_ros.bench.hands import HandSizeError, posture_for, write_hand
 from tactile_hand_ros.bench.sizes import (
@@ -21,8 +20,9 @@ from tactile_hand_ros.bench.sizes import (
     sizes,
 )
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.hand import Hand
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report.style import save
 
 
 def test_the_sizes_that_are_asked_for_are_measured() -> None:

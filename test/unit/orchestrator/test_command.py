@@ -12,8 +12,8 @@ from ament_index_python.packages import get_package_prefix
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.core.config import parse_changes
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.command import (
     full_namespace,
     split_ros_arguments,
@@ -22,8 +22,8 @@ from tactile_hand_ros.orchestrator.monitor import Look, stamp_of
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import Rate, facts
-from tactile_hand_ros.ros.conversions import set_stamp
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+from tactile_hand_ros.ros.messages.conversions import set_stamp
 
 
 def test_changes_are_yaml() -> None:

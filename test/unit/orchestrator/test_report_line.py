@@ -7,8 +7,8 @@ from pathlib import Path
 
 from support.recorded import random_record, write_record
 
-from tactile_hand_ros.analysis import Run
 from tactile_hand_ros.orchestrator.summary import Results, report_line
+from tactile_hand_ros.run.run import Run
 
 
 def test_it_says_where_the_report_is(tmp_path: Path) -> None:

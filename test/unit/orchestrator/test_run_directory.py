@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tactile_hand_ros.core.errors import ConfigurationError
-from tactile_hand_ros.core.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 
 NOON = datetime.datetime(2030, 1, 2, 12, 0, 0)

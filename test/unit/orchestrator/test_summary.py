@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from tactile_hand_ros.analysis import metrics
-from tactile_hand_ros.core.closed_loop import ClosedLoop
-from tactile_hand_ros.core.scenario import load_scenario
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Outcome, Plan
 from tactile_hand_ros.orchestrator.summary import (
@@ -28,6 +27,7 @@ from tactile_hand_ros.orchestrator.summary import (
     table,
     write_summary,
 )
+from tactile_hand_ros.run.metrics import metrics
 
 PLAN = Plan(load_scenario("paper", {"duration": 0.1}))
 STEERED = Plan(PLAN.scenario, interactive=True)

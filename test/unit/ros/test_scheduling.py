@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.core.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.scheduling import Scheduling, format_cpus, parse_cpus, take_scheduling
 
 

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The five blocks wired by function calls: the paper without ROS, and the oracle for the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Command, Controller
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.control.slip.split import ConeWatch
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
+from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
+
+Array = NDArray[np.float64]
+
+
+class ClosedLoop:
+    """Plant, sensor, regulator, optimizer and controller of one scenario.
+
+    A tick runs them in the order in which messages travel: touch is sampled, k_f and f* follow from
+    it, the controller answers, and the plant moves on with that torque. Contacts pass through the
+    quaternions of the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Build all blocks.
+
+        Raises:
+            TactileHandError: If hand, object or grasp cannot be built.
+        """
+        self.scenario = scenario
+        self.plant = Plant(scenario.plant)
+        hand = self.plant.hand
+        self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
+        self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
+        self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
+        self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
+        self.controller = Controller(scenario.manipulation_controller)
+        self._state = self.plant.state
+        self._stamp = 0
+        self._wishes = sorted(scenario.user_forces, key=lambda wish: wish.time)
+        self._desired: tuple[Array, Array] | None = None
+        self._targets = list(scenario.targets)
+        for wish in scenario.targets:
+            self.controller.command(wish.target(), wish.stamp)
+
+    def run(
+        self, ticks: int | None = None, progress: Callable[[int], None] | None = None
+    ) -> Record:
+        """Run to the end of the scenario, or for a number of ticks.
+
+        Args:
+            ticks: Number of ticks; that of the scenario by default.
+            progress: Called with the number of finished ticks, a hundred times in a run.
+        """
+        ticks = self.scenario.ticks if ticks is None else ticks
+        hand = self.plant.hand
+        record = Record.empty(ticks, hand.finger_names, hand.joint_names)
+        for row in range(ticks):
+            self.tick(record, row)
+            if progress is not None and (row + 1) % max(1, ticks // 100) == 0:
+                progress(row + 1)
+        return record
+
+    def tick(self, record: Record, row: int) -> None:
+        """Run one tick and write it into a row of the record."""
+        state, stamp = self._state, self._stamp
+        true = true_reading(state)
+        self._ask()
+        sliding = sliding_speeds(state)
+        touch = self.sensor.step(stamp, true, sliding)
+        contacts = touch.contacts
+        grasp_force = self.regulator.step(stamp, contacts, touch.forces)
+        optimal = self.optimizer.solve(contacts, self._cones(contacts, touch.forces))
+        command = self.controller.step(
+            stamp,
+            state.theta,
+            state.rates,
+            contacts,
+            optimal.forces,
+            grasp_force,
+            touch.forces,
+        )
+        self._write(record, row, true, touch, grasp_force, optimal, command)
+        record.true_sliding[row] = sliding
+        self._state = self.plant.advance(command.torque)
+        self._stamp += self.scenario.plant.tick
+
+    def _ask(self) -> None:
+        """Pass on what the user asks for at this tick."""
+        while self._wishes and self._wishes[0].stamp <= self._stamp:
+            self.regulator.request(self._wishes.pop(0).force)
+
+    def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
+        c = self.optimizer.config
+        if not c.cones:
+            return None
+        friction = c.cone_share * self.regulator.friction
+        return self._cone_watch.step(self._stamp, contacts, forces, friction)
+
+    def _write(
+        self,
+        record: Record,
+        row: int,
+        true: TactileReading,
+        touch: TactileReading,
+        grasp_force: float,
+        optimal: OptimalForces,
+        command: Command,
+    ) -> None:
+        state = self._state
+        record.stamps[row] = self._stamp
+        record.theta[row], record.rates[row] = state.theta, state.rates
+        record.torque[row], record.command[row] = state.torque, command.torque
+        record.contact_positions[row] = touch.positions
+        record.contact_quaternions[row] = touch.quaternions
+        record.forces[row] = touch.forces
+        record.optimal_forces[row] = optimal.forces
+        record.grasp_force[row] = grasp_force
+        if command.pose is not None:
+            record.auxiliary_position[row] = command.pose.position
+            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        self._write_desired(record, row)
+        record.object_position[row] = state.position
+        record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
+        record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
+        record.true_forces[row] = true.forces
+        record.true_slid[row] = state.slid
+        record.friction[row] = self.regulator.friction
+        record.slip_evidence[row] = self.regulator.slip_likelihood
+        record.grip[row] = self.regulator.state
+
+    def _write_desired(self, record: Record, row: int) -> None:
+        while self._targets and self._targets[0].stamp <= self._stamp:
+            target = self._targets.pop(0).target()
+            self._desired = target.position, quaternion_from_rotation(target.orientation)
+        if self._desired is not None:
+            record.desired_position[row], record.desired_quaternion[row] = self._desired

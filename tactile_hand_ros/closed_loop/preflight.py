@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a scenario can work at all, said before anything is started."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.control.grasp import check_joints, check_spread
+from tactile_hand_ros.control.laws import AuxiliaryPose
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+from tactile_hand_ros.control.reach import check_reach
+from tactile_hand_ros.control.virtual_frame import VirtualFrame
+from tactile_hand_ros.errors import GraspError
+from tactile_hand_ros.simulation.plant import Plant
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Build hand and object, and check the first grasp (A5, A7, (13)) and the reach of all targets.
+
+    Raises:
+        HandModelError: If the hand cannot be built.
+        ObjectModelError: If the object cannot be built or does not fit into the hand.
+        GraspError: If a finger does not touch, the hand is singular or the normals cannot balance.
+        PoseError: If a target is out of reach.
+        ConfigurationError: If a value does not fit the hand.
+    """
+    plant = Plant(scenario.plant)
+    hand, state = plant.hand, plant.state
+    contacts = state.contacts
+    if not contacts.whole:
+        i = int(np.flatnonzero(~contacts.touching)[0])
+        raise GraspError(
+            f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; all "
+            "fingers must touch: change initial_joints, the layout, or the object's size or place"
+        )
+    check_spread(contacts.positions)
+    check_joints(hand_jacobian(hand.fingertips(state.theta), contacts.positions))
+    optimal = ForceOptimizer(scenario.force_optimizer, hand.fingers).solve(contacts)
+    if not optimal.ok:
+        raise GraspError(optimal.reason)
+    frame = VirtualFrame().orientation(contacts.positions)
+    pose = AuxiliaryPose(contacts.centroid, frame)
+    for wish in scenario.targets:
+        check_reach(hand, state.theta, contacts, pose, wish.target())

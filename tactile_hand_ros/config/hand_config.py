@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The YAML file that turns a URDF into a hand: names of fingers, tips and layouts."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from tactile_hand_ros.config.model import Config, load_yaml, param
+from tactile_hand_ros.config.paths import config_directory
+from tactile_hand_ros.errors import HandModelError
+
+
+class FingerConfig(Config):
+    """One finger: the link whose origin is the centre of its hemispherical tip."""
+
+    name: str = param(..., "name of the finger in topics and frames", min_length=1)
+    tip: str = param(..., "link at the centre of the fingertip", min_length=1)
+    radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
+
+
+class MountConfig(Config):
+    """Placement of a fixed joint of the URDF in its parent link."""
+
+    xyz: tuple[float, float, float] = param((0.0, 0.0, 0.0), "origin", unit="m")
+    rpy: tuple[float, float, float] = param((0.0, 0.0, 0.0), "fixed-axis angles", unit="rad")
+
+
+class HandConfig(Config):
+    """A hand: any URDF with at least three fingers."""
+
+    urdf: str = param(..., "URDF file, relative to this file", min_length=1)
+    palm: str = param("palm", "link whose frame all positions refer to")
+    fingers: list[FingerConfig] = param(..., "fingers in the order of all arrays", min_length=3)
+    default_layout: str = param("", "layout used when none is asked for")
+    layouts: dict[str, dict[str, MountConfig]] = Field(
+        default_factory=dict, description="placements of fixed joints, by layout and joint"
+    )
+    folder: Path = Field(default=Path(), description="where the file lies; set on loading")
+
+    @model_validator(mode="after")
+    def _names_are_consistent(self) -> HandConfig:
+        names = self.finger_names
+        if len(set(names)) != len(names):
+            raise ValueError(f"finger names must differ, got {', '.join(names)}")
+        if self.default_layout and self.default_layout not in self.layouts:
+            raise ValueError(
+                f"default_layout '{self.default_layout}' is not one of the layouts "
+                f"({', '.join(self.layouts) or 'none'})"
+            )
+        return self
+
+    @property
+    def finger_names(self) -> list[str]:
+        """Names of the fingers, in order."""
+        return [finger.name for finger in self.fingers]
+
+    @property
+    def radii(self) -> list[float]:
+        """Radii of the fingertips in m, in the order of the fingers."""
+        return [finger.radius for finger in self.fingers]
+
+    def layout(self, name: str = "") -> dict[str, MountConfig]:
+        """Return the placements of a layout.
+
+        Args:
+            name: Name of the layout; empty for the default one.
+
+        Raises:
+            HandModelError: If there is no such layout.
+        """
+        chosen = name or self.default_layout
+        if not chosen:
+            return {}
+        if chosen not in self.layouts:
+            raise HandModelError(
+                f"the hand has no layout '{chosen}'; use one of: {', '.join(self.layouts)}"
+            )
+        return self.layouts[chosen]
+
+
+def find_hand(name: str) -> Path:
+    """Return the file of a hand given by name (``paper``) or by path (``my/hand.yaml``).
+
+    Raises:
+        HandModelError: If neither a file nor a hand of that name exists.
+    """
+    path = Path(os.path.expanduser(name))  # as it is where there is no such user
+    if path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return path
+        raise HandModelError(f"hand file '{path}' does not exist; give a hand's YAML file or name")
+    folder = config_directory() / "hands"
+    known = sorted(file.stem for file in folder.glob("*.yaml"))
+    if name in known:
+        return folder / f"{name}.yaml"
+    raise HandModelError(
+        f"no hand is called '{name}'; use one of: {', '.join(known)}, or the path of a YAML file"
+    )
+
+
+def load_hand_config(name: str) -> HandConfig:
+    """Load the YAML file of a hand, by name or path; see `find_hand`."""
+    path = find_hand(name)
+    return load_yaml(path, HandConfig).model_copy(update={"folder": path.resolve().parent})

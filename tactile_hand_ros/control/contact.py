@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts: points, contact frames C_i and the hand Jacobian (2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.rotations import cross, rows_of_quaternions
+
+Array = NDArray[np.float64]
+
+# Below this length the projection of palm z on the face is no direction any more (palm x is used).
+_MIN_PROJECTION = 1e-3
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Where the fingers touch, in the palm frame; a row of NaN means no contact.
+
+    Attributes:
+        positions: Contact points p_c, shape (k, 3), m.
+        rotations: Contact frames R_C = [t_x, n, t_z], shape (k, 3, 3); n points into the object.
+    """
+
+    positions: Array
+    rotations: Array
+
+    @classmethod
+    def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
+        """Build contacts from what travels on a topic: points and quaternions (x, y, z, w)."""
+        return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
+
+    @cached_property
+    def touching(self) -> NDArray[np.bool_]:
+        """Which fingers touch, shape (k,)."""
+        return _touching(self.positions, self.rotations)
+
+    @cached_property
+    def whole(self) -> bool:
+        """Whether all fingers touch."""
+        return all(self.touching.tolist())
+
+    @property
+    def normals(self) -> Array:
+        """Contact normals n into the object, shape (k, 3)."""
+        return self.rotations[:, :, 1]
+
+    @cached_property
+    def centroid(self) -> Array:
+        """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
+        return centroid(self.positions)
+
+
+@compiled
+def centroid(points: Array) -> Array:
+    """Return the mean of points of shape (k, 3), shape (3,)."""
+    out = np.zeros(3)
+    for i in range(len(points)):
+        out += points[i]
+    return out / len(points)
+
+
+@compiled
+def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
+    """Return where all numbers are finite, shape (k,): a point without a frame is of no use."""
+    out = np.empty(len(positions), dtype=np.bool_)
+    for i in range(len(positions)):
+        total = 0.0  # finite only if all its terms are
+        for j in range(3):
+            row = rotations[i, j]
+            total += positions[i, j] + row[0] + row[1] + row[2]
+        out[i] = np.isfinite(total)
+    return out
+
+
+def contact_frame(normal: Array) -> Array:
+    """Return the contact frame of a normal.
+
+    t_z is palm z projected on the face (palm x where that projection is shorter than 1e-3) and
+    t_x = n x t_z.
+
+    Args:
+        normal: Unit normal into the object, palm frame, shape (3,).
+
+    Returns:
+        R_C = [t_x, n, t_z], shape (3, 3).
+    """
+    nx, ny, nz = float(normal[0]), float(normal[1]), float(normal[2])
+    # The projection of e on the face is e - n (n . e), written out: this runs at every step.
+    tx, ty, tz = -nz * nx, -nz * ny, 1.0 - nz * nz
+    length = (tx * tx + ty * ty + tz * tz) ** 0.5
+    if length < _MIN_PROJECTION:
+        tx, ty, tz = 1.0 - nx * nx, -nx * ny, -nx * nz
+        length = (tx * tx + ty * ty + tz * tz) ** 0.5
+    tx, ty, tz = tx / length, ty / length, tz / length
+    return np.array(
+        [
+            [ny * tz - nz * ty, nx, tx],
+            [nz * tx - nx * tz, ny, ty],
+            [nx * ty - ny * tx, nz, tz],
+        ]
+    )
+
+
+compiled_contact_frame = compiled(contact_frame)
+"""The same for compiled callers; for a single normal the call would cost more than it saves."""
+
+
+def skew(vectors: Array) -> Array:
+    """Return the matrices a^ with a^ b = a x b, shape (..., 3, 3)."""
+    out = np.zeros((*vectors.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
+    return out
+
+
+def hand_jacobian(tips: Fingertips, points: Array) -> Array:
+    """Return the hand Jacobian J_h = [I  -p_cf^] [J; J_Omega], equation (2).
+
+    Args:
+        tips: Fingertip centres and Jacobians.
+        points: Contact points p_c in the palm frame, shape (k, 3), m.
+
+    Returns:
+        Velocities of the contact points per joint rate in palm axes, shape (k, 3, m); stacked to
+        (3k, m) it is the paper's J_h.
+
+    Source: Shaw-Cortez et al., equation (2).
+    """
+    return tips.linear - skew(points - tips.positions) @ tips.angular
+
+
+@compiled
+def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
+    """Return forces in palm axes, shape (k, 3), N.
+
+    Args:
+        rotations: Contact frames, shape (k, 3, 3).
+        forces: Forces in contact frames, shape (k, 3), N.
+        scale: Factor for all of them.
+    """
+    out = np.empty_like(forces)
+    for i in range(len(forces)):
+        r, f = rotations[i], forces[i]
+        for j in range(3):
+            out[i, j] = scale * (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2])
+    return out
+
+
+@compiled
+def joint_torques(
+    centres: Array, linear: Array, angular: Array, points: Array, forces: Array
+) -> Array:
+    """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
+
+    Args:
+        centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
+        linear: Jacobians of the fingertip centres, shape (k, 3, m).
+        angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
+        points: Contact points p_c, palm frame, shape (k, 3), m.
+        forces: Forces f in palm axes, shape (k, 3), N.
+
+    Source: Shaw-Cortez et al., equation (2), without forming J_h.
+    """
+    out = np.zeros(linear.shape[2])
+    for i in range(len(points)):
+        x, y, z = forces[i]
+        a, b, c = points[i] - centres[i]
+        p, q, r = cross((a, b, c), (x, y, z))
+        for j in range(len(out)):
+            out[j] += x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]
+            out[j] += p * angular[i, 0, j] + q * angular[i, 1, j] + r * angular[i, 2, j]
+    return out

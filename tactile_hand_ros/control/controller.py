@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation controller: targets over time, one of the laws, and a safe hold around them."""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.laws import (
+    AuxiliaryPose,
+    LawConfig,
+    LawFactory,
+    ManipulationLaw,
+    Target,
+)
+from tactile_hand_ros.control.reach import check_reach
+from tactile_hand_ros.control.reference import SmoothReference
+from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
+from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
+from tactile_hand_ros.errors import GraspError, PoseError
+from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+MOST_WAITING = 1000
+"""Desired poses that may wait for their tick."""
+
+_LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
+
+
+class ControllerConfig(Config):
+    """Parameters of the manipulation controller."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    law: LawConfig = LawConfig()
+    gravity_compensation: bool = param(False, "carry the links' weight by feed-forward", live=True)
+    gravity: tuple[float, float, float] = param(
+        (0.0, 0.0, -9.81), "acceleration of gravity in the palm frame", unit="m/s^2"
+    )
+    midpoint_hold: bool = param(
+        False,
+        "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
+        live=True,
+    )
+    reference_time: float = param(
+        0.0,
+        "time constant with which the hand follows a new desired pose, 0 for at once",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=60.0,
+    )
+    hold: HoldConfig = HoldConfig()
+    regrasp: RegraspConfig = RegraspConfig()
+    input_timeout: float = param(
+        0.5,
+        "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
+        unit="s",
+        gt=0.0,
+        le=60.0,
+    )
+
+
+class Mode(enum.Enum):
+    """What the controller is doing."""
+
+    DRIVE = "drive"
+    HOLD = "hold"
+    OPEN = "open"
+    DISABLED = "disabled"
+
+
+class Command(NamedTuple):
+    """What the controller answers to one tick.
+
+    Attributes:
+        torque: Joint torques, shape (m,), N m.
+        mode: Drive, hold, open or disabled.
+        pose: What the hand believes of the object; None when it cannot tell.
+        reason: Why it holds, or why a target was refused; empty otherwise.
+    """
+
+    torque: Array
+    mode: Mode
+    pose: AuxiliaryPose | None
+    reason: str = ""
+
+
+class Controller:
+    """Answers each tick with joint torques; sees joints and touch only.
+
+    Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
+    or the contacts lie on a line, the hand holds its posture and its last good squeeze.
+
+    Attributes:
+        enabled: Whether the law acts, instead of mere damping.
+        dropped: Desired poses that were forgotten because too many waited.
+        target: The desired pose in force; None before the first tick.
+    """
+
+    def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
+        """Build the controller.
+
+        Args:
+            config: Its parameters.
+            law: A law in the place of the one that they name.
+
+        Raises:
+            HandModelError: If the hand cannot be built.
+        """
+        self.config = config
+        self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
+        self._law = ManipulationLaw(config.law, self.hand.radii, law)
+        self._reference = SmoothReference()
+        self._hold = SafeHold(config.hold)
+        self._regrasp = Regrasp(config.regrasp, self.hand)
+        self.enabled = True
+        self.dropped = 0
+        self.reset()
+
+    def configure(self, config: ControllerConfig) -> None:
+        """Take other gains while running."""
+        self.config = config
+        self._law.configure(config.law)
+
+    def reset(self) -> None:
+        """Forget grasp, targets and integral."""
+        self._law.reset()
+        self._reference.reset()
+        self._hold.release()
+        self._regrasp.finish()
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._grasp_force = self._more = 0.0
+        self._last_torque: Array | None = None
+        self._last_stamp: int | None = None
+        self._drove = False
+        self._open_stamp: int | None = None
+        self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
+        self.target: Target | None = None
+        self._queue: list[tuple[int, Target]] = []
+
+    def command(self, target: Target, stamp: int = 0) -> None:
+        """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
+
+        Args:
+            target: Desired pose of the contact centroid's virtual frame, palm frame.
+            stamp: Tick in ns from which it holds; zero or a past one means now.
+
+        Raises:
+            PoseError: If the present grasp cannot be carried there.
+        """
+        if self._grasp is not None:
+            check_reach(self.hand, *self._grasp, target)
+        if stamp <= (self._last_stamp or 0):
+            stamp = 0
+        self._queue = sorted([*self._queue, (stamp, target)], key=lambda item: item[0])
+        if len(self._queue) > MOST_WAITING:
+            del self._queue[0]
+            self.dropped += 1
+
+    def forget_after(self, stamp: int) -> list[int]:
+        """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
+        forgotten = [due for due, _ in self._queue if due > stamp]
+        self._queue = [item for item in self._queue if item[0] <= stamp]
+        return forgotten
+
+    def release(self) -> None:
+        """Let go of the object: the fingers open along the normals of the last grasp.
+
+        Raises:
+            GraspError: If there has been no grasp yet.
+        """
+        if self._grasp is None:
+            raise GraspError("there is no grasp to let go of; let all fingers touch first")
+        self._regrasp.leave(self._grasp[0], self._grasp[1])
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the fingers are open, opening or closing."""
+        return self._regrasp.active
+
+    def grasp(self) -> None:
+        """Close the fingers until all of them touch, and take what they hold as a new grasp."""
+        if self._regrasp.active:
+            self._regrasp.close()
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+        forces: Array | None = None,
+    ) -> Command:
+        """Answer a tick for which everything has arrived.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            contacts: Contacts by touch; NaN where there is none.
+            optimal_forces: f* in contact frames, shape (k, 3); NaN when (13) has no answer.
+            grasp_force: k_f, N.
+            forces: Measured forces in contact frames, shape (k, 3), N; for the load observer.
+        """
+        dt = self._elapsed(stamp)
+        self._last_stamp = stamp
+        if not self.enabled:
+            return self._disabled(theta, rates)
+        if self._regrasp.active and not self._regrasped(contacts):
+            return self._open(theta, rates, contacts, stamp)
+        problem = self._missing(contacts, optimal_forces, grasp_force)
+        if problem:
+            return self.hold(theta, rates, problem, grasp_force)
+        tips = self.hand.fingertips(theta)
+        try:
+            pose = self._law.auxiliary_pose(tips, contacts)
+            self._grasp = (theta, contacts, pose)
+            refused = self._take_due_target(stamp, pose)
+            assert self.target is not None
+            wanted = self._reference.step(self.target, pose, self.config.reference_time, dt)
+            parts = self._law.step(
+                tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
+            )
+        except GraspError as error:
+            return self.hold(theta, rates, str(error))
+        self._hold.release()
+        self._drove = True
+        self._squeeze, self._carry = parts.squeeze, parts.carry
+        self._grasp_force, self._more = grasp_force, 0.0
+        torque = self._for_middle_of_period(parts.total)
+        return Command(self._with_gravity(torque, theta), Mode.DRIVE, pose, refused)
+
+    def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
+        """Answer a tick without what the law needs: keep posture and last good squeeze.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            reason: Why the law cannot answer.
+            grasp_force: k_f where it is known, N. The held squeeze rises with it and never falls.
+        """
+        self._last_torque = None
+        self._drove = False
+        self._open_stamp = None
+        if not self.enabled:
+            return self._disabled(theta, rates)
+        self._reference.reset()
+        self._hold.engage(theta, self._squeeze + self._carry)
+        if self._grasp_force > 0.0 and math.isfinite(grasp_force):
+            self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
+        torque = self._hold.torque(theta, rates) + self._more * self._squeeze
+        return Command(self._with_gravity(torque, theta), Mode.HOLD, None, reason)
+
+    def _disabled(self, theta: Array, rates: Array) -> Command:
+        self._hold.release()
+        self._reference.reset()
+        self._last_torque = None
+        self._drove = False
+        self._open_stamp = None
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        torque = self._with_gravity(-self.config.law.damping * rates, theta)
+        return Command(torque, Mode.DISABLED, None, "disabled by the user")
+
+    def _regrasped(self, contacts: Contacts) -> bool:
+        """Return whether closing fingers have all touched; then a new grasp begins."""
+        if not (self._regrasp.closing and contacts.whole):
+            return False
+        self._regrasp.finish()
+        self._open_stamp = None
+        self._law.reset()
+        self._reference.reset()
+        self.target = None
+        return True
+
+    def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
+        # After a gap the fingers go on from where they are, and do not make up for it at once.
+        dt = 0.0 if self._open_stamp is None else 1e-9 * (stamp - self._open_stamp)
+        self._open_stamp = stamp
+        self._drove = False
+        self._last_torque = None
+        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._hold.move(
+            self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
+        )
+        torque = self._with_gravity(self._hold.torque(theta, rates), theta)
+        return Command(torque, Mode.OPEN, None, "let go by the user")
+
+    def _elapsed(self, stamp: int) -> float:
+        """Return the time since the last tick in s; nothing is integrated over an interruption."""
+        if self._last_stamp is None or not self._drove:
+            return 0.0
+        return max(0.0, 1e-9 * (stamp - self._last_stamp))
+
+    def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
+        if not contacts.whole:
+            names = [
+                name
+                for name, touching in zip(self.hand.finger_names, contacts.touching, strict=True)
+                if not touching
+            ]
+            return f"no contact at {', '.join(names)}; holding until all fingers touch again"
+        if self.config.law.name == "optimal" and not np.isfinite(forces).all():
+            return "no optimal force f*; holding until the optimizer has an answer"
+        if not math.isfinite(grasp_force) or grasp_force < 0.0:
+            return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
+        return ""
+
+    def _take_due_target(self, stamp: int, pose: AuxiliaryPose) -> str:
+        """Make the newest due target the present one; return why it was refused, if it was."""
+        if self.target is None:
+            self.target = Target(pose.position, pose.orientation)
+        refused = ""
+        while self._queue and self._queue[0][0] <= stamp:
+            _, due = self._queue.pop(0)
+            assert self._grasp is not None
+            try:
+                check_reach(self.hand, *self._grasp, due)
+                self.target = due
+            except PoseError as error:
+                refused = str(error)
+        return refused
+
+    def _for_middle_of_period(self, torque: Array) -> Array:
+        """Extrapolate by half a period: a torque that is held for T is T/2 old on average."""
+        last, self._last_torque = self._last_torque, torque
+        if not self.config.midpoint_hold or last is None:
+            return torque
+        return torque + 0.5 * (torque - last)
+
+    def _with_gravity(self, torque: Array, theta: Array) -> Array:
+        """Return a torque that carries the links too, where that is wanted."""
+        if not self.config.gravity_compensation:
+            return torque
+        return torque + self.hand.gravity_torque(theta)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grasp: grasp maps (4) and (11), their pseudoinverse, beta, and the checks of A5 and A7."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts, centroid, skew
+from tactile_hand_ros.errors import CollinearContactsError, GraspError
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+# A grasp this much thinner than long counts as a line: its rotation about the line is lost (A7).
+MIN_COLLINEARITY_MARGIN = 1e-3
+
+
+def grasp_map(points: Array, origin: Array) -> Array:
+    """Return the grasp map G with G_i^T = [I  -(p_c,i - origin)^].
+
+    Args:
+        points: Contact points p_c in the palm frame, shape (k, 3), m.
+        origin: Point about which torques are taken, shape (3,), m: the object's origin gives
+            equation (4), the contact centroid equation (11).
+
+    Returns:
+        G, shape (6, 3k): forces in palm axes to the wrench (force, torque) on the object.
+
+    Source: Shaw-Cortez et al., equations (4) and (11).
+    """
+    k = len(points)
+    out = np.empty((6, k, 3))
+    out[:3] = np.eye(3)[:, None, :]
+    out[3:] = skew(points - origin).transpose(1, 0, 2)
+    return out.reshape(6, 3 * k)
+
+
+def net_wrench(contacts: Contacts, forces: Array) -> Array:
+    """Return the wrench of contact forces about the contact centroid, shape (6,), N and N m.
+
+    Args:
+        contacts: Contact points and frames.
+        forces: Forces on the object in contact frames, shape (k, 3), N.
+    """
+    return contact_wrench(contacts.positions, contacts.rotations, forces)
+
+
+@compiled
+def contact_wrench(points: Array, rotations: Array, forces: Array) -> Array:
+    """Return the wrench of `net_wrench` for contacts given by their arrays, shape (6,)."""
+    arms, out = centred(points), np.zeros(6)
+    for i in range(len(points)):
+        f, d = rotations[i] @ forces[i], arms[i]
+        out[:3] += f
+        out[3] += d[1] * f[2] - d[2] * f[1]
+        out[4] += d[2] * f[0] - d[0] * f[2]
+        out[5] += d[0] * f[1] - d[1] * f[0]
+    return out
+
+
+def wrench_forces(points: Array, wrench: Array) -> Array:
+    """Return the contact forces G~^+ wrench, the smallest ones that give a wrench.
+
+    About the centroid the blocks of G~ G~^T decouple, so that with d_i = p_c,i - centroid and
+    S = sum(|d_i|^2 I - d_i d_i^T) the pseudoinverse is f_i = F / k + (S^-1 T) x d_i.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
+
+    Returns:
+        Forces in palm axes, shape (k, 3), N.
+
+    Raises:
+        CollinearContactsError: If the contacts lie on a line (A7).
+    """
+    forces, margin = spread_wrench(points, wrench)
+    if margin < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(points)
+    return forces
+
+
+@compiled
+def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
+    """Return the forces of `wrench_forces`, of no use on a line, and the collinearity margin."""
+    arms = centred(points)
+    k, margin = len(points), _margin(arms)
+    x, y, z = _solve_spread(arms.T @ arms, wrench[3:])
+    out = np.empty((k, 3))
+    for i in range(k):
+        a, b, c = arms[i]
+        out[i, 0] = wrench[0] / k + y * c - z * b
+        out[i, 1] = wrench[1] / k + z * a - x * c
+        out[i, 2] = wrench[2] / k + x * b - y * a
+    return out, margin
+
+
+@compiled
+def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
+    """Solve (trace(scatter) I - scatter) w = right by its adjugate."""
+    xx, xy, xz = scatter[0]
+    yy, yz, zz = scatter[1, 1], scatter[1, 2], scatter[2, 2]
+    x, y, z = right
+    a, b, c, d, e, f = yy + zz, -xy, -xz, xx + zz, -yz, xx + yy
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * aa + b * ab + c * ac)
+    return (
+        scale * (aa * x + ab * y + ac * z),
+        scale * (ab * x + bb * y + bc * z),
+        scale * (ac * x + bc * y + cc * z),
+    )
+
+
+@compiled
+def centred(points: Array) -> Array:
+    """Return the arms p_c,i - centroid, shape (k, 3), m."""
+    return points - centroid(points)
+
+
+@compiled
+def collinearity_margin(points: Array) -> float:
+    """Return how far the contacts are from lying on one line: 0 on a line, 1 for an even spread.
+
+    It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
+    assumption A7.
+    """
+    return _margin(centred(points))
+
+
+@compiled
+def _margin(arms: Array) -> float:
+    if len(arms) == 3:
+        # Three arms from their mean have one cross product, whose square is a third of l1 l2, where
+        # l are the eigenvalues of the scatter; their sum is that of the squared arms.
+        total = (arms * arms).sum()
+        (ax, ay, az), (bx, by, bz) = arms[0], arms[1]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        product = 3.0 * (nx * nx + ny * ny + nz * nz)
+        largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
+        return math.sqrt(product) / largest if largest > 0.0 else 0.0
+    squares = np.linalg.eigvalsh(arms.T @ arms)
+    return math.sqrt(max(squares[1], 0.0) / squares[2]) if squares[2] > 0.0 else 0.0
+
+
+def joint_margin(hand_jacobian: Array) -> float:
+    """Return the smallest singular value of J_h, the margin of assumption A5, in m/rad.
+
+    Args:
+        hand_jacobian: Shape (3k, m) or (k, 3, m).
+    """
+    stacked = hand_jacobian.reshape(-1, hand_jacobian.shape[-1])
+    if stacked.shape[1] < stacked.shape[0]:
+        return 0.0
+    return float(np.linalg.svd(stacked, compute_uv=False)[-1])
+
+
+def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
+    """Check assumption A5: J_h has full row rank.
+
+    Raises:
+        GraspError: If the hand cannot move its contact points freely.
+    """
+    margin = joint_margin(hand_jacobian)
+    if margin < minimum:
+        rows = hand_jacobian.size // hand_jacobian.shape[-1]
+        raise GraspError(
+            f"the hand is singular (A5): the smallest singular value of J_h ({rows} x "
+            f"{hand_jacobian.shape[-1]}) is {margin:.2g} m/rad, at least {minimum:.2g} is needed; "
+            "bend the fingers or use more joints"
+        )
+
+
+def check_spread(points: Array) -> None:
+    """Check assumption A7: at least three contacts that are not on one line.
+
+    Raises:
+        CollinearContactsError: If they are.
+        GraspError: If there are fewer than three.
+    """
+    if len(points) < 3:
+        raise too_few(points)
+    if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(points)
+
+
+def too_few(points: Array) -> GraspError:
+    """Return the error for fewer than three contacts."""
+    return GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
+
+
+def required_friction(forces: Array) -> Array:
+    """Return beta_i = sqrt(f_x^2 + f_z^2) / f_n, the friction coefficient that each contact needs.
+
+    Args:
+        forces: Contact forces on the object in C_i (y is the normal), shape (k, 3), N.
+
+    Returns:
+        Shape (k,); infinite where a tangential force has no normal force, 0 where there is none.
+    """
+    tangential = np.hypot(forces[..., 0], forces[..., 2])
+    normal = forces[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beta = np.where(normal > 0.0, tangential / normal, np.inf)
+    return np.where((normal <= 0.0) & (tangential == 0.0), 0.0, beta)

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation laws: Kawamura's (8), the contact-point law (10) and the proposed law (14)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
+from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
+from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
+from tactile_hand_ros.hand.kinematics import Fingertips
+
+Array = NDArray[np.float64]
+
+
+class IntegralConfig(Config):
+    """Integral action of Remark 1; a gain of zero switches it off."""
+
+    k_p: float = param(0.0, "gain on the position error", unit="N/(m s)", live=True, ge=0.0)
+    k_o: float = param(0.0, "gain on the orientation error", unit="N m/(rad s)", live=True, ge=0.0)
+    force_limit: float = param(5.0, "largest integral force", unit="N", live=True, ge=0.0)
+    torque_limit: float = param(0.5, "largest integral torque", unit="N m", live=True, ge=0.0)
+
+
+class LawConfig(Config):
+    """Which law, and its gains (Table I)."""
+
+    name: Literal["optimal", "contact", "kawamura"] = param(
+        "optimal", "law: optimal is (14), contact is (10), kawamura is (8)"
+    )
+    k_p: float = param(3.0, "position gain", unit="N/m", live=True, ge=0.0, le=1e4)
+    k_o: float = param(0.5, "orientation gain", unit="N m/rad", live=True, ge=0.0, le=1e3)
+    damping: float = param(0.07, "joint damping K_c", unit="N m s/rad", live=True, ge=0.0, le=1e2)
+    k_st: float = param(
+        0.0, "gain of the relative attitude term in (8)", unit="N m/rad", live=True, ge=0.0
+    )
+    r_ref: tuple[float, float, float] = param(
+        (0.0, 0.0, 0.0), "reference of the relative attitude term in (8)", unit="rad", live=True
+    )
+    integral: IntegralConfig = IntegralConfig()
+    observer: ObserverConfig = ObserverConfig()
+
+
+class Target(NamedTuple):
+    """Where the hand shall bring the grasp: p_d and R_pod in the palm frame."""
+
+    position: Array
+    orientation: Array
+
+
+class AuxiliaryPose(NamedTuple):
+    """What the hand believes of the object: a centroid and the virtual frame, palm frame."""
+
+    position: Array
+    orientation: Array
+
+
+class LawTorque(NamedTuple):
+    """Joint torques of a law by what they are for, each of shape (m,), N m.
+
+    Attributes:
+        squeeze: Holds the object; does no work on a rigid grasp.
+        carry: Carries what weighs on the object: integral action and observed load.
+        drive: Moves the object towards its target.
+        damping: -K_c theta'.
+    """
+
+    squeeze: Array
+    carry: Array
+    drive: Array
+    damping: Array
+
+    @property
+    def total(self) -> Array:
+        """The torque of the law, shape (m,), N m."""
+        return self.squeeze + self.carry + self.drive + self.damping
+
+
+class LawInput(NamedTuple):
+    """What a law sees at one tick: joints and touch, nothing of the object.
+
+    Attributes:
+        tips: Fingertip centres and Jacobians.
+        radii: Fingertip radii, shape (k,), m.
+        contacts: Contact points and frames.
+        optimal_forces: f* in contact frames, shape (k, 3).
+        grasp_force: k_f, N.
+    """
+
+    tips: Fingertips
+    radii: Array
+    contacts: Contacts
+    optimal_forces: Array
+    grasp_force: float
+
+
+class Law(Protocol):
+    """What a law answers at one tick."""
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, shape (m,), N m."""
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+
+
+LawFactory = Callable[[LawInput, LawConfig], Law]
+"""Makes a law from what it sees at a tick; a class with that constructor is one."""
+
+
+class ManipulationLaw:
+    """Virtual frame, integral action and load observer around one of the three laws."""
+
+    def __init__(self, config: LawConfig, radii: Array, law: LawFactory | None = None) -> None:
+        """Build a law for fingertips of the given radii, shape (k,), m.
+
+        Args:
+            config: Which of the three laws, and the gains.
+            radii: Radii of the fingertips, shape (k,), m.
+            law: Another law in the place of the one that `config` names.
+        """
+        self._factory = law
+        self._radii = np.asarray(radii)
+        self._frame = VirtualFrame()
+        self._integral = np.zeros(6)
+        self._observer = LoadObserver()
+        self.configure(config)
+
+    def configure(self, config: LawConfig) -> None:
+        """Take other gains; integral and observed load stay, unless they are switched off."""
+        self.config = config
+        self._gains = np.repeat([config.k_p, config.k_o], 3)
+        self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
+        if not self._integrates:
+            self._integral[:] = 0.0
+        if config.observer.time == 0.0:
+            self._observer.reset()
+
+    def reset(self) -> None:
+        """Forget the grasp and the integral."""
+        self._frame.reset()
+        self._integral[:] = 0.0
+        self._observer.reset()
+
+    @property
+    def integral_wrench(self) -> Array:
+        """Wrench of the integral action, shape (6,), N and N m."""
+        return self._integral.copy()
+
+    def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
+        """Return what the hand believes of the object's pose.
+
+        Laws (10) and (14) follow the contact points, law (8) the fingertip centres.
+
+        Raises:
+            GraspError: If the points do not define a frame (A7).
+        """
+        points = tips.positions if self.config.name == "kawamura" else contacts.positions
+        return AuxiliaryPose(centroid(points), self._frame.orientation(points))
+
+    def step(
+        self,
+        tips: Fingertips,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+        target: Target,
+        auxiliary: AuxiliaryPose,
+        dt: float,
+        forces: Array | None = None,
+    ) -> LawTorque:
+        """Return the joint torques of the law, without gravity compensation.
+
+        Args:
+            tips: Fingertip centres and Jacobians.
+            rates: Joint rates, shape (m,), rad/s.
+            contacts: Contact points and frames.
+            optimal_forces: f* in contact frames, shape (k, 3); used by (14) only.
+            grasp_force: k_f, N.
+            target: Desired pose.
+            auxiliary: Pose from `auxiliary_pose` at this tick.
+            dt: Time since the last step, s; drives integral action and observer.
+            forces: Measured forces in contact frames, shape (k, 3), N; used by the observer.
+
+        Raises:
+            CollinearContactsError: If the contacts lie on a line (A7).
+        """
+        c = self.config
+        error = pose_error(*auxiliary, *target)
+        self._integrate(error, dt)
+        wrench = self._gains * error
+        seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
+        law = (self._factory or LAWS[c.name])(seen, c)
+        carried = self._carried(contacts, forces, dt)
+        carry = np.zeros(len(rates)) if carried is None else law.drive(carried)
+        return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
+
+    def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
+        """Return what integral and observer carry, shape (6,), or None while both are off."""
+        c = self.config
+        observes = c.observer.time > 0.0 and forces is not None
+        if not observes:
+            return self._integral if self._integrates else None
+        assert forces is not None
+        return self._integral + self._observer.step(c.observer, contacts, forces, dt)
+
+    def _integrate(self, error: Array, dt: float) -> None:
+        """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
+        if not self._integrates:
+            return
+        c = self.config.integral
+        for gain, limit, part in (
+            (c.k_p, c.force_limit, slice(0, 3)),
+            (c.k_o, c.torque_limit, slice(3, 6)),
+        ):
+            if gain == 0.0:
+                self._integral[part] = 0.0
+                continue
+            self._integral[part] += gain * dt * error[part]
+            limit_length(self._integral[part], limit)
+
+
+class KawamuraLaw:
+    """Equation (8): squeeze towards the tips' centroid, turn the object by turning the tips."""
+
+    def __init__(self, seen: LawInput, config: LawConfig) -> None:
+        """Take what the law sees at a tick."""
+        self._seen, self._config = seen, config
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, with the relative attitude term, shape (m,), N m."""
+        tips, c = self._seen.tips, self._config
+        centroid = tips.positions.sum(axis=0) / len(tips.positions)
+        pull = self._seen.grasp_force / self._seen.radii.sum() * (centroid - tips.positions)
+        attitude = np.einsum("kim,i->m", tips.angular, c.k_st * np.array(c.r_ref))
+        return np.asarray(np.einsum("kim,ki->m", tips.linear, pull) + attitude)
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench, shape (6,), that every finger applies in full."""
+        tips = self._seen.tips
+        moving = np.einsum("kim,i->m", tips.linear, wrench[:3])
+        return np.asarray(moving + np.einsum("kim,i->m", tips.angular, wrench[3:]))
+
+
+class ContactLaw:
+    """Equation (10): squeeze towards the contacts' centroid, manipulate through the grasp map."""
+
+    def __init__(self, seen: LawInput, config: LawConfig) -> None:
+        """Take what the law sees at a tick."""
+        self._seen = seen
+
+    def squeezing_forces(self) -> Array:
+        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+        contacts = self._seen.contacts
+        return self._seen.grasp_force * (contacts.centroid - contacts.positions)
+
+    def squeeze(self) -> Array:
+        """Return the squeezing torques, shape (m,), N m."""
+        return self._pressing(self.squeezing_forces())
+
+    def drive(self, wrench: Array) -> Array:
+        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+        return self._pressing(wrench_forces(self._seen.contacts.positions, wrench))
+
+    def _pressing(self, forces: Array) -> Array:
+        return joint_torques(*self._seen.tips, self._seen.contacts.positions, forces)
+
+
+class OptimalLaw(ContactLaw):
+    """Equation (14): as (10), but squeeze by the optimal forces of (13)."""
+
+    def squeezing_forces(self) -> Array:
+        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+        seen = self._seen
+        return in_palm(seen.contacts.rotations, seen.optimal_forces, seen.grasp_force)
+
+
+LAWS: dict[str, LawFactory] = {
+    "optimal": OptimalLaw,
+    "contact": ContactLaw,
+    "kawamura": KawamuraLaw,
+}

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far the assumptions A1 to A7 are from breaking, from joints and touch alone.
+
+A margin is positive while its assumption holds; where touch knows no limit (A1, A3) it is the
+quantity itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts, hand_jacobian
+from tactile_hand_ros.control.grasp import collinearity_margin, contact_wrench, joint_margin
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.jit.compiled import compiled
+
+if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
+    from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+REACTION = 0.02
+"""Time within which slip prevention must have ended a slip (A6) [s]."""
+
+
+TIP = np.array([1.0, 0.0, 0.0])
+"""Direction of a fingertip in the frame of its link."""
+
+
+def local_normals(normals: Array, tips: Array) -> Array:
+    """Return contact normals in the frames of their fingertips, shape (..., k, 3).
+
+    Args:
+        normals: Contact normals in the palm frame, shape (..., k, 3).
+        tips: Frames of the fingertips in the palm frame, shape (..., k, 3, 3).
+    """
+    return np.asarray(np.einsum("...ji,...j->...i", tips, normals))
+
+
+def angles_between(a: Array, b: Array) -> Array:
+    """Return the angles between unit vectors, shape (...), rad."""
+    return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
+
+
+def cone_distances(forces: Array, friction: Array) -> Array:
+    """Return mu f_n - |f_t| of each contact, how far it is inside its friction cone, N.
+
+    Args:
+        forces: Contact forces in contact frames, shape (..., k, 3), N.
+        friction: mu, shape (..., k).
+    """
+    tangential = np.hypot(forces[..., 0], forces[..., 2])
+    return np.asarray(friction * forces[..., 1] - tangential)
+
+
+@dataclass(frozen=True)
+class GraspMargins:
+    """What joints and contacts show.
+
+    Attributes:
+        face_travel: A1, how far the contacts have wandered over their fingertips since they were
+            first seen, m; an edge of the face is that much nearer, no more can be felt of it.
+        hemisphere: A2, angle left to the rims of the fingertips, rad.
+        joint: A5, least singular value of J_h, m/rad; 0 where a joint posture is singular.
+        collinearity: A7, second to first extent of the contacts; 0 on a line or with fewer than
+            three.
+    """
+
+    face_travel: float
+    hemisphere: float
+    joint: float
+    collinearity: float
+
+
+UNKNOWN_MARGINS = GraspMargins(np.nan, np.nan, np.nan, 0.0)
+"""Without contacts: nothing is known, and three contacts off a line (A7) are not there."""
+
+
+class GraspWatch:
+    """Computes the margins of a grasp, and remembers where its contacts began."""
+
+    def __init__(self, hand: Hand) -> None:
+        """Watch the contacts of a hand."""
+        self._hand = hand
+        self._first: Array | None = None
+
+    def reset(self) -> None:
+        """Begin with a new grasp."""
+        self._first = None
+
+    def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
+        """Return the margins of a posture.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            contacts: Contacts by touch.
+        """
+        if not contacts.whole:
+            self._first = None
+            return UNKNOWN_MARGINS
+        tips = self._hand.fingertips(theta)
+        joint = joint_margin(hand_jacobian(tips, contacts.positions))
+        seen = local_normals(contacts.normals, self._hand.tip_rotations(theta))
+        if self._first is None:
+            self._first = seen
+        return GraspMargins(
+            face_travel=float((self._hand.radii * angles_between(seen, self._first)).max()),
+            hemisphere=float(0.5 * np.pi - angles_between(seen, TIP).max()),
+            joint=joint,
+            collinearity=collinearity_margin(contacts.positions),
+        )
+
+
+class SlipWatch:
+    """Worst margins of force and slip since they were last asked for, over every tick.
+
+    Attributes:
+        load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
+        evidence: A4, evidence for slip left before an alarm, 1 to 0.
+        cone: A4, least distance to a cone of the estimated friction, N.
+        time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
+    """
+
+    def __init__(self) -> None:
+        """Start without a slip."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget slips too."""
+        self._since: int | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a new interval; a slip goes on."""
+        self.load = self.evidence = self.cone = np.nan
+        self.time_left = REACTION
+
+    def note(
+        self,
+        stamp: int,
+        contacts: Contacts,
+        forces: Array,
+        friction: Array,
+        grip: NDArray[np.int_],
+        likelihood: Array,
+    ) -> None:
+        """Note a tick.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contacts by touch.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            friction: Estimated mu, shape (k,).
+            grip: `Grip` of each contact, shape (k,).
+            likelihood: Evidence for slip, 0 to 1, shape (k,).
+        """
+        worst = self.load, self.evidence, self.cone
+        touch = contacts.positions, contacts.rotations, forces
+        noted = _noted(*worst, *touch, friction, grip, likelihood)
+        self.load, self.evidence, self.cone, slips = noted
+        self._time(stamp, slips)
+
+    def _time(self, stamp: int, slips: bool) -> None:
+        if not slips:
+            self._since = None
+            return
+        self._since = stamp if self._since is None else self._since
+        self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - self._since))
+
+
+@compiled
+def _noted(
+    load: float,
+    evidence: float,
+    cone: float,
+    positions: Array,
+    rotations: Array,
+    forces: Array,
+    friction: Array,
+    grip: NDArray[np.int_],
+    likelihood: Array,
+) -> tuple[float, float, float, bool]:
+    """Return the worst of margins and a tick, NaN where neither is known, and whether one slips."""
+    x, y, z = contact_wrench(positions, rotations, forces)[:3]
+    load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
+    for i in range(len(grip)):
+        if grip[i] == Grip.UNKNOWN:
+            continue
+        slip = grip[i] == Grip.SLIP
+        slips = slips or slip
+        evidence = np.fmin(evidence, 0.0 if slip else 1.0 - likelihood[i])
+        tangential = math.sqrt(forces[i, 0] ** 2 + forces[i, 2] ** 2)
+        cone = np.fmin(cone, friction[i] * forces[i, 1] - tangential)
+    return load, evidence, cone, slips

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optimization (13) solved exactly, by exchanging the lower bounds that are active.
+
+With a set of active bounds, (13) has equalities only, and its optimality conditions
+
+    2 W f + A^T y = 0,   A f = b
+
+are one linear system in y, of size 7 and the number of active bounds: A W^-1 A^T y = -2 b. The set
+is the right one when no multiplier pulls at its bound and no other bound is violated; else the
+bounds that say so change places (Hintermueller et al., primal-dual active sets, 2003). (13) is
+strictly convex: what meets the conditions is the optimum. From the bounds of the last tick on it
+takes one system nearly always.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-12  # of a force or a multiplier: no reason to exchange its bound
+_SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those before
+
+
+@compiled
+def solve_exactly(
+    balance: Array, weights: Array, least: float, held: NDArray[np.bool_]
+) -> tuple[Array, Array, int]:
+    """Return the optimum f of (13), its multipliers and the number of systems it took.
+
+    Args:
+        balance: G~^T, shape (3k, 6).
+        weights: Diagonal of W, shape (3k,).
+        least: Lower bound of the normal forces.
+        held: Bounds to begin with as active, shape (k,); becomes those that are.
+
+    Returns:
+        Forces, shape (3k,), and multipliers of balance, sum and lower bounds, shape (7 + k,), of no
+        use where the number is 0: then there is no such f, or the bounds do not settle.
+    """
+    k = len(held)
+    x, y = np.zeros(3 * k), np.zeros(7 + k)
+    for count in range(1, 2 * k + 2):
+        if not _solve_equalities(balance, weights, least, held, x, y):
+            if not held.any():
+                break
+            held[:] = False  # so many active bounds leave nothing free; begin anew without
+            continue
+        settled = True
+        for i in range(k):
+            pushes, violated = y[7 + i] < _ROUNDING, x[3 * i + 1] < least - _ROUNDING
+            following = pushes if held[i] else violated
+            settled = settled and following == held[i]
+            held[i] = following
+        if settled:
+            return x, y, count
+    held[:] = False
+    return x, y, 0
+
+
+@compiled
+def _solve_equalities(
+    balance: Array, weights: Array, least: float, held: NDArray[np.bool_], x: Array, y: Array
+) -> bool:
+    """Fill in x and y for a set of active bounds; return whether they are determined."""
+    n, k = len(x), len(held)
+    active = np.flatnonzero(held)
+    size = 7 + len(active)
+    rows, right = np.zeros((size, n)), np.zeros(size)
+    rows[:6] = balance.T
+    rows[6, 1::3], right[6] = 1.0, 1.0
+    for i in range(len(active)):
+        rows[7 + i, 3 * active[i] + 1], right[7 + i] = 1.0, least
+    factor = _cholesky(rows, weights)
+    if factor[-1, -1] == 0.0:
+        return False
+    multipliers, missing = np.zeros(size), right.copy()
+    for _ in range(2):  # the second time removes the rounding errors of the first
+        _add_solution(factor, -2.0 * missing, multipliers)
+        for j in range(n):
+            total = 0.0
+            for i in range(size):
+                total += rows[i, j] * multipliers[i]
+            x[j] = -0.5 * total / weights[j]
+        for i in range(size):
+            missing[i] = right[i]
+            for j in range(n):
+                missing[i] -= rows[i, j] * x[j]
+    y[7 : 7 + k] = 0.0
+    y[:7] = multipliers[:7]
+    for i in range(len(active)):
+        y[7 + active[i]] = multipliers[7 + i]
+    return True
+
+
+@compiled
+def _cholesky(rows: Array, weights: Array) -> Array:
+    """Return L with L L^T = A W^-1 A^T; its last element is 0 where rows of A depend."""
+    size, n = rows.shape
+    out = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            total = 0.0
+            for c in range(n):
+                total += rows[i, c] * rows[j, c] / weights[c]
+            whole = total
+            for c in range(j):
+                total -= out[i, c] * out[j, c]
+            if i > j:
+                out[i, j] = total / out[j, j]
+            elif total > _SINGULAR * whole:
+                out[i, i] = math.sqrt(total)
+            else:
+                return np.zeros((1, 1))
+    return out
+
+
+@compiled
+def _add_solution(factor: Array, right: Array, out: Array) -> None:
+    """Add the solution of L L^T x = right to an array; overwrites the right-hand side."""
+    n = len(right)
+    for i in range(n):
+        for j in range(i):
+            right[i] -= factor[i, j] * right[j]
+        right[i] /= factor[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            right[i] -= factor[j, i] * right[j]
+        right[i] /= factor[i, i]
+    out += right

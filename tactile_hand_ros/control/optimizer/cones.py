@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction cones and whether forces lie in them; apart from the solver, whose libraries load long.
+
+Where the optimization needs planes, twelve of them inside the cone stand for it: a pyramid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+SIDES = 12
+"""Sides of a pyramid."""
+
+_ANGLES = 2.0 * np.pi * np.arange(SIDES) / SIDES
+
+DIRECTIONS = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]).T
+"""Tangential directions in which the sides face, shape (SIDES, 2)."""
+
+INSIDE = math.cos(math.pi / SIDES)
+"""Slope of a pyramid's sides, per mu."""
+
+
+@dataclass(frozen=True)
+class Cones:
+    """What the contacts can bear and what they carry.
+
+    Attributes:
+        friction: mu of each contact, with whatever margin is wanted, shape (k,).
+        load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+    """
+
+    friction: Array
+    load: Array
+
+    def holds(self, forces: Array) -> bool:
+        """Return whether forces f* under the load lie in the pyramids of the optimization.
+
+        The pyramids rather than the cones, so that f* does not jump where they begin to matter.
+        """
+        return inside_pyramids(forces, self.load, self.friction)
+
+    def margin(self, forces: Array) -> float:
+        """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
+        return cone_margin(forces, self.load, self.friction)
+
+
+@compiled
+def cone_margin(forces: Array, load: Array, friction: Array) -> float:
+    """Return the least mu f_n - |f_t| of forces and load, both in contact frames, shape (k, 3)."""
+    least = np.inf
+    for i in range(len(forces)):
+        x, n, z = forces[i] + load[i]
+        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
+    return least
+
+
+@compiled
+def inside_pyramids(forces: Array, load: Array, friction: Array) -> bool:
+    """Return whether forces and load, both in contact frames, lie in the pyramids of friction."""
+    for i in range(len(forces)):
+        x, n, z = forces[i] + load[i]
+        bound = INSIDE * friction[i] * n
+        for j in range(SIDES):
+            if not DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z <= bound:
+                return False
+    return True

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grasp-force optimization (13): how to share a squeeze of 1 N among the contacts."""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN, centred, collinearity_margin
+from tactile_hand_ros.control.optimizer.active_set import solve_exactly
+from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.rotations import cross
+
+Array = NDArray[np.float64]
+
+_SOLVED = osqp.SolverStatus.OSQP_SOLVED
+_INFEASIBLE = osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
+_MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
+_GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
+_MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
+
+
+class ForceOptimizerConfig(Config):
+    """Parameters of the grasp-force optimization (13)."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    weights: list[float] = param(
+        [10.0, 1.0, 10.0],
+        "diagonal of W for (f_x, f_n, f_z), three values for all contacts or three per contact",
+        live=True,
+        min_length=3,
+    )
+    minimum_normal: float = param(
+        0.0, "least share f_n of each contact in the unit squeeze", live=True, ge=0.0, lt=0.34
+    )
+    solver: Literal["exact", "osqp"] = param(
+        "exact",
+        "exact exchanges active bounds and asks OSQP where they do not settle, osqp always asks it",
+        live=True,
+    )
+    cones: bool = param(
+        False, "keep squeeze and load inside the friction cones that the regulator has learned"
+    )
+    load_time: float = param(
+        0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
+    )
+    cone_share: float = param(
+        0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
+    )
+
+    def weight_vector(self, fingers: int) -> Array:
+        """Return the diagonal of W, shape (3 k,).
+
+        Raises:
+            ConfigurationError: If the number of weights does not fit or one is not positive.
+        """
+        given = np.array(self.weights, dtype=float)
+        if len(given) not in (3, 3 * fingers) or (given <= 0.0).any():
+            raise ConfigurationError(
+                f"weights = {self.weights}: expected 3 or {3 * fingers} positive numbers, the "
+                f"diagonal of W for {fingers} contacts",
+                place="weights",
+            )
+        return np.tile(given, fingers) if len(given) == 3 else given
+
+    def check_minimum(self, fingers: int) -> None:
+        """Check that the least shares leave something to share.
+
+        Raises:
+            ConfigurationError: If they add up to the whole squeeze or more.
+        """
+        if self.minimum_normal * fingers >= 1.0:
+            raise ConfigurationError(
+                f"minimum_normal = {self.minimum_normal}: {fingers} contacts share a squeeze of "
+                f"1, so that it must be below {1.0 / fingers:.3g}",
+                place="minimum_normal",
+            )
+
+
+class Status(enum.Enum):
+    """How an optimization ended."""
+
+    SOLVED = "solved"
+    CONTACT_MISSING = "contact missing"
+    COLLINEAR = "collinear contacts"
+    UNBALANCED = "normals cannot balance"
+    FAILED = "solver failed"
+
+
+class OptimalForces(NamedTuple):
+    """The outcome of (13), with the means to judge it.
+
+    Attributes:
+        status: SOLVED, or why there is no answer.
+        reason: One sentence for people; empty when solved.
+        forces: f* on the object in the contact frames C_i, shape (k, 3); NaN unless solved.
+        balance_residual: Largest component of G~ f*, N and N m.
+        sum_residual: |sum f_n - 1|.
+        stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
+        iterations: Linear systems that were solved, or iterations of OSQP.
+        solve_time: Time that OSQP reports where it was asked, s.
+        cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
+            that nothing has to slip; NaN where friction is not looked at.
+        shaped: Whether the cones changed f*.
+    """
+
+    status: Status
+    reason: str
+    forces: Array
+    balance_residual: float = np.nan
+    sum_residual: float = np.nan
+    stationarity_residual: float = np.nan
+    iterations: int = 0
+    solve_time: float = 0.0
+    cone_margin: float = np.nan
+    shaped: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether f* exists."""
+        return self.status is Status.SOLVED
+
+    @property
+    def residual(self) -> float:
+        """The largest of the three residuals."""
+        return max(self.balance_residual, self.sum_residual, self.stationarity_residual)
+
+
+class ForceOptimizer:
+    """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
+
+    The answer is found by exchanging active bounds, exactly and mostly in one linear system, and is
+    taken when it meets the optimality conditions. Where that fails, there is no answer, or the
+    configuration says so, OSQP decides: it is set up once, gets the numbers of G~ and starts from
+    its last answer. Torques in G~ are divided by the size of the grasp, which leaves the solution
+    as it is and makes all rows of one magnitude.
+
+    Source: Shaw-Cortez et al., equation (13); Stellato et al., OSQP, 2020.
+    """
+
+    def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
+        """Set up the problem for k = `fingers` contacts.
+
+        Raises:
+            ConfigurationError: If the weights do not fit.
+        """
+        self._k = fingers
+        self._columns = 3 * fingers
+        self._shaper: ConeOptimizer | None = None
+        self.configure(config)
+
+    def configure(self, config: ForceOptimizerConfig) -> None:
+        """Take other weights or limits; the problem is set up anew.
+
+        Raises:
+            ConfigurationError: If they do not fit; nothing is changed then.
+        """
+        weights = config.weight_vector(self._k)
+        config.check_minimum(self._k)
+        self.config, self._weights = config, weights
+        self._set_up()
+
+    def reset(self) -> None:
+        """Forget the last answer."""
+        self._set_up()
+
+    def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
+        """Share a unit squeeze among the contacts.
+
+        Args:
+            contacts: Contact points and frames in the palm frame.
+            cones: Friction and load of the contacts; (13) does not look at them by default.
+
+        Returns:
+            f* in contact frames, or a status that says why there is none.
+        """
+        if not contacts.whole:
+            missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
+            return self._without_answer(
+                Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
+            )
+        balance, margin, forces, unbalanced, off, slope, systems = _exact_answer(
+            contacts.positions,
+            contacts.rotations,
+            self._weights,
+            self.config.minimum_normal,
+            self._held,
+        )
+        if margin < MIN_COLLINEARITY_MARGIN:
+            return self._without_answer(
+                Status.COLLINEAR,
+                "the contacts lie on one line, no moment about it can balance (A7)",
+            )
+        solved = OptimalForces(Status.SOLVED, "", forces, unbalanced, off, slope, systems)
+        is_exact = systems and solved.residual < _GOOD_RESIDUAL
+        if not is_exact or self.config.solver == "osqp":
+            solved = self._by_osqp(balance)
+        return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
+
+    def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
+        """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
+        margin = cones.margin(solved.forces)
+        if cones.holds(solved.forces):
+            return solved._replace(cone_margin=margin)
+        if self._shaper is None:
+            self._shaper = ConeOptimizer(self._weights, self.config.minimum_normal)
+        forces, residual = self._shaper.solve(balance, cones)
+        if not residual < _MAX_CONE_RESIDUAL:
+            self._shaper = None
+            return solved._replace(cone_margin=margin)
+        return solved._replace(
+            forces=forces,
+            balance_residual=float(np.abs(forces.ravel() @ balance).max()),
+            sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
+            stationarity_residual=residual,
+            cone_margin=cones.margin(forces),
+            shaped=True,
+        )
+
+    def _set_up(self) -> None:
+        k, n = self._k, self._columns
+        normals = np.arange(1, n, 3)
+        # Constraint rows: 6 of balance (dense, filled in by solve), the sum, the lower bounds.
+        rows = np.zeros((7 + k, n))
+        rows[:6] = 1.0
+        rows[6, normals] = 1.0
+        rows[7 + np.arange(k), normals] = 1.0
+        matrix = sparse.csc_matrix(rows)
+        self._values = matrix.data.copy()
+        self._balance_slots = np.flatnonzero(matrix.indices < 6)
+        self._shaper = None
+        self._held = np.zeros(k, dtype=np.bool_)
+        lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
+        upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
+        self._solver = WarmSolver(
+            sparse.diags(2.0 * self._weights, format="csc"),
+            np.zeros(n),
+            matrix,
+            lower,
+            upper,
+            eps_abs=_MAX_RESIDUAL,
+            eps_rel=_MAX_RESIDUAL,
+            polishing=True,
+            warm_starting=True,
+            max_iter=4000,
+            check_termination=5,
+            adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
+        )
+
+    def _by_osqp(self, balance: Array) -> OptimalForces:
+        """Solve for G~^T of shape (3k, 6) from OSQP's last answer."""
+        self._values[self._balance_slots] = balance.ravel()
+        return self._judge(*self._solver.solve(self._values), balance)
+
+    def _judge(self, x: Array, y: Array, info: Any, balance: Array) -> OptimalForces:
+        if info.status_val == _INFEASIBLE:
+            self._set_up()  # the certificate is a bad start for the next grasp
+            return self._without_answer(
+                Status.UNBALANCED,
+                "no pushing forces at these contacts balance; place a finger on an opposing face",
+            )
+        solved = self._measured(x, y, balance, info)
+        if solved.residual > _GOOD_RESIDUAL and (exact := self._sharpened(x, y, balance)):
+            solved = min(
+                solved, self._measured(*exact, balance, info), key=lambda forces: forces.residual
+            )
+        if info.status_val != _SOLVED or not solved.residual < _MAX_RESIDUAL:
+            self._set_up()
+            return self._without_answer(
+                Status.FAILED,
+                f"OSQP ended with '{info.status}' and residual {solved.residual:.1e} after "
+                f"{info.iter} iterations; the last answer is not used",
+            )
+        return solved
+
+    def _measured(self, x: Array, y: Array, balance: Array, info: Any) -> OptimalForces:
+        residuals = optimality(x, y, balance, self._weights)
+        forces = np.array(x).reshape(self._k, 3)
+        return OptimalForces(
+            Status.SOLVED, "", forces, *residuals, int(info.iter), float(info.run_time)
+        )
+
+    def _sharpened(self, x: Array, y: Array, balance: Array) -> tuple[Array, Array] | None:
+        """Solve exactly from the bounds that OSQP's answer touches, where its polishing missed."""
+        least = self.config.minimum_normal
+        held = x[1::3] - least < -y[7:]
+        x, y, systems = solve_exactly(balance, self._weights, least, held)
+        return (x, y) if systems else None
+
+    def _without_answer(self, status: Status, reason: str) -> OptimalForces:
+        return OptimalForces(status, reason, np.full((self._k, 3), np.nan))
+
+
+@compiled
+def scaled_balance(points: Array, rotations: Array) -> Array:
+    """Return G~^T for forces in contact frames, torques per size of the grasp, shape (3k, 6).
+
+    A unit force along an axis t of a contact frame is a wrench (t, d x t) about the centroid.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        rotations: Contact frames, shape (k, 3, 3).
+    """
+    k, arms = len(points), centred(points)
+    arms /= math.sqrt((arms * arms).sum() / k)
+    out = np.empty((3 * k, 6))
+    for i in range(k):
+        a, b, c = arms[i]
+        for axis in range(3):
+            x, y, z = rotations[i, 0, axis], rotations[i, 1, axis], rotations[i, 2, axis]
+            row = out[3 * i + axis]
+            row[0], row[1], row[2] = x, y, z
+            row[3], row[4], row[5] = cross((a, b, c), (x, y, z))
+    return out
+
+
+@compiled
+def _exact_answer(
+    points: Array, rotations: Array, weights: Array, least: float, held: NDArray[np.bool_]
+) -> tuple[Array, float, Array, float, float, float, int]:
+    """Return G~^T, the collinearity margin, f*, its three residuals and the number of systems.
+
+    Without systems, or on a line, f* is of no use. For `held` see `solve_exactly`.
+    """
+    balance, margin = scaled_balance(points, rotations), collinearity_margin(points)
+    x, y, systems = solve_exactly(balance, weights, least, held)
+    unbalanced, off, slope = optimality(x, y, balance, weights)
+    return balance, margin, x.reshape(-1, 3), unbalanced, off, slope, systems
+
+
+@compiled
+def optimality(x: Array, y: Array, balance: Array, weights: Array) -> tuple[float, float, float]:
+    """Return the residuals of (13): balance, sum and stationarity.
+
+    Args:
+        x: Forces in contact frames, shape (3k,).
+        y: Multipliers of balance, sum and lower bounds, shape (7 + k,).
+        balance: G~^T, shape (3k, 6).
+        weights: Diagonal of W, shape (3k,).
+    """
+    unbalanced, total, slope = np.zeros(6), -1.0, 0.0
+    for i in range(len(x)):
+        gradient = 2.0 * weights[i] * x[i]
+        for j in range(6):
+            unbalanced[j] += balance[i, j] * x[i]
+            gradient += balance[i, j] * y[j]
+        if i % 3 == 1:
+            total += x[i]
+            gradient += y[6] + min(y[7 + i // 3], 0.0)  # a bound can only push upwards
+        slope = max(slope, abs(gradient))
+    return np.abs(unbalanced).max(), abs(total), slope / weights.max()

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the hand can carry its grasp to a desired pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.errors import PoseError
+from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 0.01  # m; rolling shifts the contacts by less than this matters
+_ITERATIONS = 100
+
+
+def check_reach(
+    hand: Hand, theta: Array, contacts: Contacts, pose: AuxiliaryPose, target: Target
+) -> None:
+    """Check that every fingertip can follow a rigid motion of the grasp to the target.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles now, shape (m,), rad.
+        contacts: Contacts now.
+        pose: Contact centroid and virtual frame now.
+        target: Desired pose.
+
+    Raises:
+        PoseError: If a fingertip would stay more than 10 mm short, or the pose is not finite.
+    """
+    if not (np.isfinite(target.position).all() and np.isfinite(target.orientation).all()):
+        raise PoseError(
+            f"desired pose {_text(target.position)} m is not a pose: position and orientation must "
+            "be finite numbers"
+        )
+    turn = target.orientation @ pose.orientation.T
+    tips = contacts.positions - hand.radii[:, None] * contacts.normals
+    wanted = target.position + (tips - pose.position) @ turn.T
+    _, missing = inverse_kinematics(hand, wanted, theta)
+    worst = int(missing.argmax())
+    if missing[worst] > _TOLERANCE:
+        raise PoseError(
+            f"desired pose {_text(target.position)} m is out of reach: {hand.finger_names[worst]} "
+            f"would stay {1e3 * missing[worst]:.0f} mm short of its contact; ask for a pose closer "
+            f"to the present one, {_text(pose.position)} m"
+        )
+
+
+def _text(position: Array) -> str:
+    return "(" + ", ".join(f"{x:.3f}" for x in position.round(3) + 0.0) + ")"  # no -0.000
+
+
+def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
+    """Find joint angles that bring the fingertips closest to given points.
+
+    Levenberg's damped least squares inside the joint limits.
+
+    Args:
+        hand: The hand.
+        tips: Wanted fingertip centres in the palm frame, shape (k, 3), m.
+        start: Joint angles to start from, shape (m,), rad.
+
+    Returns:
+        Joint angles, shape (m,), and remaining distances, shape (k,), m.
+    """
+    lower, upper = hand.position_limits
+    theta = np.clip(start, lower, upper)
+    damping = 1e-4
+    reached = hand.fingertips(theta)
+    for _ in range(_ITERATIONS):
+        error = (tips - reached.positions).ravel()
+        if np.abs(error).max() < 1e-6:
+            break
+        jacobian = reached.linear.reshape(-1, hand.joints)
+        normal = jacobian.T @ jacobian + damping * np.eye(hand.joints)
+        trial = np.clip(theta + np.linalg.solve(normal, jacobian.T @ error), lower, upper)
+        after = hand.fingertips(trial)
+        if np.sum((tips - after.positions) ** 2) < error @ error:
+            theta, reached, damping = trial, after, damping * 0.3
+        else:
+            damping = damping * 10.0
+            if damping > 1e6:
+                break
+    return theta, np.linalg.norm(tips - reached.positions, axis=1)

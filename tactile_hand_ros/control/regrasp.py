@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Letting go of an object and taking it again, finger by finger, by touch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.reach import inverse_kinematics
+from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+
+class RegraspConfig(Config):
+    """How far and how fast the fingers open and close."""
+
+    opening: float = param(0.015, "distance by which the fingertips open", unit="m", gt=0.0, le=0.1)
+    speed: float = param(
+        0.02, "speed of the fingertips while they open or close", unit="m/s", gt=0.0, le=1.0
+    )
+    overtravel: float = param(
+        0.02, "how far beyond the last contacts the fingers search", unit="m", ge=0.0, le=0.1
+    )
+
+
+class Regrasp:
+    """Moves the fingertips along the normals of the last grasp, outwards or inwards.
+
+    A finger that touches while closing waits where it is, so that it does not push the object away
+    before the others have come.
+    """
+
+    def __init__(self, config: RegraspConfig, hand: Hand) -> None:
+        """Start without a grasp to leave."""
+        self._config, self._hand = config, hand
+        self._normals: Array | None = None
+        self._closing = False
+
+    @property
+    def active(self) -> bool:
+        """Whether the fingers are open, opening or closing."""
+        return self._normals is not None
+
+    @property
+    def closing(self) -> bool:
+        """Whether the fingers are on their way back to the object."""
+        return self.active and self._closing
+
+    def leave(self, theta: Array, contacts: Contacts) -> None:
+        """Begin to open from a posture with the given contacts, and stay open afterwards."""
+        if self._normals is None:
+            self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
+            self._tips = self._hand.fingertips(theta).positions
+            self._depth = np.zeros(self._hand.fingers)
+            self._posture = theta.copy()
+        self._closing = False
+
+    def close(self) -> None:
+        """Begin to close."""
+        self._closing = True
+
+    def finish(self) -> None:
+        """Forget the grasp that was left."""
+        self._normals = None
+
+    def posture(self, contacts: Contacts, dt: float) -> Array:
+        """Return the joint angles to hold now, shape (m,), rad; `leave` must have been called.
+
+        Args:
+            contacts: Contacts by touch.
+            dt: Time since the last tick, s.
+        """
+        assert self._normals is not None
+        c = self._config
+        if self._closing:
+            moves = np.where(contacts.touching, 0.0, c.speed * dt)
+            self._depth = np.minimum(self._depth + moves, c.overtravel)
+        else:
+            self._depth = np.maximum(self._depth - c.speed * dt, -c.opening)
+        tips = self._tips + self._depth[:, None] * self._normals
+        self._posture, _ = inverse_kinematics(self._hand, tips, self._posture)
+        return self._posture

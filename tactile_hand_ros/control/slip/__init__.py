@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slip prevention: split of forces, detector, learned friction, need, reflex, regulator."""

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a contact slips, from the micro-vibration that sliding leaves in their forces."""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.jit.rows import Row, Rows, row_of
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+_GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
+_BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
+_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
+_BRINK = 0.95  # share of the believed friction from which on a contact may well be slipping
+_LEAK = 0.03  # share of a change of the squeeze that may show across it
+
+
+class SlipDetectorConfig(Config):
+    """Parameters of the slip detector."""
+
+    noise: float = param(
+        0.02, "expected noise of a force until it is learned", unit="N", live=True, gt=0.0
+    )
+    least_noise: float = param(
+        0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
+    )
+    relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
+    patience: float = param(
+        0.3,
+        "what looks like slip for longer than this is learned as noise",
+        unit="s",
+        live=True,
+        gt=0.0,
+    )
+    ratio: float = param(
+        9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
+    )
+    threshold: float = param(
+        28.0, "evidence for slip; false alarms become rarer as its exponential", live=True, gt=0.0
+    )
+    learning_time: float = param(
+        1.0, "time constant with which the noise is learned", unit="s", live=True, gt=0.0
+    )
+    settling_time: float = param(
+        0.05, "after touching, nothing is said about slip for so long", unit="s", live=True, ge=0.0
+    )
+    least_force: float = param(
+        0.05, "normal force below which nothing is said", unit="N", live=True, gt=0.0
+    )
+
+
+class Grip(enum.IntEnum):
+    """What is known of a contact; unknown is not the same as no slip."""
+
+    UNKNOWN = 0
+    STICK = 1
+    SLIP = 2
+
+
+_MEMORY = np.dtype(
+    [
+        ("state", np.int64),  # Grip
+        ("evidence", np.float64),
+        ("likelihood", np.float64),
+        ("agrees", np.bool_),
+        ("variance", np.float64),  # of the second difference across the squeeze, per axis
+        ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
+        ("change", np.float64, 3),  # of it from sample to sample
+        ("touched_for", np.float64),
+        ("slipped_for", np.float64),
+    ],
+    align=True,
+)
+
+
+class SlipDetector:
+    """Watches the power of fast force changes at each contact with Page's cumulative sum test.
+
+    While a contact sticks, the second difference r of its force is noise of variance s^2, since
+    loads change slowly against the sampling. Sliding adds vibration. The hand's own changes of the
+    squeeze act along one known direction; only the two others are looked at. The test sums the
+    log-likelihood ratio of variance rho s^2 against s^2, per axis
+
+        L = ((1 - 1/rho) r^2 / s^2 - ln rho) / 2,
+
+    starts again from zero whenever the sum is negative, and tells slip above a threshold h. While a
+    contact sticks the time between false alarms grows as exp(h). A single sample never counts for
+    more than h / 4: a push on the object shows in one sample, sliding in many.
+
+    Source: Page, Continuous inspection schemes, 1954.
+    """
+
+    def __init__(self, config: SlipDetectorConfig, contacts: int) -> None:
+        """Watch a number k of contacts, each by itself."""
+        self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self.configure(config)
+        self.reset()
+
+    def configure(self, config: SlipDetectorConfig) -> None:
+        """Take other parameters; what is known of the contacts stays."""
+        self._noise = config.noise
+        self._config = row_of(config)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._memory[:] = np.zeros((), _MEMORY)
+        self._memory["variance"] = _GAIN * self._noise**2
+        self._memory["last"] = self._memory["change"] = np.nan
+
+    @property
+    def state(self) -> NDArray[np.int64]:
+        """What is known of each contact, `Grip`, shape (k,)."""
+        return self._memory["state"].copy()
+
+    @property
+    def evidence(self) -> Array:
+        """The sum of each contact, above `threshold` a slip, shape (k,)."""
+        return self._memory["evidence"].copy()
+
+    @property
+    def likelihood(self) -> Array:
+        """Evidence for slip against its threshold, 0 to 1, shape (k,)."""
+        return self._memory["likelihood"].copy()
+
+    @property
+    def agrees(self) -> NDArray[np.bool_]:
+        """Whether the newest sample of each contact told of slip rather than stick, shape (k,)."""
+        return self._memory["agrees"].copy()
+
+    def step(
+        self, forces: Array, squeeze: Array, own_change: float, dt: float, friction: Array
+    ) -> NDArray[np.int64]:
+        """Take the forces of a tick and return what is known of the contacts, shape (k,).
+
+        Args:
+            forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
+                none.
+            squeeze: Directions in which the hand's squeeze acts here, of any length, shape (k, 3).
+            own_change: How much the hand itself has just bent its squeeze, N; some of that shows
+                across the squeeze too.
+            dt: Time since the last tick, s.
+            friction: What is believed of mu, shape (k,). At the brink of that cone fewer samples
+                must agree: a false alarm there could not lower the belief.
+        """
+        _watch(self._memory, self._config, forces, squeeze, own_change, dt, friction)
+        return self.state
+
+
+@compiled
+def _watch(
+    memory: Rows,
+    config: Rows,
+    forces: Array,
+    squeeze: Array,
+    own_change: float,
+    dt: float,
+    friction: Array,
+) -> None:
+    """Let each contact of a memory take its force."""
+    c = config[0]
+    for i in range(len(memory)):
+        m = memory[i]
+        _detect(m, c, forces[i], squeeze[i], own_change, dt, friction[i])
+        m["likelihood"] = min(m["evidence"] / c["threshold"], 1.0)
+
+
+@compiled
+def _detect(
+    m: Row, c: Row, force: Array, squeeze: Array, own_change: float, dt: float, friction: float
+) -> None:
+    x, n, z = force
+    last = m["last"]
+    # A sensor that is slower than the loop repeats its sample, which tells nothing.
+    new = not (x == last[0] and n == last[1] and z == last[2])
+    bend = _bend(m, x, n, z) if new else (0.0, 0.0, 0.0)
+    if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
+        m["touched_for"] = m["evidence"] = 0.0
+        m["state"] = Grip.UNKNOWN
+        return
+    m["touched_for"] += dt
+    power = _power_across(bend, (squeeze[0], squeeze[1], squeeze[2]))
+    if m["touched_for"] <= c["settling_time"]:
+        if new:
+            _learn(m, c, power, dt)
+        m["evidence"] = 0.0
+        m["state"] = Grip.UNKNOWN
+        return
+    if new:
+        brink = math.sqrt(x * x + z * z) > _BRINK * friction * n
+        _collect(m, c, power, n, own_change, 1.0 / 3.0 if brink else 0.25)
+    _decide(m, c, dt)
+    if new and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
+        _learn(m, c, power, dt)
+
+
+@compiled
+def _bend(m: Row, x: float, n: float, z: float) -> Vector:
+    """Return the second difference of the force, NaN until there are three samples."""
+    last, change = m["last"], m["change"]
+    dx, dn, dz = x - last[0], n - last[1], z - last[2]
+    bend = dx - change[0], dn - change[1], dz - change[2]
+    last[0], last[1], last[2] = x, n, z
+    change[0], change[1], change[2] = dx, dn, dz
+    return bend
+
+
+@compiled
+def _collect(m: Row, c: Row, power: float, normal: float, own_change: float, most: float) -> None:
+    least = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
+    variance = max(m["variance"], least) + (_LEAK * own_change) ** 2
+    gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power / variance - 2.0 * math.log(c["ratio"]))
+    m["agrees"] = gain > 0.0
+    total = max(0.0, m["evidence"] + min(gain, most * c["threshold"]))
+    m["evidence"] = min(total, 1.2 * c["threshold"])
+
+
+@compiled
+def _decide(m: Row, c: Row, dt: float) -> None:
+    share = 0.75 if m["state"] == Grip.SLIP else 1.0
+    slips = m["evidence"] > share * c["threshold"]
+    m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
+    m["state"] = Grip.SLIP if slips else Grip.STICK
+
+
+@compiled
+def _learn(m: Row, c: Row, power: float, dt: float) -> None:
+    """Follow the noise, quickly after touching; a push counts for no more than its noise."""
+    time = max(min(c["learning_time"], m["touched_for"]), 10.0 * dt, 1e-9)
+    bounded = min(0.5 * power, _BOUND * m["variance"])
+    m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])
+
+
+@compiled
+def _power_across(vector: Vector, axis: Vector) -> float:
+    """Return the square of the part of a vector that is normal to an axis of any length."""
+    x, y, z = vector
+    a, b, c = axis
+    length = a * a + b * b + c * c
+    along = x * a + y * b + z * c
+    return max(0.0, x * x + y * y + z * z - (along * along / length if length > 0.0 else 0.0))

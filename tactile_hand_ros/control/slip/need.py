@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze that a touched object needs, from a load that is foreseen and a shape that is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.slip.split import Split, required_squeeze
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.jit.rows import Row, Rows, row_of
+
+Array = NDArray[np.float64]
+
+
+class NeedConfig(Config):
+    """How load and shape of a grasp are followed."""
+
+    smoothing: float = param(
+        0.005, "time constant of the measured load", unit="s", live=True, gt=0.0
+    )
+    shape_smoothing: float = param(
+        0.03,
+        "time constant of how the fingers share the squeeze; only the hand itself changes that",
+        unit="s",
+        live=True,
+        gt=0.0,
+    )
+    least_trend: float = param(
+        5.0, "rate of a load below which it is noise", unit="N/s", live=True, ge=0.0
+    )
+    lead: float = param(
+        0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
+    )
+
+
+_MEMORY = np.dtype(
+    [
+        ("load", np.float64, 3),  # smoothed; NaN: none yet
+        ("trend", np.float64, 3),  # its rate
+        ("shape", np.float64, 3),  # smoothed force per unit squeeze
+    ]
+)
+
+
+class Need:
+    """Follows load and shape of the squeeze, and computes the least squeeze that holds.
+
+    The load may change at any time and is followed fast. The shape is f*, which the hand itself
+    changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
+    and the need of a shape near the edge of its cone grows without bound.
+    """
+
+    def __init__(self, config: NeedConfig, contacts: int) -> None:
+        """Start without a grasp of k contacts."""
+        self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self.configure(config)
+        self.reset()
+
+    def configure(self, config: NeedConfig) -> None:
+        """Take other parameters; load and shape stay."""
+        self._config = row_of(config)
+
+    def reset(self) -> None:
+        """Forget load and shape."""
+        self._memory["load"] = np.nan
+
+    def step(self, parts: Split, friction: Array, dt: float) -> float:
+        """Return the least squeeze that keeps every contact inside its cone, N.
+
+        Args:
+            parts: Measured forces as load and squeeze; the squeeze must push.
+            friction: mu to hold with at each contact, shape (k,).
+            dt: Time since the last tick, s.
+
+        Returns:
+            Infinite when no squeeze of the present shape can hold.
+        """
+        return _needed(self._memory, self._config, *parts, friction, dt)
+
+
+@compiled
+def _needed(
+    memory: Rows,
+    config: Rows,
+    load: Array,
+    squeeze: Array,
+    grasp_force: float,
+    friction: Array,
+    dt: float,
+) -> float:
+    """Return what the neediest contact of a memory needs, N."""
+    c, needed = config[0], 0.0
+    for i in range(len(memory)):
+        m = memory[i]
+        if dt == 0.0 or math.isnan(m["load"][0]):
+            for axis in range(3):
+                m["load"][axis], m["trend"][axis] = load[i, axis], 0.0
+                m["shape"][axis] = squeeze[i, axis] / grasp_force
+        else:
+            _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
+        x, n, z = m["shape"]
+        needed = max(needed, required_squeeze(_foreseen(m, c), (x, n, z), friction[i]))
+    return needed
+
+
+@compiled
+def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
+    """Smooth load, trend and shape of a contact."""
+    share, slow = min(1.0, dt / c["smoothing"]), min(1.0, dt / c["shape_smoothing"])
+    for axis in range(3):
+        m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
+        before = m["load"][axis]
+        m["load"][axis] = before + share * (load[axis] - before)
+        rate = (m["load"][axis] - before) / dt
+        m["trend"][axis] += share * (rate - m["trend"][axis])
+
+
+@compiled
+def _foreseen(m: Row, c: Row) -> tuple[float, float, float]:
+    """Return the load of a contact after the lead time.
+
+    The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
+    """
+    (a, b, d), (x, n, z) = m["load"], m["trend"]
+    speed = math.sqrt(x * x + n * n + z * z)
+    real = max(0.0, 1.0 - c["least_trend"] / max(speed, 1e-12))
+    time = (c["smoothing"] + c["lead"]) * real
+    return a + time * x, b + time * n, d + time * z

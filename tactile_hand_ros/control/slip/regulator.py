@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze k_f: what the user asks for, what the touched object needs, or both."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
+from tactile_hand_ros.control.slip.need import Need
+from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
+from tactile_hand_ros.control.slip.split import Split, split
+from tactile_hand_ros.errors import CollinearContactsError, MessageError
+
+Array = NDArray[np.float64]
+
+_MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
+
+
+class SlipRegulatorConfig(Config):
+    """Parameters of the slip-prevention regulator."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    mode: Literal["user", "shared", "auto"] = param(
+        "user",
+        "user gives the squeeze asked for, auto what the object needs, shared the larger of both",
+        live=True,
+    )
+    grasp_force: float = param(
+        10.0, "squeeze k_f until the user asks for another", unit="N", gt=0.0
+    )
+    minimum: float = param(0.5, "least squeeze", unit="N", live=True, ge=0.0)
+    maximum: float = param(40.0, "largest squeeze, the crush limit", unit="N", live=True, gt=0.0)
+    rise_rate: float = param(50.0, "fastest rise the user may cause", unit="N/s", live=True, gt=0.0)
+    fall_rate: float = param(20.0, "fastest fall the user may cause", unit="N/s", live=True, gt=0.0)
+    smoothing: float = param(
+        0.05, "time constant with which the squeeze lands on its goal", unit="s", live=True, gt=0.0
+    )
+    detector: SlipDetectorConfig = SlipDetectorConfig()
+    friction: FrictionConfig = FrictionConfig()
+    reflex: ReflexConfig = ReflexConfig()
+
+    @model_validator(mode="after")
+    def _limits_are_ordered(self) -> SlipRegulatorConfig:
+        if not self.minimum <= self.grasp_force <= self.maximum:
+            raise ValueError(
+                f"grasp_force = {self.grasp_force} N is outside minimum = {self.minimum} N to "
+                f"maximum = {self.maximum} N"
+            )
+        return self
+
+
+class SlipRegulator:
+    """Chooses k_f at every tick, from touch alone.
+
+    The user's squeeze moves at the rise or fall rate and lands exponentially. The squeeze that the
+    object needs follows from the measured forces, split into load and squeeze, and the friction
+    that slips and sticks have shown: the least one that keeps every contact inside its cone, with a
+    margin. It rises at once, falls slowly, and rises to the limit while something slips.
+
+    Attributes:
+        grasp_force: k_f, N.
+        needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
+            shape can hold, NaN while unknown or not looked at (mode user).
+        state: `Grip` of each contact, shape (k,).
+        friction: Estimated mu of each contact, shape (k,).
+    """
+
+    def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
+        """Start at the configured squeeze for a hand with k fingers."""
+        self.config = config
+        self._detector = SlipDetector(config.detector, fingers)
+        self._estimator = FrictionEstimator(config.friction, fingers)
+        self._need = Need(config.reflex.need, fingers)
+        self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
+        self._reflex = Reflex(config.reflex, config.grasp_force)
+        self.reset()
+
+    def configure(self, config: SlipRegulatorConfig) -> None:
+        """Take other limits, rates and mode; the squeeze moves on from where it is."""
+        if config.mode != self.config.mode:
+            self._asked = self.grasp_force
+            self._reflex.start(self.grasp_force)
+            self._need.reset()
+        # What a limit has cut off would come back as a jump when the limit is lifted.
+        self._asked = min(max(self._asked, config.minimum), config.maximum)
+        self.config, self._reflex.config = config, config.reflex
+        self._detector.configure(config.detector)
+        self._estimator.configure(config.friction)
+        self._need.configure(config.reflex.need)
+
+    def reset(self) -> None:
+        """Go back to the configured squeeze and forget what was learned."""
+        start = self.config.grasp_force
+        self.grasp_force: float = start
+        self._asked = self._goal = start
+        self._reflex.start(start)
+        self.needed = math.nan
+        self._last_stamp: int | None = None
+        self._need.reset()
+        self._squeezes: deque[float] = deque(maxlen=3)
+        self._bends: deque[float] = deque(maxlen=_MEMORY - 2)
+        self._detector.reset()
+        self._estimator.reset()
+
+    @property
+    def state(self) -> NDArray[np.int64]:
+        """`Grip` of each contact, shape (k,)."""
+        return self._detector.state
+
+    @property
+    def slip_likelihood(self) -> Array:
+        """Evidence for slip of each contact, 0 to 1, shape (k,)."""
+        return self._detector.likelihood
+
+    @property
+    def friction(self) -> Array:
+        """Estimated friction of each contact, shape (k,)."""
+        return self._estimator.estimate
+
+    def request(self, grasp_force: float) -> None:
+        """Take the squeeze that the user asks for, in N.
+
+        Raises:
+            MessageError: If it is outside the limits or not a number.
+        """
+        c = self.config
+        if not math.isfinite(grasp_force) or not c.minimum <= grasp_force <= c.maximum:
+            raise MessageError(
+                f"requested grasp force {grasp_force} N is outside {c.minimum} to {c.maximum} N; "
+                "ask for one inside or change the limits 'minimum' and 'maximum'"
+            )
+        self._goal = grasp_force
+
+    def step(
+        self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
+    ) -> float:
+        """Return k_f in N at a tick; a tick that was seen before changes nothing.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contacts by touch; without them nothing is known of the object's need.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+        """
+        dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
+        if self._last_stamp == stamp:
+            return self.grasp_force
+        self._last_stamp = stamp
+        self._follow_user(dt)
+        if contacts is not None and forces is not None:
+            self._feel(contacts, forces, dt)
+        c = self.config
+        goal = self._asked
+        if c.mode != "user":
+            reflex = self._reflex.squeeze
+            goal = reflex if c.mode == "auto" else max(self._asked, reflex)
+        self.grasp_force = min(max(goal, c.minimum), c.maximum)
+        return self.grasp_force
+
+    def _follow_user(self, dt: float) -> None:
+        c = self.config
+        goal = min(max(self._goal, c.minimum), c.maximum)
+        rate = min(max((goal - self._asked) / c.smoothing, -c.fall_rate), c.rise_rate)
+        arrives = abs(rate * dt) >= abs(goal - self._asked)
+        self._asked = goal if arrives else self._asked + rate * dt
+
+    def _feel(self, contacts: Contacts, forces: Array, dt: float) -> None:
+        """Update slip, friction and the needed squeeze from touch."""
+        if self.config.mode == "user":  # whose squeeze needs no opinion on what would hold
+            self.needed = math.nan
+            self._watch(contacts, forces, self._normals, dt)
+            return
+        parts = self._split(contacts, forces)
+        axes = self._normals if parts is None else parts.squeeze
+        grips = self._watch(contacts, forces, axes, dt)
+        self.needed = self._needed(parts, dt)
+        slips = Grip.SLIP in grips
+        slides = (Grip.SLIP, True) in zip(grips, self._detector.agrees.tolist(), strict=True)
+        limit = self.config.maximum
+        self._reflex.step(self.needed, slips, slides, contacts.touching, limit, dt)
+
+    def _watch(self, contacts: Contacts, forces: Array, axes: Array, dt: float) -> list[int]:
+        """Update detectors and friction; return the `Grip` of each contact."""
+        felt = forces if contacts.whole else np.where(contacts.touching[:, None], forces, np.nan)
+        detector, estimator = self._detector, self._estimator
+        state = detector.step(felt, axes, self._own_change(), dt, estimator.estimate)
+        estimator.step(felt, state, detector.evidence, dt, detector.agrees)
+        grips: list[int] = state.tolist()
+        if Grip.SLIP in grips:
+            estimator.share()
+        return grips
+
+    def _own_change(self) -> float:
+        """Return the largest second difference of k_f that may still be on its way through, N."""
+        self._squeezes.append(self.grasp_force)
+        if len(self._squeezes) == 3:
+            a, b, c = self._squeezes
+            self._bends.append(abs(c - 2.0 * b + a))
+        return max(self._bends, default=0.0)
+
+    def _split(self, contacts: Contacts, forces: Array) -> Split | None:
+        """Split the forces where they form a grasp."""
+        if not contacts.whole:
+            return None
+        try:
+            return split(contacts, forces)
+        except CollinearContactsError:
+            return None
+
+    def _needed(self, parts: Split | None, dt: float) -> float:
+        if parts is None or parts.grasp_force <= 0.0:
+            self._need.reset()
+            return math.nan
+        friction = self.friction / (1.0 + self.config.reflex.margin)
+        return self._need.step(parts, friction, dt)

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze that contact forces need to stay inside their friction cones."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import (
+    MIN_COLLINEARITY_MARGIN,
+    contact_wrench,
+    spread_wrench,
+)
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.errors import CollinearContactsError
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+_LEAST_SQUEEZE = 0.1  # N; below, load per squeeze means nothing
+_CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
+
+
+class Split(NamedTuple):
+    """Contact forces as load and squeeze, all in contact frames.
+
+    Attributes:
+        load: Smallest forces with the measured net wrench, shape (k, 3), N.
+        squeeze: The rest, which is in balance with itself, shape (k, 3), N.
+        grasp_force: Sum of the normal squeezing forces, N.
+    """
+
+    load: Array
+    squeeze: Array
+    grasp_force: float
+
+
+def split(contacts: Contacts, forces: Array) -> Split:
+    """Split measured forces as the law (14) composes them: f = k_f f* + G~^+ w.
+
+    Args:
+        contacts: Contact points and frames; all must touch.
+        forces: Forces on the object in contact frames, shape (k, 3), N.
+
+    Raises:
+        CollinearContactsError: If the contacts lie on a line (A7).
+    """
+    parts, margin = _measured_split(contacts, forces)
+    if margin < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(contacts.positions)
+    return parts
+
+
+def _measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
+    """Return the split, of no use on a line, and the collinearity margin."""
+    load, squeeze, total, margin = _split(contacts.positions, contacts.rotations, forces)
+    return Split(load, squeeze, total), margin
+
+
+@compiled
+def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
+    spread, margin = spread_wrench(points, contact_wrench(points, rotations, forces))
+    load, squeeze, total = np.empty_like(forces), np.empty_like(forces), 0.0
+    for i in range(len(forces)):
+        r, (x, y, z) = rotations[i], spread[i]
+        for axis in range(3):
+            load[i, axis] = r[0, axis] * x + r[1, axis] * y + r[2, axis] * z
+            squeeze[i, axis] = forces[i, axis] - load[i, axis]
+        total += squeeze[i, 1]
+    return load, squeeze, total, margin
+
+
+class ConeWatch:
+    """Follows what the contacts carry, slowly enough that noise does not shake f*."""
+
+    def __init__(self, time: float) -> None:
+        """Smooth the load with a time constant in s."""
+        self._time = time
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the load."""
+        self._load: Array | None = None
+        self._stamp = 0
+
+    def step(self, stamp: int, contacts: Contacts, forces: Array, friction: Array) -> Cones | None:
+        """Return what the contacts can bear and carry, per unit of the squeeze that is felt now.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contact points and frames.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            friction: mu of each contact, shape (k,).
+
+        Returns:
+            None where there is no grasp or no squeeze yet.
+        """
+        parts = _grasp(contacts, forces)
+        if parts is None:
+            self.reset()
+            return None
+        load = parts.load / parts.grasp_force
+        if self._load is not None:
+            share = 1.0 - math.exp(-1e-9 * (stamp - self._stamp) / self._time)
+            load = self._load + share * (load - self._load)
+        self._load, self._stamp = load, stamp
+        return Cones(friction, load)
+
+
+def _grasp(contacts: Contacts, forces: Array) -> Split | None:
+    """Split the forces where all fingers hold something between them."""
+    if not contacts.whole:
+        return None
+    parts, margin = _measured_split(contacts, forces)
+    return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _LEAST_SQUEEZE else None
+
+
+@compiled
+def required_squeeze(
+    load: tuple[float, float, float], shape: tuple[float, float, float], friction: float
+) -> float:
+    """Return the least k >= 0 for which load + k shape lies in a friction cone.
+
+    The boundary of the cone |f_t| = mu f_n is quadratic in k.
+
+    Args:
+        load: Force of a contact (x, n, z) that does not grow with the squeeze, N.
+        shape: Force of the contact per unit squeeze.
+        friction: mu.
+
+    Returns:
+        k in N; infinite when no squeeze of this shape puts it there.
+    """
+    lx, ln, lz = load
+    sx, sn, sz = shape
+    square = friction * friction
+    a = sx * sx + sz * sz - square * sn * sn
+    b = lx * sx + lz * sz - square * ln * sn
+    c = lx * lx + lz * lz - square * ln * ln
+    if c <= 0.0 and ln >= 0.0:
+        return 0.0  # the load alone is inside
+    inside = b * b - a * c
+    if a == 0.0 or inside < 0.0:
+        return math.inf
+    # A shape inside the cone (a < 0) enters it at the larger root for good; one outside passes
+    # through it from the smaller root on, if at all.
+    k = (-b - math.sqrt(inside)) / a
+    return k if k >= 0.0 and ln + k * sn >= 0.0 else math.inf

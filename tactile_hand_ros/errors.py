@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The failures this package can name: one class per kind, all below one base."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class TactileHandError(Exception):
+    """Base of every error that this package raises on purpose.
+
+    Its text is one sentence for the user: what was got, what was expected, what to do.
+    """
+
+
+class ConfigurationError(TactileHandError):
+    """A configuration file or value that cannot be used.
+
+    Attributes:
+        source: File or interface the value came from, empty when unknown.
+        place: Dotted key inside the source, empty when the whole source is meant.
+    """
+
+    def __init__(self, message: str, *, source: str = "", place: str = "") -> None:
+        """Keep the place beside the sentence."""
+        super().__init__(message)
+        self.source = source
+        self.place = place
+
+
+class MessageError(TactileHandError):
+    """A message from outside that cannot be used: wrong names, lengths, frame or NaN."""
+
+
+class HandModelError(TactileHandError):
+    """A hand that cannot be built from its URDF and YAML."""
+
+
+class DivergedError(TactileHandError):
+    """A simulation whose numbers mean nothing any more."""
+
+
+class ObjectModelError(TactileHandError):
+    """An object that cannot be simulated."""
+
+
+class GraspError(TactileHandError):
+    """A grasp that the method cannot handle."""
+
+
+class CollinearContactsError(GraspError):
+    """Contacts on one line: the rotation about that line is lost (assumption A7)."""
+
+    @classmethod
+    def of(cls, points: Iterable[Iterable[float]]) -> CollinearContactsError:
+        """Build the error for these contact points."""
+        listed = ", ".join("(" + ", ".join(f"{x:.4f}" for x in p) + ")" for p in points)
+        return cls(
+            f"the contacts {listed} lie on one line (A7); a grasp needs three contacts that are "
+            "not collinear: move a finger off the line"
+        )
+
+
+class PoseError(TactileHandError):
+    """A desired pose that the hand cannot reach."""
+
+
+class BagError(TactileHandError):
+    """A bag that cannot be written or read, with the reason and what to do."""

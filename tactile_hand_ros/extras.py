@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Libraries that are not needed to run a hand, and what to say when one is missing."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from tactile_hand_ros.errors import TactileHandError
+
+
+class MissingLibraryError(TactileHandError):
+    """An optional library that is not installed."""
+
+
+def optional(module: str, purpose: str) -> Any:
+    """Import an optional library.
+
+    Args:
+        module: Name of the module.
+        purpose: What needs it, for the error text.
+
+    Raises:
+        MissingLibraryError: If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.split(".")[0]:
+            raise
+        raise MissingLibraryError(
+            f"{purpose} needs the Python library {error.name}, which is not installed; run "
+            f"`pip install {error.name}`."
+        ) from None

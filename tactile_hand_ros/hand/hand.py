@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hand: kinematics and dynamics of any number of fingers, from a URDF by Pinocchio."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.hand_config import HandConfig, MountConfig, load_hand_config
+from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.hand.kinematics import Fingertips, mirrored, tip_jacobians
+
+Array = NDArray[np.float64]
+
+
+class RawDynamics(NamedTuple):
+    """Dynamics of the hand as Pinocchio has computed them.
+
+    Attributes:
+        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
+            palm axes, shape (6, m).
+        support: Which joints move which tip, shape (k, m).
+        inertia: M_h, of which Pinocchio promises the upper triangle only, shape (m, m).
+        bias: C_h theta' + N_h, shape (m,), N m.
+    """
+
+    centres: Array
+    spatial: Array
+    support: NDArray[np.bool_]
+    inertia: Array
+    bias: Array
+
+
+class Hand:
+    """A hand with k fingers and m joints.
+
+    Attributes:
+        finger_names: Names of the k fingers.
+        joint_names: Names of the m joints, in the order of every joint array.
+        radii: Fingertip radii r, shape (k,), m.
+        description: URDF text of the hand in the chosen layout.
+        effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
+        position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
+    """
+
+    def __init__(self, config: HandConfig, layout: str = "", gravity: Array | None = None) -> None:
+        """Build the hand.
+
+        Args:
+            config: Names of the URDF, fingers and tips.
+            layout: Name of the layout; empty for the default one.
+            gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
+
+        Raises:
+            HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
+        """
+        self.description = _describe(config, config.layout(layout))
+        self._model = _model(self.description, config)
+        self._data = self._model.createData()
+        self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
+        self._support = _support(self._model, self._tips)
+        # Views of what Pinocchio writes.
+        self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
+        self._centres = [self._data.oMf[frame].translation for frame in self._tips]
+        self._model.gravity.linear = np.zeros(3) if gravity is None else np.asarray(gravity)
+        self.finger_names = config.finger_names
+        self.radii = np.array(config.radii)
+        self.joint_names = list(self._model.names[1:])
+        limits = self._model.effortLimit
+        self.effort_limits = np.where(limits > 0.0, limits, np.inf)
+        self.position_limits = (
+            self._model.lowerPositionLimit.copy(),
+            self._model.upperPositionLimit.copy(),
+        )
+
+    @classmethod
+    def load(cls, name: str, layout: str = "", gravity: Array | None = None) -> Hand:
+        """Load a hand by name (``paper``) or by the path of its YAML file."""
+        return cls(load_hand_config(name), layout, gravity)
+
+    @property
+    def fingers(self) -> int:
+        """Number of fingers k."""
+        return len(self._tips)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints m."""
+        return int(self._model.nv)
+
+    def fingertips(self, theta: Array) -> Fingertips:
+        """Return tip centres and Jacobians, equation (1).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
+        pin.computeJointJacobians(self._model, self._data, theta)
+        return self._read_fingertips()
+
+    def tip_positions(self, theta: Array) -> Array:
+        """Return the centres of the fingertips alone, shape (k, 3), m."""
+        pin.forwardKinematics(self._model, self._data, theta)
+        return self._read_centres()
+
+    def _read_centres(self) -> Array:
+        pin.updateFramePlacements(self._model, self._data)
+        out = np.empty((len(self._tips), 3))
+        for i, centre in enumerate(self._centres):
+            out[i] = centre
+        return out
+
+    def _read_fingertips(self) -> Fingertips:
+        centres = self._read_centres()
+        return Fingertips(centres, *tip_jacobians(self._spatial, self._support, centres))
+
+    def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
+        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+
+        Returns:
+            Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
+        """
+        centres, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
+        tips = Fingertips(centres, *tip_jacobians(spatial, support, centres))
+        return tips, mirrored(inertia), bias.copy()
+
+    def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
+        """Return what `dynamics` is made of, in arrays that the next call overwrites.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+        """
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, theta)
+        pin.crba(model, data, theta)
+        pin.nonLinearEffects(model, data, theta, rates)
+        centres = self._read_centres()
+        return RawDynamics(centres, self._spatial, self._support, self._inertia, self._bias)
+
+    def gravity_torque(self, theta: Array) -> Array:
+        """Return the torques that hold the links against gravity, shape (m,), N m."""
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, theta))
+
+    def kinetic_energy(self, theta: Array, rates: Array) -> float:
+        """Return the kinetic energy of the links in J."""
+        return float(pin.computeKineticEnergy(self._model, self._data, theta, rates))
+
+    def potential_energy(self, theta: Array) -> float:
+        """Return the potential energy of the links in J."""
+        return float(pin.computePotentialEnergy(self._model, self._data, theta))
+
+    def tip_rotations(self, theta: Array) -> Array:
+        """Return the frames of the tip links, which point along their x axes, shape (k, 3, 3)."""
+        pin.framesForwardKinematics(self._model, self._data, theta)
+        return np.array([self._data.oMf[frame].rotation for frame in self._tips])
+
+    def joint_positions(self, theta: Array) -> list[list[Array]]:
+        """Return the chain of joint and tip positions of every finger, for drawings, m."""
+        pin.framesForwardKinematics(self._model, self._data, theta)
+        return [self._chain(frame) for frame in self._tips]
+
+    def _chain(self, frame: int) -> list[Array]:
+        points = [self._data.oMf[frame].translation.copy()]
+        joint = self._model.frames[frame].parentJoint
+        while joint > 0:
+            points.append(self._data.oMi[joint].translation.copy())
+            joint = self._model.parents[joint]
+        return points[::-1]
+
+
+def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
+    """Return which joints move which tip frame, shape (k, m)."""
+    out = np.zeros((len(tips), model.nv), dtype=bool)
+    for i, frame in enumerate(tips):
+        joint = model.frames[frame].parentJoint
+        while joint > 0:
+            out[i, model.idx_vs[joint]] = True
+            joint = model.parents[joint]
+    return out
+
+
+def _describe(config: HandConfig, layout: Mapping[str, MountConfig]) -> str:
+    """Return the URDF text with the fixed joints of the layout moved."""
+    path = config.folder / config.urdf
+    try:
+        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise HandModelError(
+            f"cannot read the hand's URDF '{path}' ({error.strerror}); correct 'urdf' in its YAML"
+        ) from error
+    except ElementTree.ParseError as error:
+        raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
+    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
+    for name, mount in layout.items():
+        if name not in joints:
+            raise HandModelError(
+                f"the layout moves joint '{name}', which is not a fixed joint of '{path.name}'; "
+                f"fixed joints: {', '.join(str(j) for j in joints)}"
+            )
+        origin = joints[name].find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(joints[name], "origin")
+        origin.set("xyz", " ".join(map(repr, mount.xyz)))
+        origin.set("rpy", " ".join(map(repr, mount.rpy)))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _model(description: str, config: HandConfig) -> pin.Model:
+    try:
+        model = pin.buildModelFromXML(description)
+    except (ValueError, RuntimeError) as error:
+        raise HandModelError(f"'{config.urdf}' is not a usable URDF: {error}") from error
+    if model.nq != model.nv or model.nv != model.njoints - 1:
+        raise HandModelError(
+            f"'{config.urdf}' has joints with more than one degree of freedom or without limits "
+            "(continuous); use revolute or prismatic joints"
+        )
+    if not model.existFrame(config.palm) or not _is_root(model, config.palm):
+        raise HandModelError(
+            f"palm link '{config.palm}' is not the root link of '{config.urdf}'; "
+            "name the root link as 'palm' in the hand's YAML"
+        )
+    return model
+
+
+def _is_root(model: pin.Model, link: str) -> bool:
+    frame = model.frames[model.getFrameId(link)]
+    return bool(frame.parentJoint == 0 and frame.placement.isIdentity(1e-12))
+
+
+def _tip_frame(model: pin.Model, link: str, finger: str) -> int:
+    if not model.existFrame(link, pin.BODY):
+        links = [f.name for f in model.frames if f.type == pin.BODY]
+        raise HandModelError(
+            f"finger '{finger}' names tip link '{link}', which the URDF does not have; "
+            f"its links are: {', '.join(links)}"
+        )
+    frame = int(model.getFrameId(link, pin.BODY))
+    if model.frames[frame].parentJoint == 0:
+        raise HandModelError(f"tip link '{link}' of finger '{finger}' is not moved by any joint")
+    return frame

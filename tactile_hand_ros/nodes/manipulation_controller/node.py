@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation controller: joint torques that hold the object and bring it where it shall be.
+
+Safe state: posture and last good squeeze are held when a contact, f*, k_f or, where the load is
+observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
+when joint states come without them for `input_timeout`. The hold ends by itself when all inputs of
+a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
+dropped, and the old one stays. Without joint states it says nothing; then, and when it dies, the
+plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros.control.controller import (
+    MOST_WAITING,
+    Command,
+    Controller,
+    ControllerConfig,
+)
+from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.nodes.manipulation_controller.inputs import (
+    DAY_NS,
+    Array,
+    ControllerInputs,
+    TickInputs,
+    far_ahead,
+)
+from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
+from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.rotations import quaternion_from_rotation
+
+
+class ManipulationControllerNode(TactileNode[ControllerConfig]):
+    """Answers each tick with joint torques.
+
+    Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
+    (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
+    without unit), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
+    (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all of one stamp; `desired_pose`
+    (geometry_msgs/PoseStamped, frame `palm`, m; holds from the tick in its stamp on, at once when
+    that is past or 0).
+
+    Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
+    N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
+    of the contacts; not while holding). Once a second: `/diagnostics` with mode, distance to the
+    target and margins of A1 (travel on faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
+
+    At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
+    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
+    latest when the first of them comes.
+
+    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
+    the stamps does; by std_srvs/SetBool: `~/enable`, the law or mere damping, and `~/grasp`, close
+    the fingers until all touch and hold that, or open them.
+
+    Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
+    was started with `law.observer.time` 0 refuses another value: it does not hear any forces.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build the controller.
+
+        Raises:
+            TactileHandError: If a parameter is refused or the hand cannot be built.
+        """
+        super().__init__("manipulation_controller", ControllerConfig, **kwargs)
+        self._controller = Controller(self.config)
+        self._rehearse()
+        self._report = ControllerReport(self, self._controller.hand)
+        self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
+        self._sent = b""
+        hand = self._controller.hand
+        self._commands = JointCodec(hand.joint_names, ("effort",))
+        self._command_publisher = self.tick_publisher(JointState, interfaces.JOINT_COMMAND)
+        self._poses = PoseCodec()
+        self._pose_publisher = self.tick_publisher(PoseStamped, interfaces.AUXILIARY_POSE)
+        # First, so that of a pose and a tick that wait together the pose is handled first.
+        qos = interfaces.user_qos()
+        self.subscribe(PoseStamped, interfaces.DESIRED_POSE, self._on_desired, qos=qos)
+        timeout, self._feels = self.config.input_timeout, self.config.law.observer.time > 0.0
+        self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
+        self._requests = ControllerServices(self, self._controller, self._on_reset)
+
+    def _rehearse(self) -> None:
+        hand = self._controller.hand
+        contacts, forces = example_touch(hand.fingers)
+        still = np.zeros(hand.joints)
+        self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
+        self._controller.reset()
+
+    def check_config(self, config: ControllerConfig) -> None:
+        """Refuse to observe a load without forces."""
+        if config.law.observer.time > 0.0 and not self._feels:
+            raise ConfigurationError(
+                f"law.observer.time = {config.law.observer.time}: the controller was started with "
+                "0 and does not listen to forces; start it anew with this value",
+                place="law.observer.time",
+            )
+
+    def on_config(self, config: ControllerConfig) -> None:
+        """Take other gains."""
+        self._controller.configure(config)
+
+    def on_report(self) -> None:
+        """Report mode, missing inputs, distance to the target and the margins of the grasp."""
+        self._inputs.report()
+        self._report.report(self._controller.target)
+
+    def _on_reset(self) -> None:
+        self._fresh.clear()
+        self.on_restart()
+
+    def _on_desired(self, message: PoseStamped) -> None:
+        target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
+        self._inputs.check_time(stamp)
+        dropped = self._controller.dropped
+        self._controller.command(target, stamp)
+        self._fresh.append((target, stamp))
+        if self._controller.dropped > dropped:
+            text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
+            self.reject(interfaces.DESIRED_POSE, text)
+            self.diagnostics.value("dropped_poses", self._controller.dropped)
+
+    def on_tick(self, inputs: TickInputs) -> None:
+        """Answer a tick for which everything has arrived."""
+        began = time.perf_counter()
+        if self._fresh:
+            self._check_fresh(inputs.stamp)
+        command = self._controller.step(*inputs)
+        self._answer(inputs.stamp, command)
+        self._report.note(command, inputs.theta, inputs.contacts)
+        self._fresh.clear()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+    def _check_fresh(self, tick: int) -> None:
+        """Refuse poses of another clock that came when the time of the ticks was not known yet."""
+        for stamp in self._controller.forget_after(tick + DAY_NS):
+            self.reject(interfaces.DESIRED_POSE, far_ahead(stamp, tick))
+
+    def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
+        """Hold the hand at a tick for which inputs are missing."""
+        command = self._controller.hold(theta, rates, reason)
+        self._answer(stamp, command)
+        self._report.note(command)
+
+    def on_repeat(self) -> None:
+        """Give the last answer again."""
+        self._command_publisher.publish(self._sent)
+
+    def on_restart(self) -> None:
+        """Begin anew with the ticks; poses that came together with the first one are for it."""
+        self._controller.reset()
+        self._report.reset()
+        for target, stamp in self._fresh:
+            self._controller.command(target, stamp)
+
+    def _answer(self, stamp: int, command: Command) -> None:
+        self._sent = self._commands.encode(stamp, command.torque)
+        self._command_publisher.publish(self._sent)
+        self.diagnostics.tick()
+        if command.pose is not None:
+            turn = quaternion_from_rotation(command.pose.orientation)
+            self._pose_publisher.publish(self._poses.encode(command.pose.position, turn, stamp))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the manipulation controller until SIGINT or SIGTERM and return the exit code."""
+    return run_node(ManipulationControllerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the plant takes its next tick: in lockstep with commands, or by the wall clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+
+from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.nodes.plant.pacing import Pace
+from tactile_hand_ros.nodes.plant.topics import PlantTopics
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.simulation.plant_config import PlantConfig
+from tactile_hand_ros.simulation.plant_run import Array, PlantRun
+
+
+class PlantDriver:
+    """Drives a run of the plant.
+
+    In lockstep a tick waits for its command: it is sent again after a short silence, and after a
+    long one the joints are held and time follows the wall clock until a command comes. In real time
+    the last command acts until a newer one comes, for as long as the same long silence.
+    """
+
+    def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
+        """Create publishers and timers; `begin` starts the run.
+
+        Args:
+            node: The node to publish and report with.
+            run: The run to drive.
+        """
+        self._node = node
+        self._diagnostics = node.diagnostics
+        self._run = run
+        self._config = c = node.config
+        self._is_lockstep = c.pacing == "lockstep"
+        self._is_on, self._is_finished = c.autostart, False
+        self._resent = self._late = 0
+        self._topics = PlantTopics(node, run.plant.hand)
+        self._pace = Pace(c.tick)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
+        self._pacer.timer_period_ns = c.tick
+        watch = 0.25 * min(c.resend_after, c.command_timeout)
+        self._watcher = node.create_timer(watch, self._on_watch, clock=steady)
+
+    @property
+    def mode(self) -> str:
+        """What the plant is doing: paused, running, holding or finished."""
+        if self._is_finished:
+            return "finished"
+        if not self._is_on:
+            return "paused"
+        return "holding" if self._run.holding else "running"
+
+    def begin(self) -> None:
+        """Publish the present tick and wait for its command; in real time let the clock run.
+
+        What changes the mode is told at once, not when the next diagnostics are due.
+        """
+        self._run.release()
+        self._diagnostics.clear("state")
+        self._answered = self._run.stamp - self._config.tick
+        self._answered_at = self._sent_at = time.monotonic()
+        self._let_time_pass(self._is_on and not self._is_lockstep)
+        if self._is_on:
+            self._watcher.reset()
+            self._publish()
+        self._node.publish_diagnostics()
+
+    def switch(self, is_on: bool) -> bool:
+        """Go on or pause; return whether that was possible."""
+        if is_on != self._is_on:
+            self._is_on = is_on
+            if not self._is_finished:
+                self.begin()
+        return not (is_on and self._is_finished)
+
+    def reset(self) -> None:
+        """Go back to the start."""
+        self._run.reset()
+        self._is_finished = False
+        self.begin()
+
+    def command(self, stamp: int, torque: Array) -> None:
+        """Take the torque that answers a tick; what comes too late or unasked changes nothing."""
+        run = self._run
+        if not self._is_on or self._is_finished or not self._answered < stamp <= run.stamp:
+            return
+        self._answered, self._answered_at = stamp, time.monotonic()
+        if run.holding:
+            run.release()
+            self._let_time_pass(not self._is_lockstep)
+        self._diagnostics.clear("state")
+        if self._is_lockstep and stamp < run.stamp:
+            return  # the controller is back; its answer to the present tick is on its way
+        run.command(torque)
+        if stamp == run.stamp:
+            self._diagnostics.latency(self._answered_at - self._sent_at)
+        # A tick that others have followed is older than the newest by their number.
+        self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
+        if self._is_lockstep:
+            self._advance(1)
+
+    def _let_time_pass(self, passes: bool) -> None:
+        self._pace.start()
+        self._pacer.reset()
+        if not passes:
+            self._pacer.cancel()
+
+    def _advance(self, ticks: int) -> None:
+        """Move ahead and publish the newest tick."""
+        for done in range(ticks):
+            if self._run.is_last:
+                if done:
+                    self._publish()
+                self._finish()
+                return
+            try:
+                self._run.advance()
+            except DivergedError as error:
+                self._stop(str(error))
+                return
+        self._publish()
+
+    def _publish(self) -> None:
+        self._topics.publish(self._run.state, self._run.stamp)
+        self._sent_at = time.monotonic()
+        self._diagnostics.tick()
+
+    def _stop(self, reason: str) -> None:
+        """Let time stand still: there is no state to go on from, or to publish."""
+        self._is_on = False
+        self._let_time_pass(False)
+        self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
+
+    def _finish(self) -> None:
+        self._is_finished = True
+        self._let_time_pass(False)
+        self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
+
+    def _announce(self, text: str, level: bytes) -> None:
+        """Tell at once."""
+        self._diagnostics.fault("state", text, level)
+        self._node.publish_diagnostics()
+
+    def _on_pace(self) -> None:
+        due = self._pace.due()
+        if due:
+            self._late += not self._is_lockstep and self._answered < self._run.stamp
+            self._advance(due)
+
+    def _on_watch(self) -> None:
+        """Send a tick again after a short silence, hold the joints after a long one."""
+        run, c = self._run, self._config
+        if not self._is_on or self._is_finished:
+            self._watcher.cancel()  # until it begins again
+            return
+        if run.holding:
+            return
+        now = time.monotonic()
+        if now - self._answered_at >= c.command_timeout:
+            self._on_long_silence()
+        if self._is_lockstep and not run.holding and now - self._sent_at >= c.resend_after:
+            self._topics.repeat()
+            self._sent_at = now
+            self._resent += 1
+
+    def _on_long_silence(self) -> None:
+        text = f"no usable joint_command for {self._config.command_timeout:g} s"
+        if self._is_lockstep and not self._run.commanded:
+            self._diagnostics.fault("state", f"{text}, waiting at the first tick", WARN)
+            return
+        self._run.hold()
+        self._let_time_pass(True)
+        self._announce(f"{text}, expected one for each tick; the joints are held", ERROR)
+
+    def report(self, put: Callable[[str, object], None]) -> None:
+        """Report mode, time and silence under the keys of diagnostics."""
+        put("mode", self.mode)
+        put("finished", self._is_finished)
+        put("time_s", 1e-9 * self._run.stamp)
+        put("resent_ticks", self._resent)
+        put("held_ticks", self._run.held)
+        put("late_commands", self._late)
+        self._pace.report(put)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant: the simulated hand and object.
+
+Safe state: without a good command for `command_timeout` (silence, or nothing but commands with
+unknown joints, missing joints or NaN) the joints are held where they are on top of the last torque,
+so that the object is neither dropped nor crushed; time then follows the wall clock and the level in
+`/diagnostics` is ERROR. In lockstep time stands still at the first tick until the first command:
+there is no torque yet to hold with. Where the simulation diverges, under torques that are far too
+late, time stands still too, with an ERROR, until `~/reset` and `~/run`. A plant that dies stops the
+ticks, and with them everybody.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from tactile_hand_ros.control.grasp import required_friction
+from tactile_hand_ros.nodes.plant.driver import PlantDriver
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.messages.wire import JointCodec
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.simulation.plant_config import PlantConfig
+from tactile_hand_ros.simulation.plant_run import PlantRun
+
+
+class PlantNode(TactileNode[PlantConfig]):
+    """Simulates hand and object, tick by tick.
+
+    Publications, all with the tick as stamp: `joint_states` (sensor_msgs/JointState, rad, rad/s and
+    the torque that acted, N m), `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
+    `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
+    `ground_truth/slip` (sensor_msgs/JointState by finger: distance slid, m, and sliding speed,
+    m/s), `ground_truth/object_pose` (geometry_msgs/PoseStamped, palm frame, m), `clock`
+    (rosgraph_msgs/Clock; `/clock` outside of namespaces). Once: `robot_description`
+    (std_msgs/String, URDF). Once a second: `/diagnostics`.
+
+    Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; the stamp is
+    the tick that it answers).
+
+    Services: `~/run` (std_srvs/SetBool) goes on and pauses, `~/reset` (std_srvs/Trigger) goes back
+    to the start at stamp 0.
+
+    Parameters: the fields of `PlantConfig`; `object.friction` is live.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build hand and object, and begin unless `autostart` is false.
+
+        Raises:
+            TactileHandError: If a parameter is refused or hand or object cannot be built.
+        """
+        super().__init__("plant", PlantConfig, **kwargs)
+        self._run = PlantRun(self.config)
+        hand = self._run.plant.hand
+        self._joints = JointCodec(hand.joint_names, ("effort",))
+        self._driver = PlantDriver(self, self._run)
+        self.subscribe(JointState, interfaces.JOINT_COMMAND, self._on_command, raw=True)
+        self.create_service(Trigger, interfaces.RESET, self._on_reset)
+        self.create_service(SetBool, interfaces.RUN, self._on_run)
+        self._driver.begin()
+
+    def on_config(self, config: PlantConfig) -> None:
+        """Take another friction."""
+        self._run.configure(config)
+
+    def on_report(self) -> None:
+        """Report mode, time, silence and the margins of contact."""
+        put, state = self.diagnostics.value, self._run.state
+        self._driver.report(put)
+        put("touching", int(state.contacts.touching.sum()))
+        put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
+        put("contact_residual", self._run.plant.contact_residual)
+
+    def _on_command(self, data: bytes) -> None:
+        stamp, (torque,) = self._joints.decode(data)
+        self._driver.command(stamp, torque)
+
+    def _on_run(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success = self._driver.switch(request.data)
+        response.message = self._driver.mode
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._driver.reset()
+        response.success, response.message = True, self._driver.mode
+        return response
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the plant until SIGINT or SIGTERM and return the exit code."""
+    return run_node(PlantNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration of the recorder."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+from pydantic import field_validator
+
+from tactile_hand_ros.config.model import Config, param
+
+Compression = Literal["none", "lz4", "zstd"]
+
+
+class RecorderConfig(Config):
+    """What is recorded, where to, and how often it reaches the disk."""
+
+    output: str = param(
+        ...,
+        "rosbag2 folder to create; it must not exist, its parents may; a broken bag that a recorder"
+        " left there is recovered and continued",
+        min_length=1,
+    )
+    topics: list[str] = param(
+        [".*"], "regular expressions; a topic is recorded if one matches its whole name"
+    )
+    exclude: list[str] = param(
+        ["/parameter_events"],
+        "regular expressions; a topic is not recorded if one matches its whole name",
+    )
+    compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
+    chunk_size: int = param(
+        65536, "size at which a chunk is closed and written", unit="B", ge=1024, le=2**26
+    )
+    flush_period: float = param(
+        0.05,
+        "longest time a message waits in memory before it is written",
+        unit="s",
+        ge=0.01,
+        le=60,
+    )
+    split_size: int = param(
+        0, "size of a file on the disk at which the next one is begun, 0 for never", unit="B", ge=0
+    )
+    split_duration: float = param(
+        0.0,
+        "recorded time in a file after which the next one is begun, 0 for never",
+        unit="s",
+        ge=0.0,
+    )
+    snapshot_duration: float = param(
+        0.0,
+        "keep only this much in memory and write it when the service ~/snapshot is called, 0 to "
+        "record everything",
+        unit="s",
+        ge=0.0,
+        le=3600.0,
+    )
+    drain_period: float = param(
+        0.01,
+        "time between two visits to the subscriptions' queues while messages come",
+        unit="s",
+        ge=0.001,
+        le=0.1,
+    )
+    discovery_period: float = param(
+        0.02,
+        "time between two looks at the graph for new topics, ten times that when it is calm",
+        unit="s",
+        ge=0.001,
+        le=1,
+    )
+    scenario: str = param(
+        "", "scenario of the run as YAML text, stored in the bag with the versions in use"
+    )
+    queue_depth: int = param(
+        5000, "messages a topic's queue holds between two visits", ge=1, le=1_000_000
+    )
+
+    @field_validator("topics", "exclude")
+    @classmethod
+    def _compile(cls, patterns: list[str]) -> list[str]:
+        """Refuse a pattern that is no regular expression."""
+        for pattern in patterns:
+            try:
+                re.compile(pattern)
+            except re.error as error:
+                raise ValueError(f"'{pattern}' is no regular expression, {error}") from None
+        return patterns

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip regulator: how hard the hand squeezes.
+
+Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
+every mode; a finger that is silent or says NaN leaves the tick without k_f, and the controller
+holds the hand. Where a finger has lost contact the need is not known, and the reflex doubles
+its squeeze once. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
+help, is a warning in `/diagnostics`. A request of the user outside the limits is counted and
+dropped, and the squeeze stays. When it dies, the controller holds the last squeeze; a new one
+starts at the configured k_f and has to learn the friction again.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState, JoyFeedbackArray
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
+from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.ticks.touch_inputs import Touch, TouchInputs
+
+HAPTIC_PERIOD_NS = 20_000_000
+"""Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
+
+
+class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
+    """Publishes the squeeze k_f, and how well each finger grips, at each tick.
+
+    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
+    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
+    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N).
+
+    Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
+    0 to 1, `Grip`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
+    id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
+    0 to 1). Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
+    friction, grip and number of slips of each finger, and the worst margins of that second: A3
+    (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
+    end a slip).
+
+    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
+    learned, as a jump back of the stamps does.
+
+    Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live. The
+    mode may change at any time: the squeeze moves on from where it is.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Build the regulator.
+
+        Raises:
+            TactileHandError: If a parameter is refused or there is no such hand.
+        """
+        super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
+        fingers = load_hand_config(self.config.hand).finger_names
+        self._regulator = SlipRegulator(self.config, len(fingers))
+        self._report = RegulatorReport(self.diagnostics, fingers)
+        self._rehearse(len(fingers))
+        self._grips = GripCodec(fingers)
+        self._grip_publisher = self.tick_publisher(JointState, interfaces.GRIP_STATE)
+        self._codec = WrenchCodec(interfaces.PALM_FRAME)
+        self._publisher = self.tick_publisher(WrenchStamped, interfaces.GRASP_FORCE)
+        self._haptic_publisher = self.create_publisher(
+            JoyFeedbackArray, interfaces.HAPTIC_FEEDBACK, interfaces.user_qos()
+        )
+        self._haptic = feedback_to_ros((0.0, 0.0))
+        self._sent = self._grip_sent = b""
+        self._felt, self._strongest = -1, 0.0
+        qos = interfaces.user_qos()
+        self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
+        self._inputs = TouchInputs(self, fingers, self, forces=True)
+        self.create_service(Trigger, interfaces.RESET, self._on_reset)
+
+    def _rehearse(self, fingers: int) -> None:
+        touch, regulator = example_touch(fingers), self._regulator
+        regulator.step(0, *touch)
+        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
+        self._report.note(regulator, 0, *touch, state)
+        self.on_restart()
+
+    def on_config(self, config: SlipRegulatorConfig) -> None:
+        """Take another mode, other limits and rates."""
+        self._regulator.configure(config)
+
+    def on_report(self) -> None:
+        """Report the squeeze and what was learned of the contacts."""
+        self._report.report(self._regulator)
+
+    def on_restart(self) -> None:
+        """Begin anew with the ticks."""
+        self._regulator.reset()
+        self._report.reset()
+
+    def _on_user_force(self, message: Float64) -> None:
+        self._regulator.request(number_from_ros(message))
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.on_restart()
+        response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
+        return response
+
+    def on_tick(self, stamp: int, touch: Touch) -> None:
+        """Answer a tick for which everything has arrived."""
+        began = time.perf_counter()
+        regulator = self._regulator
+        contacts, forces, _ = touch
+        assert forces is not None  # asked for above
+        grasp_force = regulator.step(stamp, contacts, forces)
+        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
+        self._grip_sent = self._grips.encode(
+            stamp, state.friction, state.evidence, state.grip.astype(float)
+        )
+        self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
+        self.on_repeat()
+        self._report.note(regulator, stamp, contacts, forces, state)
+        self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
+        self.diagnostics.tick()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+    def on_repeat(self) -> None:
+        """Give the last answer, which may be a new one."""
+        self._grip_publisher.publish(self._grip_sent)  # first: f* may wait for it
+        self._publisher.publish(self._sent)
+
+    def _tell_user(self, stamp: int, grip: float, slip: float) -> None:
+        self._strongest = max(self._strongest, slip)
+        if stamp // HAPTIC_PERIOD_NS != self._felt:
+            self._felt = stamp // HAPTIC_PERIOD_NS
+            levels = (grip, self._strongest)
+            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+            self._strongest = 0.0
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the slip regulator until SIGINT or SIGTERM and return the exit code."""
+    return run_node(SlipRegulatorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the slip regulator says of itself in its diagnostics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.margins import SlipWatch
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
+
+
+class GripState(NamedTuple):
+    """What the regulator knows of each contact, arrays of shape (k,)."""
+
+    friction: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    grip: NDArray[np.int_]
+
+
+class RegulatorReport:
+    """Counts slips and notices when squeezing is at its end.
+
+    What the object needs is a matter of the modes `shared` and `auto`; in `user` the user decides.
+    """
+
+    def __init__(self, diagnostics: Diagnostics, fingers: Sequence[str]) -> None:
+        """Report on the fingers of these names."""
+        self._diagnostics = diagnostics
+        self._fingers = tuple(fingers)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start counting anew."""
+        self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
+        self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
+        self._limited, self._hopeless = Mostly(), Mostly()
+        self._watch = SlipWatch()
+
+    def note(
+        self,
+        regulator: SlipRegulator,
+        stamp: int,
+        contacts: Contacts,
+        forces: NDArray[np.float64],
+        state: GripState,
+    ) -> None:
+        """Note a tick: what was felt, in contact frames, and what the regulator made of it."""
+        grip = state.grip
+        self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
+        before, self._grip = self._grip, grip
+        self._slips += (grip == Grip.SLIP) & (before != Grip.SLIP)
+        reflex_is_on = regulator.config.mode != "user"
+        at_limit = regulator.grasp_force >= regulator.config.maximum
+        self._limited.note(reflex_is_on and at_limit)
+        self._hopeless.note(reflex_is_on and math.isinf(regulator.needed))
+
+    def report(self, regulator: SlipRegulator) -> None:
+        """Put mode, squeezes and the grip of each finger into the diagnostics."""
+        put = self._diagnostics.value
+        put("mode", regulator.config.mode)
+        put("grasp_force_n", regulator.grasp_force)
+        put("needed_force_n", regulator.needed)
+        put("slips", int(self._slips.sum()))
+        facts = zip(
+            self._fingers,
+            regulator.friction,
+            self._grip,
+            regulator.slip_likelihood,
+            self._slips,
+            strict=True,
+        )
+        for name, friction, grip, evidence, slips in facts:
+            put(f"friction {name}", float(friction))
+            put(f"grip {name}", Grip(int(grip)).name.lower())
+            put(f"slip_evidence {name}", float(evidence))
+            put(f"slips {name}", int(slips))
+        watch = self._watch
+        put("A3 load_n", watch.load)
+        put("A4 slip_margin", watch.evidence)
+        put("A4 cone_margin_n", watch.cone)
+        put("A6 slip_time_left_s", watch.time_left)
+        watch.clear()
+        self._warn(regulator)
+
+    def _warn(self, regulator: SlipRegulator) -> None:
+        needed, maximum = regulator.needed, regulator.config.maximum
+        need = f", while the object needs {needed:.3g} N" if math.isfinite(needed) else ""
+        self._diagnostics.judge(
+            "limit",
+            self._limited(),
+            f"the squeeze is at its limit of {maximum:g} N{need}; raise 'maximum' if the object "
+            "bears it, or take load off",
+            WARN,
+        )
+        self._diagnostics.judge(
+            "shape",
+            self._hopeless(),
+            "no squeeze of this shape can hold: a contact leaves its friction cone however large "
+            "k_f is; let the force_optimizer reshape it ('cones') or take load off",
+            WARN,
+        )

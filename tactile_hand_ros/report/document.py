@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run as one document for the page: arrays, events, tables and what is to be drawn."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.report import facts, model, style
+from tactile_hand_ros.report.pack import pack
+from tactile_hand_ros.report.ticks import shown
+from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.run import Run
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+FORMAT = 1
+MAX_BYTES = 2_900_000
+"""Room for the arrays of a page before base64, so that it stays below 5 MB."""
+MAX_EVENTS = 400
+
+_CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are too few
+
+
+def page_document(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the document of a page.
+
+    Args:
+        kind: ``run`` or ``comparison``.
+        runs: What `run_document` gave for each.
+    """
+    palette = {
+        "ink": style.INK,
+        "faint": style.FAINT,
+        "axes": [style.axis_color(i) for i in range(3)],
+        "runs": [style.run_color(i) for i in range(len(runs))],
+    }
+    return {"format": FORMAT, "kind": kind, "palette": palette, "runs": runs}
+
+
+def run_document(run: Run, *, room: int = MAX_BYTES, space: bool = True) -> dict[str, Any]:
+    """Return everything the page needs to know of a run, as plain data for JSON.
+
+    All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
+
+    Args:
+        run: The run.
+        room: How many bytes the arrays may take before base64.
+        space: Whether the 3D view is wanted.
+
+    Raises:
+        BagError: If the bag is damaged or has no tick.
+    """
+    record = run.record
+    hand, problem = model.hand(run) if space else (None, "")
+    columns = plot_columns(run) | (scene_columns(record) if space else {})
+    rows = _rows(run, room // _bytes_per_tick(columns))
+    return {
+        "name": facts.name(run),
+        "description": str(facts.loose_scenario(run).get("description", "")),
+        "recorded": _date(run),
+        "goal_reached": run.metrics.goal_reached,
+        "shown": len(rows),
+        "ticks": len(record),
+        "fingers": _fingers(record),
+        "joints": _joints(record, hand),
+        "columns": {
+            name: pack(values[rows], _CODES.get(name, "f4")) for name, values in columns.items()
+        },
+        "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
+        "hand": hand,
+        "object": model.solid(run) if space else None,
+        "ledger": facts.ledger(run),
+        "tiles": facts.tiles(run),
+        "tables": facts.all_tables(run),
+        "scenario": facts.scenario_text(run),
+        "notes": [*facts.notes(run), *([problem] if problem else [])],
+    }
+
+
+def plot_columns(run: Run) -> dict[str, Array]:
+    """Return the arrays of the plots by name, one row a tick.
+
+    ``time`` in s, ``rates`` in rad/s, ``position_error`` in m, ``rotation_error`` (|r_d|) in rad,
+    ``force`` in N in contact frames, ``expected`` (k_f f*_n) in N, ``beta`` (f_t / f_n),
+    ``friction`` (learned mu), ``grip`` (state of each contact), ``squeeze`` (k_f) in N and
+    ``latency`` in s.
+    """
+    record = run.record
+    return {
+        "time": record.times,
+        "rates": record.rates,
+        "position_error": np.linalg.norm(derived.position_error(record), axis=1),
+        "rotation_error": np.linalg.norm(derived.rotation_error(record), axis=1),
+        "force": derived.contact_forces(record),
+        "expected": derived.expected_normal_forces(record),
+        "beta": derived.friction(record),
+        "friction": record.friction,
+        "grip": record.grip,
+        "squeeze": record.grasp_force,
+        "latency": run.latencies,
+    }
+
+
+def scene_columns(record: Record) -> dict[str, Array]:
+    """Return the arrays of the 3D view by name, one row a tick, as the record has them."""
+    names = (
+        *("theta", "contact_positions", "contact_quaternions"),
+        *("auxiliary_position", "auxiliary_quaternion"),
+        *("desired_position", "desired_quaternion", "object_position", "object_quaternion"),
+    )
+    return {name: getattr(record, name) for name in names}
+
+
+def _bytes_per_tick(columns: dict[str, Array]) -> int:
+    sizes = {"f8": 8, "f4": 4, "u1": 1}
+    return sum(
+        sizes[_CODES.get(name, "f4")] * int(np.prod(values.shape[1:], dtype=int))
+        for name, values in columns.items()
+    )
+
+
+def _rows(run: Run, limit: int) -> Rows:
+    record = run.record
+    at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
+    signals = [
+        np.abs(record.rates).max(axis=1),
+        derived.contact_forces(record)[:, :, 1].max(axis=1),
+        derived.friction(record).max(axis=1),
+        record.grasp_force,
+        run.latencies,
+    ]
+    return shown(len(record), limit, signals, at_events.clip(0, len(record) - 1))
+
+
+def _fingers(record: Record) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "label": style.pretty(name), "color": style.finger_color(i)}
+        for i, name in enumerate(record.finger_names)
+    ]
+
+
+def _joints(record: Record, hand: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """Return name, finger (index, -1 if unknown) and place in the finger of each joint."""
+    owner = _owners(record, hand)
+    joints: list[dict[str, Any]] = []
+    for column, name in enumerate(record.joint_names):
+        finger = owner.get(column, _finger_by_name(record, name))
+        place = sum(joint["finger"] == finger for joint in joints)
+        joints.append({"label": style.pretty(name), "finger": finger, "place": place})
+    return joints
+
+
+def _owners(record: Record, hand: dict[str, Any] | None) -> dict[int, int]:
+    """Return the finger of each joint, by walking from the tips to the palm."""
+    found: dict[int, int] = {}
+    for tip in hand["tips"] if hand else []:
+        link = tip["link"]
+        while tip["finger"] in record.finger_names and link >= 0:
+            column = hand["links"][link].get("joint", -1) if hand else -1
+            found[column] = record.finger_names.index(tip["finger"])
+            link = hand["links"][link]["parent"] if hand else -1
+    found.pop(-1, None)
+    return found
+
+
+def _finger_by_name(record: Record, joint: str) -> int:
+    named = [i for i, finger in enumerate(record.finger_names) if joint.startswith(finger)]
+    return named[0] if named else -1
+
+
+def _date(run: Run) -> str:
+    """Return when the run was recorded, UTC."""
+    if run.summary.start_time is None:
+        return ""
+    start = datetime.datetime.fromtimestamp(1e-9 * run.summary.start_time, datetime.timezone.utc)
+    return start.strftime("%Y-%m-%d %H:%M UTC")

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page says in words and numbers: headline, tables, ledger, scenario, notes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tactile_hand_ros.bag.provenance import SCENARIO_KEY
+from tactile_hand_ros.closed_loop.scenario import resolved
+from tactile_hand_ros.config.model import parse_yaml
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.report import tables
+from tactile_hand_ros.run.ledger import Assumption
+from tactile_hand_ros.run.run import BAG, Run
+
+LOST = "lost_messages"
+_VERSION = "version_"
+
+
+def name(run: Run) -> str:
+    """Return what the run is called: its scenario, else the name of its folder or file."""
+    path = run.path.resolve()
+    folder = path.parent.name if path.name == BAG else path.stem
+    return str(loose_scenario(run).get("name") or folder)
+
+
+def loose_scenario(run: Run) -> dict[str, Any]:
+    """Return the scenario as plain data, even where this version cannot use all of it."""
+    try:
+        data = parse_yaml(scenario_text(run), "scenario")
+    except ConfigurationError:
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
+def lost_messages(run: Run) -> int | None:
+    """Return how many messages the recorder lost, None where it does not say."""
+    text = run.summary.custom_data.get(LOST, "")
+    return int(text) if text.isdigit() else None
+
+
+def tiles(run: Run) -> list[dict[str, str]]:
+    """Return the headline: a few numbers, each with what it is and how it is to be judged."""
+    m, bag, goal = run.metrics, run.bag_metrics, run.scenario.goal if run.scenario else None
+    return [
+        _tile(
+            "position error", 1e3 * m.final_position_error_m, "mm",
+            f"goal {1e3 * goal.position_error:g} mm" if goal else "at the end",
+        ),
+        _tile(
+            "orientation error", 1e3 * m.final_rotation_error_rad, "mrad",
+            f"goal {1e3 * goal.rotation_error:g} mrad" if goal else "at the end",
+        ),
+        _tile("settled after", m.settling_time_s, "s", "both errors inside"),
+        _tile("squeeze", m.final_grasp_force_N, "N", f"peak {_peak_squeeze(run)}"),
+        _tile("longest slip", 1e3 * m.max_slip_distance_m, "mm", "of any contact"),
+        _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
+        _recorded(bag.messages, lost_messages(run)),
+    ]  # fmt: skip
+
+
+def _recorded(messages: int, lost: int | None) -> dict[str, str]:
+    if lost is None:
+        return {"label": "recorded", "value": str(messages), "unit": "", "note": "messages"}
+    note = f"of {messages} messages"
+    return {"label": "recorded", "value": str(lost), "unit": "lost", "note": note}
+
+
+def _tile(label: str, value: float, unit: str, note: str) -> dict[str, str]:
+    if math.isnan(value):
+        return {"label": label, "value": "unknown", "unit": "", "note": note}
+    return {"label": label, "value": f"{value:.3g}", "unit": unit, "note": note}
+
+
+def _peak_squeeze(run: Run) -> str:
+    known = run.record.grasp_force[np.isfinite(run.record.grasp_force)]
+    return tables.number(float(known.max()), "N") if len(known) else "unknown"
+
+
+def all_tables(run: Run) -> list[dict[str, Any]]:
+    """Return the tables below the plots."""
+    told = run.summary.custom_data
+    versions = [[k.removeprefix(_VERSION), v] for k, v in told.items() if k.startswith(_VERSION)]
+    if run.scenario is not None:
+        versions.append(["seed", str(run.scenario.seed)])
+    lost = lost_messages(run)
+    recording = tables.bag_rows(run.bag_metrics)
+    recording.insert(1, ["messages lost", "not told" if lost is None else str(lost)])
+    found = [
+        {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
+        {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},
+        {"title": "Recording", "rows": recording},
+        {"title": "Versions and seed", "rows": versions},
+    ]
+    return [table for table in found if table["rows"]]
+
+
+def ledger(run: Run) -> list[dict[str, Any]]:
+    """Return the lines of the ledger with their values as text."""
+    return [_line(line) for line in run.ledger]
+
+
+def _line(line: Assumption) -> dict[str, Any]:
+    row = tables.ledger_rows([line])[0]
+    return {
+        "name": line.name,
+        "meaning": line.meaning,
+        "margin": line.margin,
+        "worst": row[3],
+        "limit": row[4],
+        "held": None if math.isnan(line.held_share) else line.held_share,
+        "broken": [list(interval) for interval in line.broken],
+    }
+
+
+def scenario_text(run: Run) -> str:
+    """Return the scenario as YAML, empty where there is none."""
+    text = run.summary.custom_data.get(SCENARIO_KEY, "")
+    return text or (resolved(run.scenario) if run.scenario is not None else "")
+
+
+def notes(run: Run) -> list[str]:
+    """Return what a reader must know before he trusts the page."""
+    found = []
+    if run.scenario_problem:
+        found.append(
+            "The scenario in the bag does not fit this version of the package: goal, disturbances "
+            "and ledger are left out."
+        )
+    elif run.scenario is None:
+        found.append("No scenario is known: goal, shape of the object and ledger are left out.")
+    if run.ledger_problem:
+        found.append(run.ledger_problem)
+    if not run.bag_metrics.complete:
+        found.append("The recording is incomplete; gaps in the plots are ticks without a message.")
+    return found

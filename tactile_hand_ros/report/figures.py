@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Fig. 3 (motion and normal forces) and Fig. 4 (required friction), from records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.report.style import (
+    FAINT,
+    INK,
+    JOINT_LINES,
+    PAGE,
+    axis_color,
+    finger_color,
+    label_panel,
+    law_color,
+    look,
+    new_figure,
+    pretty,
+)
+from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.metrics import START_S
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+Array = NDArray[np.float64]
+
+LineStyle = str | tuple[float, Sequence[float]]
+
+_DASHED: LineStyle = (0, (4, 3))
+_TARGET: dict[str, Any] = {"color": INK, "linestyle": _DASHED, "linewidth": 0.8, "zorder": 3}
+_LINES: tuple[LineStyle, ...] = ("-", (0, (3, 1.5)), (0, (1, 1.2)), (0, (5, 1, 1, 1)))
+
+
+def motion_figure(record: Record) -> Figure:
+    """Draw Fig. 3: joint rates, position, orientation error and normal forces over time."""
+    with look():
+        figure = new_figure(PAGE, 4.2)
+        axes = figure.subplots(2, 2, sharex=True)
+        draw_rates(axes[0, 0], record)
+        label_panel(axes[0, 0], "a", "joint rates")
+        draw_position(axes[0, 1], record)
+        label_panel(axes[0, 1], "b", "centroid of the contacts")
+        draw_rotation_error(axes[1, 0], record)
+        label_panel(axes[1, 0], "c", "orientation error")
+        draw_normal_forces(axes[1, 1], record)
+        label_panel(axes[1, 1], "d", "normal forces")
+        for panel in axes[1]:
+            panel.set_xlabel("time [s]")
+        if len(record) > 1:
+            axes[0, 0].set_xlim(record.times[0], record.times[-1])
+        _mark_loss(axes.ravel().tolist(), record)
+        handles = [*_finger_handles(record), *_axis_handles(), _handle(INK, _DASHED, "target", 0.8)]
+        figure.legend(
+            handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.2
+        )
+    return figure
+
+
+def draw_rates(axes: Axes, record: Record) -> None:
+    """Draw all joint rates, a colour for each finger and a line style for each of its joints."""
+    per_finger = _joints_per_finger(record)
+    for j in range(len(record.joint_names)):
+        axes.plot(
+            record.times,
+            record.rates[:, j],
+            color=finger_color(j // per_finger),
+            linestyle=JOINT_LINES[j % per_finger % len(JOINT_LINES)],
+            linewidth=1.0,
+        )
+    axes.set_ylabel(r"$\dot{\theta}$ [rad/s]")
+
+
+def draw_position(axes: Axes, record: Record) -> None:
+    """Draw the centroid of the contacts as the hand believes it, and p_d dashed."""
+    for i in range(3):
+        axes.plot(record.times, record.auxiliary_position[:, i], color=axis_color(i))
+        axes.plot(record.times, record.desired_position[:, i], **_TARGET)
+    axes.set_ylabel(r"$\bar{p}_c$ and $p_d$ [m]")
+
+
+def draw_rotation_error(axes: Axes, record: Record) -> None:
+    """Draw the components of r_d."""
+    error = derived.rotation_error(record)
+    axes.axhline(0.0, **_TARGET)
+    for i in range(3):
+        axes.plot(record.times, error[:, i], color=axis_color(i))
+    axes.set_ylabel(r"$r_d$ [rad]")
+
+
+def draw_normal_forces(axes: Axes, record: Record) -> None:
+    """Draw f_n of each finger, and k_f f*_n dashed."""
+    normal = derived.contact_forces(record)[:, :, 1]
+    expected = derived.expected_normal_forces(record)
+    for i in range(len(record.finger_names)):
+        axes.plot(record.times[1:], normal[1:, i], color=finger_color(i))
+        axes.plot(record.times, expected[:, i], **_TARGET)
+    axes.set_ylabel(r"$f_n$ and $k_f f^*_n$ [N]")
+    axes.set_ylim(bottom=0.0)
+
+
+def friction_figure(records: Mapping[str, Record]) -> Figure:
+    """Draw Fig. 4: the friction coefficient that each contact needs, for one or more runs.
+
+    Args:
+        records: Runs by what shall stand in the legend; the first is drawn strongest.
+    """
+    first = next(iter(records.values()))
+    with look():
+        figure = new_figure(PAGE, 2.2)
+        count = max(1, len(first.finger_names))
+        panels = figure.subplots(1, count, sharex=True, sharey=True, squeeze=False)
+        for i, name in enumerate(first.finger_names):
+            _draw_friction(panels[0, i], records, i)
+            label_panel(panels[0, i], "abcdefgh"[i % 8], pretty(name))
+            panels[0, i].set_xlabel("time [s]")
+        panels[0, 0].set_ylabel(r"$\beta = \sqrt{f_x^2 + f_z^2}\,/\,f_n$")
+        panels[0, 0].set_ylim(bottom=0.0)
+        if len(first) > 1:
+            panels[0, 0].set_xlim(first.times[0], first.times[-1])
+        handles = [_handle(INK, line, label) for line, label in zip(_LINES, records, strict=False)]
+        if len(records) > 1:
+            figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+def _draw_friction(axes: Axes, records: Mapping[str, Record], finger: int) -> None:
+    for number, record in enumerate(records.values()):
+        shown = record.times >= START_S
+        axes.plot(
+            record.times[shown],
+            derived.friction(record)[shown, finger],
+            color=finger_color(finger),
+            linestyle=_LINES[number % len(_LINES)],
+            linewidth=1.5 if number == 0 else 1.1,
+        )
+
+
+def law_figure(records: Mapping[str, Record]) -> Figure:
+    """Draw what several laws make of one task: errors and the sum of the normal forces.
+
+    Args:
+        records: Runs by the name of their law; a run ends in the picture when it loses a contact.
+    """
+    with look():
+        figure = new_figure(PAGE, 2.3)
+        panels = figure.subplots(1, 3, sharex=True)
+        for number, record in enumerate(records.values()):
+            _draw_law(panels, record, number)
+        titles = ("position error", "orientation error", "sum of normal forces")
+        labels = (r"$|p_d - p|$ [m]", r"$|r_d|$ [rad]", r"$\sum f_n$ [N]")
+        for i, axes in enumerate(panels):
+            label_panel(axes, "abc"[i], titles[i])
+            axes.set_ylabel(labels[i])
+            axes.set_xlabel("time [s]")
+            if i < 2 and _any_positive(axes):
+                axes.set_yscale("log")
+        panels[2].set_ylim(bottom=0.0)
+        longest = max(records.values(), key=len)
+        if len(longest) > 1:
+            panels[0].set_xlim(longest.times[0], longest.times[-1])
+        handles = [
+            _handle(law_color(i), _LAW_LINES[i % len(_LAW_LINES)], f"law {name}", 1.6)
+            for i, name in enumerate(records)
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+def _any_positive(axes: Axes) -> bool:
+    """Return whether a logarithmic axis has something to show."""
+    return any((np.asarray(line.get_ydata(), dtype=float) > 0.0).any() for line in axes.lines)
+
+
+_LAW_LINES: tuple[LineStyle, ...] = ("-", (0, (3, 2)), "-")
+
+
+def _draw_law(panels: Sequence[Axes], record: Record, number: int) -> None:
+    lost = np.flatnonzero(derived.contact_lost(record))
+    end = int(lost[0]) if len(lost) else len(record)
+    # (14) is wide and below, so that (10) can be seen where both do the same.
+    style: dict[str, Any] = {
+        "color": law_color(number),
+        "linestyle": _LAW_LINES[number % len(_LAW_LINES)],
+        "linewidth": 2.4 if number == 2 else 1.4,
+        "zorder": 3 if number == 2 else 4,
+    }
+    curves = (
+        np.linalg.norm(derived.position_error(record), axis=1),
+        np.linalg.norm(derived.rotation_error(record), axis=1),
+        derived.contact_forces(record)[:, :, 1].sum(axis=1),
+    )
+    for axes, curve in zip(panels, curves, strict=True):
+        axes.plot(record.times[1:end], curve[1:end], **style)
+        if end < len(record) and end > 1:
+            axes.plot(
+                record.times[end - 1], curve[end - 1], "x", color=style["color"], ms=6, mew=1.6
+            )
+
+
+def _joints_per_finger(record: Record) -> int:
+    return max(1, len(record.joint_names) // max(1, len(record.finger_names)))
+
+
+def _mark_loss(panels: list[Axes], record: Record) -> None:
+    """Shade what comes after the first lost contact: the laws hold no longer there."""
+    lost = np.flatnonzero(derived.contact_lost(record))
+    if not len(lost):
+        return
+    start, end = record.times[lost[0]], record.times[-1]
+    for axes in panels:
+        axes.axvspan(start, end, color="#f1f1f1", linewidth=0.0, zorder=0)
+        axes.annotate(
+            "contact lost",
+            (start, 0.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 3),
+            textcoords="offset points",
+            fontsize=7,
+            color=FAINT,
+        )
+
+
+def _finger_handles(record: Record) -> list[Line2D]:
+    fingers = [_handle(finger_color(i), "-", pretty(n)) for i, n in enumerate(record.finger_names)]
+    lines = JOINT_LINES[: _joints_per_finger(record)]
+    return fingers + [_handle(INK, line, f"joint {j + 1}") for j, line in enumerate(lines)]
+
+
+def _axis_handles() -> list[Line2D]:
+    return [_handle(axis_color(i), "-", f"${name}$") for i, name in enumerate("xyz")]
+
+
+def _handle(color: str, line: LineStyle, label: str, width: float = 1.2) -> Line2D:
+    """Return a line for a legend, which need not be one of the lines drawn."""
+    made: Line2D = optional("matplotlib.lines", "Drawing").Line2D(
+        [], [], color=color, linestyle=line, label=label, linewidth=width
+    )
+    return made

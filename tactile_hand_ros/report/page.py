@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page itself: template, style, script and document in one file of HTML."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
+from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.run.run import Run
+
+REPORT = "report.html"
+COMPARISON = "comparison.html"
+
+_PLACE = re.compile(r"@@(\w+)@@")
+
+
+def write_report(run: Run, folder: Path | None = None) -> Path:
+    """Write ``report.html`` of a run and return the file.
+
+    Args:
+        run: The run.
+        folder: Where to; by default the run's folder, or beside a bare bag.
+
+    Raises:
+        BagError: If the bag is damaged or has no tick.
+        TactileHandError: If the file cannot be written.
+    """
+    document = run_document(run)
+    return _write(page([document], "run"), (folder or run_folder(run)) / REPORT)
+
+
+def write_comparison(runs: Sequence[Run], file: Path) -> Path:
+    """Write a page that overlays runs and return the file.
+
+    Args:
+        runs: At least two; the hands may differ.
+        file: Where to.
+
+    Raises:
+        BagError: If a bag is damaged or has no tick.
+        TactileHandError: If the file cannot be written.
+    """
+    room = MAX_BYTES // max(1, len(runs))
+    documents = [run_document(run, room=room, space=False) for run in runs]
+    return _write(page(documents, "comparison"), file)
+
+
+def run_folder(run: Run) -> Path:
+    """Return where results of a run belong: the run's folder, or beside a bare bag."""
+    return run.path if run.bag != run.path else run.bag.parent
+
+
+def page(documents: list[dict[str, Any]], kind: str) -> str:
+    """Return the HTML of a page that loads nothing from anywhere.
+
+    Args:
+        documents: What `run_document` gave for each run.
+        kind: ``run`` or ``comparison``.
+    """
+    names = " and ".join(dict.fromkeys(document["name"] for document in documents))
+    parts = {
+        "title": html.escape(f"{names} - tactile hand"),
+        "style": _resource("viewer.css"),
+        "script": _resource("viewer.js"),
+        "document": _json(page_document(kind, documents)),
+    }
+    return _PLACE.sub(lambda place: parts[place.group(1)], _resource("template.html"))
+
+
+def _resource(name: str) -> str:
+    return (files(__package__ or "") / name).read_text(encoding="utf-8")
+
+
+def _json(document: dict[str, Any]) -> str:
+    """Return JSON that cannot end the script element in which it stands."""
+    text = json.dumps(json_ready(document), allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _write(text: str, file: Path) -> Path:
+    """Write a file whole or not at all.
+
+    Raises:
+        TactileHandError: If that is not possible.
+    """
+    draft = file.with_name(f".{file.name}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(file)
+    except OSError as error:
+        raise TactileHandError(
+            f"The report {file} cannot be written ({error.strerror}); choose another place."
+        ) from None
+    return file

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results as tables for the terminal and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.run.bag_metrics import BagMetrics
+from tactile_hand_ros.run.ledger import Assumption
+from tactile_hand_ros.run.metrics import Metrics
+from tactile_hand_ros.run.recovery import Recovery
+from tactile_hand_ros.studies.paper.claims import Claim, LawResult, Verdict
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+Rows = Sequence[Sequence[str]]
+
+CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
+LAW_COLUMNS = (
+    "law",
+    "position error",
+    "|r_d|",
+    "contact lost",
+    "peak joint rate",
+    "sum of f_n",
+    "worst beta",
+    "rolling",
+    "stiffness",
+)
+_COLORS = {Verdict.HOLDS: "green", Verdict.PARTLY: "yellow", Verdict.FAILS: "red"}
+
+
+def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
+    """Return claims as text, columns as in `CLAIM_COLUMNS`."""
+    return [[c.source, c.statement, c.measured, c.verdict.value] for c in claims]
+
+
+def law_rows(laws: Sequence[LawResult]) -> list[list[str]]:
+    """Return the comparison of laws as text, columns as in `LAW_COLUMNS`."""
+    return [
+        [
+            law.law,
+            number(1e3 * law.final_position_error_m, "mm"),
+            number(law.final_rotation_error_rad, "rad"),
+            "never"
+            if math.isnan(law.first_contact_loss_s)
+            else f"{law.first_contact_loss_s:.2f} s",
+            number(law.peak_joint_rate_rad_per_s, "rad/s"),
+            number(law.normal_force_sum_N, "N"),
+            number(law.worst_required_friction),
+            number(1e3 * law.largest_rolling_m, "mm"),
+            number(law.stiffness_N_per_m, "N/m"),
+        ]
+        for law in laws
+    ]
+
+
+def claim_table(title: str, claims: Sequence[Claim]) -> Table:
+    """Return claims as a table for the terminal."""
+    table = rich_table(title, CLAIM_COLUMNS)
+    for claim, row in zip(claims, claim_rows(claims), strict=True):
+        color = _COLORS[claim.verdict]
+        table.add_row(*map(_plain, row[:-1]), f"[{color}]{row[-1]}[/{color}]", end_section=True)
+    return table
+
+
+def recovery_rows(recoveries: Sequence[Recovery]) -> list[list[str]]:
+    """Return a row for each disturbance: when, how far the object went, and when it was back."""
+    return [
+        [
+            f"event at {each.start:g} s",
+            f"{number(1e3 * each.largest, 'mm')} away, "
+            + (f"back after {each.time:.2f} s" if each.time < math.inf else "not back"),
+        ]
+        for each in recoveries
+    ]
+
+
+def metrics_rows(m: Metrics) -> list[list[str]]:
+    """Return the metrics of a run as text: name and value."""
+    rows = [
+        ["simulated time", f"{m.simulated_time_s:g} s in {m.ticks} ticks"],
+        ["final position error", number(1e3 * m.final_position_error_m, "mm")],
+        ["final orientation error |r_d|", number(m.final_rotation_error_rad, "rad")],
+        ["settling time", number(m.settling_time_s, "s")],
+        ["peak joint rate", number(m.peak_joint_rate_rad_per_s, "rad/s")],
+        ["k_f", number(m.final_grasp_force_N, "N")],
+        ["sum of f_n", _with_error(m.normal_force_sum_N, m.normal_force_sum_relative_error)],
+    ]
+    for name, force in m.final_normal_forces_N.items():
+        expected = m.optimal_normal_forces_N[name]
+        rows.append([f"f_n of {name}", f"{number(force, 'N')}  (k_f f*_n {number(expected, 'N')})"])
+    rows += [
+        [
+            f"beta of {name}, final / largest",
+            f"{number(beta)} / {number(m.max_required_friction[name])}",
+        ]
+        for name, beta in m.final_required_friction.items()
+    ]
+    lost = "" if math.isnan(m.first_contact_loss_s) else f", first at {m.first_contact_loss_s:g} s"
+    rows.append(["ticks without a contact", f"{m.contacts_lost_ticks}{lost}"])
+    if not math.isnan(m.max_object_rotation_in_grasp_rad):
+        moved = number(1e3 * m.max_object_displacement_in_grasp_m, "mm")
+        turned = number(m.max_object_rotation_in_grasp_rad, "rad")
+        rows.append(["largest motion of the object in the grasp", f"{moved}, {turned}"])
+    if not math.isnan(m.max_slip_distance_m):
+        rows.append(["largest slip of a contact", number(1e3 * m.max_slip_distance_m, "mm")])
+    if m.goal_reached is not None:
+        rows.append(["goal", "reached" if m.goal_reached else "not reached"])
+    return rows
+
+
+LEDGER_COLUMNS = ("", "assumption", "margin", "worst", "limit", "held")
+
+
+def ledger_rows(lines: Sequence[Assumption]) -> list[list[str]]:
+    """Return the assumption ledger as text."""
+    return [[a.name, a.meaning, a.margin, number(a.worst), _limit(a), _held(a)] for a in lines]
+
+
+def _limit(a: Assumption) -> str:
+    return "none known" if math.isnan(a.limit) else f"{'<' if a.below else '>'} {a.limit:g}"
+
+
+def _held(a: Assumption) -> str:
+    """Say how long an assumption held and when it did not."""
+    if math.isnan(a.held_share):
+        return "not judged"
+    if not a.broken:
+        return "throughout"
+    times = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in a.broken[:3])
+    more = f" and {len(a.broken) - 3} more" if len(a.broken) > 3 else ""
+    return f"{100.0 * a.held_share:.1f} %, not from {times}{more}"
+
+
+def bag_rows(b: BagMetrics) -> list[list[str]]:
+    """Return completeness and timing of a bag as text: name and value."""
+    short = {t: c for t, c in b.topics.items() if c.complete is False}
+    rows = [
+        ["messages", str(b.messages)],
+        ["speed", number(b.ticks_per_second, "ticks/s")],
+        [
+            "command latency, median / p99 / longest",
+            " / ".join(
+                number(1e3 * value, "ms")
+                for value in (
+                    b.command_latency_median_s,
+                    b.command_latency_p99_s,
+                    b.command_latency_max_s,
+                )
+            ),
+        ],
+        ["ticks sent again", str(b.repeated_ticks)],
+        ["recording", "complete" if b.complete else "incomplete"],
+    ]
+    rows += [[f"  {topic}", f"{count.ticks} ticks"] for topic, count in short.items()]
+    return rows + [[f"  {topic}", "absent"] for topic in b.absent]
+
+
+def side_by_side(tables: Sequence[Rows]) -> list[list[str]]:
+    """Join tables of name and value into one with a column of values for each."""
+    values = [{row[0]: row[1] for row in rows} for rows in tables]
+    names = list(dict.fromkeys(name for each in values for name in each))
+    return [[name, *(each.get(name, "") for each in values)] for name in names]
+
+
+def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
+    """Return a table for the terminal.
+
+    Raises:
+        MissingLibraryError: If rich is not installed.
+    """
+    rich = optional("rich.table", "Tables in the terminal")
+    table: Table = rich.Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column, no_wrap=column == "verdict")
+    for row in rows:
+        table.add_row(*map(_plain, row))
+    return table
+
+
+def markdown(columns: Sequence[str], rows: Rows) -> str:
+    """Return a table in Markdown."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "".join(
+        "| " + " | ".join(c.replace("|", "\\|") for c in line) + " |\n" for line in lines
+    )
+
+
+def named(values: Mapping[str, str]) -> list[list[str]]:
+    """Return a mapping as rows."""
+    return [list(item) for item in values.items()]
+
+
+def number(value: float, unit: str = "") -> str:
+    """Return a number with its unit, ``unknown`` for NaN."""
+    if math.isnan(value):
+        return "unknown"
+    return f"{value:.4g} {unit}".rstrip()
+
+
+def _with_error(value: float, error: float) -> str:
+    off = "" if math.isnan(error) else f"  ({100 * error:.2g} % off k_f)"
+    return ("unknown" if math.isnan(value) else f"{value:.6g} N") + off
+
+
+def _plain(text: str) -> str:
+    """Keep rich from taking square brackets for markup."""
+    return text.replace("[", "\\[")

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What only a bag can tell: whether it is complete, and how fast the processes were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.run import topics as names
+from tactile_hand_ros.run.alignment import first_ticks
+from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.run.series import Series
+from tactile_hand_ros.run.topics import HandTopics
+
+Times = NDArray[np.int64]
+
+# A user sends these when he likes, and a holding hand does not say where it believes the object is.
+_NOT_EVERY_TICK = (names.DESIRED_POSE, names.AUXILIARY_POSE)
+
+
+@dataclass(frozen=True)
+class TopicCount:
+    """How completely a topic was recorded.
+
+    Attributes:
+        messages: Number of messages, repeated ones included.
+        ticks: Number of ticks of the run for which there is one.
+        complete: Whether every tick has one; None where that is not asked for.
+    """
+
+    messages: int
+    ticks: int
+    complete: bool | None
+
+
+@dataclass(frozen=True)
+class BagMetrics:
+    """Completeness and timing of a bag, by its log times.
+
+    Attributes:
+        messages: Number of messages on all topics of the bag.
+        topics: The hand's topics by full name.
+        absent: Topics of the hand that should be there and are not; ground truth may be absent.
+        complete: Whether every tick has a message on each topic that should have one.
+        repeated_ticks: How often a tick was sent again because an answer was late.
+        wall_time_s: From the first tick to the last, by the wall clock.
+        ticks_per_second: Ticks per second of wall time.
+        command_latency_median_s: From a tick to the command that answers it.
+        command_latency_p99_s: The same, 99th percentile.
+        command_latency_max_s: The same, longest.
+    """
+
+    messages: int
+    topics: Mapping[str, TopicCount]
+    absent: list[str]
+    complete: bool
+    repeated_ticks: int
+    wall_time_s: float
+    ticks_per_second: float
+    command_latency_median_s: float
+    command_latency_p99_s: float
+    command_latency_max_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, in which NaN becomes None."""
+        plain: dict[str, Any] = json_ready(asdict(self))
+        return plain
+
+
+def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int) -> BagMetrics:
+    """Measure a bag.
+
+    Args:
+        series: Topics by full name.
+        topics: Names of the hand's topics.
+        messages: Number of messages on all topics.
+    """
+    states = series[topics.full(names.JOINT_STATES)]
+    ticks, logged = first_ticks(states)
+    counts = {topic: _count(topic, one, ticks, topics) for topic, one in series.items() if len(one)}
+    truth = topics.full("ground_truth/")
+    free = {topics.full(name) for name in _NOT_EVERY_TICK}
+    absent = [t for t in series if t not in counts and t not in free and not t.startswith(truth)]
+    wall = 1e-9 * float(logged[-1] - logged[0]) if len(logged) else 0.0
+    latency = latencies(series, topics)
+    latency = latency[~np.isnan(latency)]
+    median, p99, longest = np.percentile(latency, [50, 99, 100]) if len(latency) else [np.nan] * 3
+    return BagMetrics(
+        messages=messages,
+        topics=counts,
+        absent=absent,
+        complete=not absent and all(c.complete is not False for c in counts.values()),
+        repeated_ticks=int((np.diff(states.stamps) == 0).sum()),
+        wall_time_s=wall,
+        ticks_per_second=(len(ticks) - 1) / wall if wall > 0.0 else float("nan"),
+        command_latency_median_s=float(median),
+        command_latency_p99_s=float(p99),
+        command_latency_max_s=float(longest),
+    )
+
+
+def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> TopicCount:
+    covered = int(np.isin(ticks, series.stamps).sum())
+    asked = topic not in {topics.full(name) for name in _NOT_EVERY_TICK}
+    return TopicCount(len(series), covered, covered == len(ticks) if asked else None)
+
+
+def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:
+    """Return the time from each tick to the first command that answers it, by the wall clock.
+
+    Args:
+        series: Topics by full name.
+        topics: Names of the hand's topics.
+
+    Returns:
+        Shape (n,), s, in the order of the ticks; NaN where no command was recorded.
+    """
+    ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
+    command = series[topics.full(names.JOINT_COMMAND)]
+    after = command.since(int(logged[0]) if len(logged) else 0)
+    stamps, first = np.unique(command.stamps[after], return_index=True)
+    _, at_tick, at_command = np.intersect1d(ticks, stamps, return_indices=True)
+    out = np.full(len(ticks), np.nan)
+    out[at_tick] = 1e-9 * (command.log_times[after][first][at_command] - logged[at_tick])
+    return out

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quantities that follow from a record: errors, friction, contact losses, motion in the grasp."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.grasp import required_friction
+from tactile_hand_ros.rotations import rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+
+def position_error(record: Record) -> Array:
+    """Return p_d - p at every tick, shape (n, 3), m; NaN where the hand does not know p.
+
+    Before the first command the desired pose is the one at which the grasp was first seen, as for
+    the controller.
+    """
+    desired = _or_start(record.desired_position, record.auxiliary_position)
+    return np.asarray(desired - record.auxiliary_position)
+
+
+def rotation_error(record: Record) -> Array:
+    """Return r_d of every tick, shape (n, 3), 2 sin(angle) times the axis, palm axes.
+
+    Source: Shaw-Cortez et al., below equation (8).
+    """
+    desired = _or_start(record.desired_quaternion, record.auxiliary_quaternion)
+    turn = rotation_from_quaternion(desired) @ np.swapaxes(
+        rotation_from_quaternion(record.auxiliary_quaternion), 1, 2
+    )
+    return np.stack(
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        axis=1,
+    )
+
+
+def _or_start(desired: Array, actual: Array) -> Array:
+    known = np.flatnonzero(np.isfinite(actual).all(axis=1))
+    if not len(known):
+        return desired
+    return np.where(np.isnan(desired), actual[known[0]], desired)
+
+
+def contact_forces(record: Record) -> Array:
+    """Return the contact forces by touch, or the true ones where there was no touch, (n, k, 3)."""
+    return record.true_forces if np.isnan(record.forces).all() else record.forces
+
+
+def friction(record: Record) -> Array:
+    """Return beta of every contact, shape (n, k), NaN without contact."""
+    forces = contact_forces(record)
+    unknown = np.isnan(record.contact_positions[:, :, 0]) | np.isnan(forces).any(axis=2)
+    return np.where(unknown, np.nan, required_friction(forces))
+
+
+def expected_normal_forces(record: Record) -> Array:
+    """Return k_f f*_n of every contact, shape (n, k), N: where (15) says f_n goes."""
+    return np.asarray(record.grasp_force[:, None] * record.optimal_forces[:, :, 1])
+
+
+def contact_lost(record: Record) -> NDArray[np.bool_]:
+    """Return at which ticks a contact was missing, shape (n,).
+
+    A tick of which touch says nothing at all, because its messages are missing, is none.
+    """
+    missing = np.isnan(record.contact_positions[:, :, 0])
+    silent = missing & np.isnan(record.forces).all(axis=2)
+    return np.asarray(missing.any(axis=1) & ~silent.all(axis=1))
+
+
+def motion_in_grasp(record: Record) -> tuple[Array, Array]:
+    """Return how far the true object moved and turned against the grasp, (n,) m and (n,) rad.
+
+    The grasp is the virtual frame at the contact centroid, and the motion counts from the first
+    tick at which both are known. NaN without ground truth.
+    """
+    grasp = rotation_from_quaternion(record.auxiliary_quaternion)
+    apart = record.object_position - record.auxiliary_position
+    place = np.einsum("nji,nj->ni", grasp, apart)
+    turn = np.swapaxes(grasp, 1, 2) @ rotation_from_quaternion(record.object_quaternion)
+    known = np.flatnonzero(np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=(1, 2)))
+    if not len(known):
+        return np.full(len(record), np.nan), np.full(len(record), np.nan)
+    first = known[0]
+    moved = np.linalg.norm(place - place[first], axis=1)
+    # The chord of a rotation is exact for small angles, where the arc cosine of a trace is not.
+    chord = np.linalg.norm(turn - turn[first], axis=(1, 2)) / np.sqrt(8.0)
+    return moved, 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
+def rolling(record: Record) -> Array:
+    """Return how far each true contact moved over the object's surface, shape (n, k), m."""
+    turn = rotation_from_quaternion(record.object_quaternion)
+    arms = record.true_positions - record.object_position[:, None, :]
+    on_object = np.einsum("nji,nkj->nki", turn, arms)
+    known = np.flatnonzero(np.isfinite(on_object).all(axis=(1, 2)))
+    if not len(known):
+        return np.full(arms.shape[:2], np.nan)
+    return np.asarray(np.linalg.norm(on_object - on_object[known[0]], axis=2))

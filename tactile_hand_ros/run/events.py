@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened in a run and when: commands, disturbances, slips, alarms, reactions, contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.control.slip.detector import Grip
+
+Flags = NDArray[np.bool_]
+Kind = Literal[
+    "command", "disturbance", "slip", "detection", "reaction", "contact_lost", "contact_made"
+]
+
+SLIDING = 1e-3
+"""Speed of a contact that counts as slip; slower sliding is creep of contacts that hold, m/s."""
+
+_PAUSE = 0.02  # s within which what stops and begins again is still the same
+_RISE = 0.02  # share by which the squeeze must have risen to count as a reaction
+_REACTION = 0.25  # s after an alarm in which a rise counts as its reaction
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at one instant.
+
+    Attributes:
+        time: Simulated time, s.
+        kind: What it was: ``slip`` is a contact that truly begins to slide, ``detection`` the
+            alarm of the hand, ``reaction`` the rise of the squeeze that follows it.
+        finger: Name of the finger, empty where it concerns the whole hand.
+        text: The same in words.
+    """
+
+    time: float
+    kind: Kind
+    finger: str
+    text: str
+
+
+def events(record: Record, scenario: Scenario | None = None) -> list[Event]:
+    """Return the events of a run in order of time.
+
+    Args:
+        record: The run; without ground truth there are no events of the kind ``slip``.
+        scenario: Its scenario, for the disturbances.
+    """
+    found = [*_commands(record), *_of_fingers(record), *_reactions(record)]
+    if scenario is not None:
+        found += _disturbances(scenario)
+    return sorted(found, key=lambda event: event.time)
+
+
+def _commands(record: Record) -> list[Event]:
+    desired = np.hstack([record.desired_position, record.desired_quaternion])
+    known = np.isfinite(desired).all(axis=1)
+    before = np.vstack([np.full((1, 7), np.nan), desired[:-1]])
+    new = np.flatnonzero(known & (desired != before).any(axis=1))
+    return [
+        Event(float(record.times[row]), "command", "", "a new pose is commanded") for row in new
+    ]
+
+
+def _disturbances(scenario: Scenario) -> list[Event]:
+    pushes = [
+        Event(push.start, "disturbance", "", f"{push.kind} of {_strength(push.force, push.torque)}")
+        for push in scenario.plant.disturbances
+    ]
+    changes = [
+        Event(change.start, "disturbance", "", f"friction becomes {change.friction:g}")
+        for change in scenario.plant.friction_changes
+    ]
+    return [event for event in pushes + changes if event.time <= scenario.duration]
+
+
+def _strength(force: tuple[float, ...], torque: tuple[float, ...]) -> str:
+    push, twist = float(np.linalg.norm(force)), float(np.linalg.norm(torque))
+    parts = [f"{push:g} N"] if push or not twist else []
+    return " and ".join([*parts, *([f"{twist:g} N m"] if twist else [])])
+
+
+def _of_fingers(record: Record) -> list[Event]:
+    found: list[Event] = []
+    missing = np.isnan(record.contact_positions[:, :, 0])
+    silent = missing.all(axis=1) & np.isnan(record.forces).all(axis=(1, 2))
+    for i, finger in enumerate(record.finger_names):
+        name = finger.replace("_", " ")
+        sliding = record.true_sliding[:, i] > SLIDING
+        alarm = record.grip[:, i] == Grip.SLIP
+        lost, made = _edges(missing[:, i] & ~silent)
+        seen: list[tuple[Kind, list[int], str]] = [
+            ("slip", _starts(record, sliding), f"{name} begins to slide"),
+            ("detection", _starts(record, alarm), f"slip of {name} is detected"),
+            ("contact_lost", lost, f"{name} loses contact"),
+            ("contact_made", made, f"{name} touches"),
+        ]
+        for kind, rows, text in seen:
+            found += [Event(float(record.times[row]), kind, finger, text) for row in rows]
+    return found
+
+
+def _edges(flags: Flags) -> tuple[list[int], list[int]]:
+    """Return the rows in which flags rise and those in which they fall, not counting the first."""
+    steps = np.diff(flags.astype(int), prepend=flags[:1].astype(int))
+    return list(np.flatnonzero(steps == 1)), list(np.flatnonzero(steps == -1))
+
+
+def _starts(record: Record, flags: Flags) -> list[int]:
+    """Return the rows in which something begins that had not just stopped."""
+    rises, falls = _edges(flags)
+    ends = [-np.inf, *(float(record.times[row]) for row in falls)]
+    return [row for row, end in zip(rises, ends) if record.times[row] - end > _PAUSE]
+
+
+def _reactions(record: Record) -> list[Event]:
+    """Return when the squeeze had risen after each alarm of a grasp without one."""
+    found: list[Event] = []
+    for row in _starts(record, (record.grip == Grip.SLIP).any(axis=1)):
+        start = record.grasp_force[max(0, row - 1)]
+        soon = record.times[row:] <= record.times[row] + _REACTION
+        risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + _RISE) * start)
+        if len(risen):
+            time = float(record.times[row + risen[0]])
+            found.append(Event(time, "reaction", "", f"the squeeze rises above {start:.3g} N"))
+    return found

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run achieved, in numbers with their units in the names."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import GoalConfig, Scenario
+from tactile_hand_ros.run import derived
+
+Array = NDArray[np.float64]
+
+START_S = 0.02
+"""Time after the first tick that peaks of friction leave out: at tick 0 no force acts yet, s."""
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Results of a run; NaN where the record does not tell, mappings go by finger.
+
+    Final values are those of the last tick, so they are NaN when the grasp was lost by then.
+
+    Attributes:
+        ticks: Number of ticks.
+        simulated_time_s: From the first tick to the last.
+        final_position_error_m: |p_d - p|, p as the hand believes it.
+        final_rotation_error_rad: |r_d|, 2 sin of the angle.
+        settling_time_s: From the last change of the desired pose until both errors stay inside the
+            goal (1 mm and 0.01 rad without a scenario).
+        peak_joint_rate_rad_per_s: Largest |rate| of any joint.
+        final_grasp_force_N: k_f.
+        final_normal_forces_N: f_n.
+        optimal_normal_forces_N: k_f f*_n, where (15) says f_n goes.
+        worst_normal_force_relative_error: Largest |f_n / (k_f f*_n) - 1|.
+        normal_force_sum_N: Sum of f_n.
+        normal_force_sum_relative_error: |sum / k_f - 1|.
+        peak_normal_force_N: Largest f_n of any finger.
+        final_required_friction: beta.
+        max_required_friction: Largest beta after the first 0.02 s.
+        contacts_lost_ticks: Ticks at which a finger did not touch.
+        first_contact_loss_s: When that happened first, simulated time.
+        max_object_displacement_in_grasp_m: True object against the virtual frame of the contacts.
+        max_object_rotation_in_grasp_rad: The same, its rotation.
+        max_slip_distance_m: Largest distance that a contact slid in all; NaN where only the
+            simulation knows it.
+        goal_reached: Whether the final errors are inside the scenario's goal, and no contact is
+            known to have slid farther than it allows; None without a scenario.
+    """
+
+    ticks: int
+    simulated_time_s: float
+    final_position_error_m: float
+    final_rotation_error_rad: float
+    settling_time_s: float
+    peak_joint_rate_rad_per_s: float
+    final_grasp_force_N: float
+    final_normal_forces_N: Mapping[str, float]
+    optimal_normal_forces_N: Mapping[str, float]
+    worst_normal_force_relative_error: float
+    normal_force_sum_N: float
+    normal_force_sum_relative_error: float
+    peak_normal_force_N: float
+    final_required_friction: Mapping[str, float]
+    max_required_friction: Mapping[str, float]
+    contacts_lost_ticks: int
+    first_contact_loss_s: float
+    max_object_displacement_in_grasp_m: float
+    max_object_rotation_in_grasp_rad: float
+    max_slip_distance_m: float
+    goal_reached: bool | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, in which NaN and infinity become None."""
+        plain: dict[str, Any] = json_ready(asdict(self))
+        return plain
+
+
+def json_ready(value: Any) -> Any:
+    """Replace what JSON has no word for, in nested plain data, by None."""
+    if isinstance(value, Mapping):
+        return {key: json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
+    """Measure a run.
+
+    Args:
+        record: The run; ground truth and single topics may be missing.
+        scenario: Its scenario, for the goal.
+    """
+    goal = GoalConfig() if scenario is None else scenario.goal
+    position = np.linalg.norm(derived.position_error(record), axis=1)
+    rotation = np.linalg.norm(derived.rotation_error(record), axis=1)
+    inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
+    lost = np.flatnonzero(derived.contact_lost(record))
+    moved, turned = derived.motion_in_grasp(record)
+    slid = _peak(record.true_slid)
+    reached = bool(len(inside) and inside[-1]) and not slid > goal.slip_distance
+    return Metrics(
+        ticks=len(record),
+        simulated_time_s=_span(record.times),
+        final_position_error_m=_last(position),
+        final_rotation_error_rad=_last(rotation),
+        settling_time_s=_settling(record, inside),
+        peak_joint_rate_rad_per_s=_peak(np.abs(record.rates)),
+        **_force_metrics(record),
+        **_friction_metrics(record),
+        contacts_lost_ticks=len(lost),
+        first_contact_loss_s=float(record.times[lost[0]]) if len(lost) else math.nan,
+        max_object_displacement_in_grasp_m=_peak(moved),
+        max_object_rotation_in_grasp_rad=_peak(turned),
+        max_slip_distance_m=slid,
+        goal_reached=None if scenario is None else reached,
+    )
+
+
+def _force_metrics(record: Record) -> dict[str, Any]:
+    """Compare the normal forces of the last tick with k_f f*_n, and their sum with k_f."""
+    every = derived.contact_forces(record)[:, :, 1]
+    normal, optimal = _last_row(every), _last_row(derived.expected_normal_forces(record))
+    squeeze, total = _last(record.grasp_force), float(normal.sum()) if len(normal) else math.nan
+    return {
+        "final_grasp_force_N": squeeze,
+        "final_normal_forces_N": _by_finger(record, normal),
+        "optimal_normal_forces_N": _by_finger(record, optimal),
+        "worst_normal_force_relative_error": _worst(_relative(normal, optimal)),
+        "normal_force_sum_N": total,
+        "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(squeeze))),
+        "peak_normal_force_N": _peak(every),
+    }
+
+
+def _friction_metrics(record: Record) -> dict[str, Any]:
+    beta = derived.friction(record)
+    later = record.times >= (record.times[0] if len(record) else 0.0) + START_S
+    peaks = np.array([_peak(column) for column in beta[later].T])
+    return {
+        "final_required_friction": _by_finger(record, _last_row(beta)),
+        "max_required_friction": _by_finger(record, peaks),
+    }
+
+
+def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
+    """Return the time from the last change of the desired pose until the errors stay inside."""
+    if not len(inside) or not inside[-1]:
+        return math.nan
+    outside = np.flatnonzero(~inside)
+    settled = int(outside[-1]) + 1 if len(outside) else 0
+    desired = np.hstack([record.desired_position, record.desired_quaternion])
+    same = (desired[1:] == desired[:-1]) | (np.isnan(desired[1:]) & np.isnan(desired[:-1]))
+    changes = np.flatnonzero(~same.all(axis=1))
+    commanded = int(changes[-1]) + 1 if len(changes) else 0
+    return float(max(0.0, record.times[settled] - record.times[commanded]))
+
+
+def _span(times: Array) -> float:
+    return float(times[-1] - times[0]) if len(times) else 0.0
+
+
+def _last(values: Array) -> float:
+    return float(values[-1]) if len(values) else math.nan
+
+
+def _last_row(values: Array) -> Array:
+    return values[-1] if len(values) else np.full(values.shape[1:], np.nan)
+
+
+def _peak(values: Array) -> float:
+    """Return the largest value that is known, NaN if none is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # numpy warns where all is NaN
+        return float(np.nanmax(values)) if values.size else math.nan
+
+
+def _worst(values: Array) -> float:
+    """Return the largest value, NaN if one is unknown."""
+    return float(values.max()) if values.size else math.nan
+
+
+def _relative(value: Array, expected: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.abs(value - expected) / np.abs(expected))
+
+
+def _by_finger(record: Record, values: Array) -> dict[str, float]:
+    return {n: float(v) for n, v in zip(record.finger_names, values, strict=True)}

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run on disk: arrays, metrics and diagnostics from its bag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.bag.provenance import SCENARIO_KEY
+from tactile_hand_ros.bag.reader import read_messages, summarize
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.config.model import parse_yaml, read_yaml, validate
+from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.run import topics as names
+from tactile_hand_ros.run.alignment import align
+from tactile_hand_ros.run.bag_metrics import BagMetrics, bag_metrics, latencies
+from tactile_hand_ros.run.events import Event, events
+from tactile_hand_ros.run.ledger import Assumption, ledger
+from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.run.recovery import Recovery, recoveries
+from tactile_hand_ros.run.series import Series, read_series
+from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
+
+BAG = "bag"
+SCENARIO_FILE = "scenario.yaml"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What one node said about itself.
+
+    Attributes:
+        log_time: When it was recorded, ns since the epoch.
+        name: Name of the node.
+        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        message: Its sentence.
+        values: Facts by name, as text.
+    """
+
+    log_time: int
+    name: str
+    level: int
+    message: str
+    values: dict[str, str]
+
+
+class Run:
+    """A recorded run; everything is read when it is first asked for.
+
+    Attributes:
+        path: What was opened.
+        bag: The bag in it.
+        summary: Topics, message counts and times of the bag.
+    """
+
+    def __init__(
+        self,
+        path: Path | str = "runs/latest",
+        *,
+        namespace: str | None = None,
+        fingers: Sequence[str] | None = None,
+    ) -> None:
+        """Open a run.
+
+        Args:
+            path: Folder of a run (with ``bag/`` in it), or a bag folder or file.
+            namespace: Namespace of the hand, if the bag holds several.
+            fingers: Names of the fingers in order; by default those of the scenario's hand, or all
+                that have topics.
+
+        Raises:
+            BagError: If there is no such run, or its bag is broken or holds no such hand.
+        """
+        self.path = Path(path)
+        self.bag = _find_bag(self.path)
+        self.summary = summarize(self.bag)
+        self._prefix = find_prefix(self.summary.types, namespace, self.bag)
+        self._given_fingers = fingers
+        self.topics.check(self.summary.types)
+
+    @cached_property
+    def topics(self) -> HandTopics:
+        """Names of the hand's topics and fingers."""
+        fingers = list(self._given_fingers or self._fingers_of_scenario())
+        return HandTopics(self._prefix, fingers or find_fingers(self.summary.types, self._prefix))
+
+    def _fingers_of_scenario(self) -> list[str]:
+        """Return the fingers of the scenario's hand, none if the bag is of another hand."""
+        if self.scenario is None:
+            return []
+        try:
+            named = load_hand_config(self.scenario.hand).finger_names
+        except TactileHandError:  # the hand's file stayed on the machine of the run
+            return []
+        seen = find_fingers(self.summary.types, self._prefix)
+        return named if set(seen) <= set(named) else []
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """The scenario, from the bag or beside it; None without one that can be used."""
+        return self._scenario[0]
+
+    @property
+    def scenario_problem(self) -> str:
+        """Why the scenario that is there cannot be used, empty otherwise.
+
+        A bag outlives the version that wrote it: its arrays must not be lost with its scenario.
+        """
+        return self._scenario[1]
+
+    @cached_property
+    def _scenario(self) -> tuple[Scenario | None, str]:
+        try:
+            return self._read_scenario(), ""
+        except ConfigurationError as error:
+            return None, str(error)
+
+    def _read_scenario(self) -> Scenario | None:
+        text = self.summary.custom_data.get(SCENARIO_KEY)
+        if text:
+            source = f"scenario in {self.bag}"
+            return validate(Scenario, parse_yaml(text, source), source)
+        for folder in (self.path, self.bag.parent):
+            if (folder / SCENARIO_FILE).is_file():
+                source = str(folder / SCENARIO_FILE)
+                return validate(Scenario, read_yaml(source), source)
+        return None
+
+    @cached_property
+    def series(self) -> dict[str, Series]:
+        """The hand's topics as arrays with log times, by full name.
+
+        Raises:
+            BagError: If the bag is damaged.
+        """
+        series = read_series(self.bag, self.topics.types)
+        if not len(series[self.topics.full(names.JOINT_STATES)]):
+            raise BagError(
+                f"The bag {self.bag} has no message on {self.topics.full(names.JOINT_STATES)}, so "
+                "there is not a single tick; was the hand running?"
+            )
+        return series
+
+    @cached_property
+    def record(self) -> Record:
+        """The run tick by tick, as `ClosedLoop` gives it; NaN where there is no message."""
+        return align(self.series, self.topics)
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """What was achieved."""
+        return metrics(self.record, self.scenario)
+
+    @property
+    def ledger(self) -> list[Assumption]:
+        """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
+        return self._ledger[0]
+
+    @property
+    def ledger_problem(self) -> str:
+        """Why there is no ledger although there is a scenario, empty otherwise.
+
+        A bag is read elsewhere too, where the file of its hand is another or none.
+        """
+        return self._ledger[1]
+
+    @cached_property
+    def _ledger(self) -> tuple[list[Assumption], str]:
+        if self.scenario is None:
+            return [], ""
+        try:
+            hand = Hand.load(self.scenario.hand, self.scenario.layout)
+        except TactileHandError as error:
+            return [], f"The ledger is left out, because the hand is not known here: {error}."
+        here = hand.fingers, hand.joints
+        recorded = len(self.record.finger_names), len(self.record.joint_names)
+        if here != recorded:
+            return [], (
+                f"The ledger is left out, because the hand '{self.scenario.hand}' has {here[0]} "
+                f"fingers and {here[1]} joints here, {recorded[0]} and {recorded[1]} in the bag."
+            )
+        return ledger(self.record, hand), ""
+
+    @cached_property
+    def recoveries(self) -> list[Recovery]:
+        """How long each disturbance kept the object away; empty without a scenario."""
+        return recoveries(self.record, self.scenario) if self.scenario is not None else []
+
+    @cached_property
+    def bag_metrics(self) -> BagMetrics:
+        """Completeness and timing."""
+        return bag_metrics(self.series, self.topics, self.summary.message_count)
+
+    @cached_property
+    def latencies(self) -> NDArray[np.float64]:
+        """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
+        return latencies(self.series, self.topics)
+
+    @cached_property
+    def events(self) -> list[Event]:
+        """Commands, disturbances, slips, alarms, reactions and contact losses, in order of time."""
+        return events(self.record, self.scenario)
+
+    @cached_property
+    def diagnostics(self) -> list[Diagnosis]:
+        """Everything that nodes said about themselves, in order of log time."""
+        return [
+            Diagnosis(
+                log_time=log_time,
+                name=status.name,
+                level=int(status.level),
+                message=status.message,
+                values={pair.key: pair.value for pair in status.values},
+            )
+            for _, log_time, message in read_messages(self.bag, [names.DIAGNOSTICS])
+            for status in message.status
+        ]
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame with one row a tick, indexed by time in s.
+
+        Columns are called ``theta.<joint>``, ``forces.<finger>.y`` and so on; ``attrs["meaning"]``
+        tells what each array is and its unit.
+
+        Raises:
+            MissingLibraryError: If pandas is not installed.
+        """
+        pandas = optional("pandas", "The export to pandas")
+        table = pandas.DataFrame(columns(self.record), index=self.record.times)
+        table.index.name = "time_s"
+        table.attrs["meaning"] = {
+            f.name: f.metadata["meaning"] for f in fields(Record) if f.metadata
+        }
+        return table
+
+
+def columns(record: Record) -> dict[str, Any]:
+    """Return the arrays of a record column by column, by names such as ``forces.thumb.y``."""
+    axes = {"k": record.finger_names, "m": record.joint_names, "3": "xyz", "4": "xyzw"}
+    out: dict[str, Any] = {}
+    for f in fields(Record):
+        if not f.metadata:
+            continue
+        array, shape = getattr(record, f.name), f.metadata["shape"]
+        for index in np.ndindex(array.shape[1:]):
+            parts = [axes[kind][i] for kind, i in zip(shape, index, strict=True)]
+            out[".".join([f.name, *parts])] = array[(slice(None), *index)]
+    return out
+
+
+def _find_bag(path: Path) -> Path:
+    if not path.exists():
+        raise BagError(f"The run {path} does not exist; give the folder of a run or a bag.")
+    if (path / BAG).exists():
+        return path / BAG
+    if (path / SCENARIO_FILE).exists():
+        raise BagError(f"The run {path} has no folder {BAG}/; it was never recorded.")
+    return path

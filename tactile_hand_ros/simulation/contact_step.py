@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step of hand, object and the contacts between them, on arrays; see `plant`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import compiled_contact_frame
+from tactile_hand_ros.hand.kinematics import divide_by_inertia, tip_jacobians
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.rotations import rodrigues
+from tactile_hand_ros.simulation.coulomb import solve_contacts
+from tactile_hand_ros.simulation.solid import Shape, closest_point
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-6  # gap below which a finger counts as touching, m
+NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
+_RECOVERY = 0.2  # share of a penetration that is removed in a step
+
+
+class HandTerms(NamedTuple):
+    """The hand: its posture at the start of a step, all else half a step ahead.
+
+    Attributes:
+        theta: Joint angles at the start, shape (m,), rad.
+        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        spatial: Velocities of the bodies at the palm's origin per joint rate, shape (6, m).
+        support: Which joints move which tip, shape (k, m).
+        inertia: M_h, of which only the upper triangle counts, shape (m, m).
+        bias: C_h theta' + N_h, shape (m,), N m.
+        torque: tau, shape (m,), N m.
+        radii: Fingertip radii, shape (k,), m.
+    """
+
+    theta: Array
+    tips: Array
+    spatial: Array
+    support: NDArray[np.bool_]
+    inertia: Array
+    bias: Array
+    torque: Array
+    radii: Array
+
+
+class Body(NamedTuple):
+    """The object at the start of a step.
+
+    Attributes:
+        position: Centre of mass, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        spin: Angular velocity half a step ahead, shape (3,), rad/s.
+        mass: Mass, kg.
+        inertia: Inertia in the object frame, shape (3, 3), kg m^2.
+        wrench: External wrench and weight about the centre of mass, shape (6,), N and N m.
+    """
+
+    position: Array
+    rotation: Array
+    spin: Array
+    mass: float
+    inertia: Array
+    wrench: Array
+
+
+class StepResult(NamedTuple):
+    """Outcome of a step.
+
+    Attributes:
+        theta: Joint angles, shape (m,), rad.
+        velocities: Joint rates, velocity and spin of the object after the step, shape (m + 6,).
+        position: Centre of mass, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        impulses: Impulses on the object in contact frames, shape (k, 3), N s.
+        sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
+        slid: Distance that each contact has slid since the start, shape (k,), m.
+        residual: Largest relative violation of the contact laws.
+    """
+
+    theta: Array
+    velocities: Array
+    position: Array
+    rotation: Array
+    impulses: Array
+    sliding: Array
+    slid: Array
+    residual: float
+
+
+@compiled
+def half_step(h: float, theta: Array, v: Array, before: Array) -> tuple[Array, Array]:
+    """Return joint angles and velocities half a step of h, in s, ahead.
+
+    Forces that grow with the square of the rates need the velocities there as well.
+
+    Args:
+        h: Length of the step, s.
+        theta: Joint angles at its start, shape (m,), rad.
+        v: Joint rates, velocity and spin of the object at its start, shape (m + 6,).
+        before: The same one step earlier.
+    """
+    return theta + 0.5 * h * v[: len(theta)], v + 0.5 * (v - before)
+
+
+@compiled
+def contact_geometry(
+    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array
+) -> tuple[Array, Array, Array]:
+    """Return where fingertips touch or come closest to the object.
+
+    Args:
+        shape: The object.
+        position: Its centre of mass, palm frame, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        radii: Fingertip radii, shape (k,), m.
+
+    Returns:
+        Points on the fingertips p_c = p_f + r n, shape (k, 3), contact frames, shape (k, 3, 3), and
+        gaps, shape (k,), m.
+    """
+    k = len(tips)
+    points, frames, gaps = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(k)
+    outward = np.empty(3)
+    for i in range(k):
+        distance, _ = closest_point(shape, (tips[i] - position) @ rotation, outward)
+        normal = -(rotation @ outward)
+        points[i] = tips[i] + radii[i] * normal
+        frames[i] = compiled_contact_frame(normal)
+        gaps[i] = distance - radii[i]
+    return points, frames, gaps
+
+
+@compiled
+def observed(
+    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array, impulses: Array
+) -> tuple[Array, Array, Array]:
+    """Return contact points, frames and gaps as `contact_geometry`, NaN where nothing touches.
+
+    Args:
+        shape: The object.
+        position: Its centre of mass, palm frame, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        radii: Fingertip radii, shape (k,), m.
+        impulses: Of the last step, shape (k, 3), N s: what is pushed touches, whatever rounding
+            makes of its gap.
+    """
+    points, frames, gaps = contact_geometry(shape, position, rotation, tips, radii)
+    for i in range(len(gaps)):
+        if gaps[i] > TOUCH and impulses[i, 1] <= 0.0:
+            points[i] = np.nan
+            frames[i] = np.nan
+    return points, frames, gaps
+
+
+@compiled
+def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array) -> Array:
+    """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames, (k, 3, m + 6).
+
+    Its hand part is -R_C^T J_h and its object part R_C^T G^T, equation (6).
+    """
+    k, m = hand.support.shape
+    every_linear, every_angular = tip_jacobians(hand.spatial, hand.support, hand.tips)
+    out = np.empty((k, 3, m + 6))
+    for i in range(k):
+        arm = points[i] - position  # p_c - p_o
+        lever = points[i] - hand.tips[i]  # p_cf
+        for axis in range(3):
+            x, y, z = frames[i, 0, axis], frames[i, 1, axis], frames[i, 2, axis]
+            # t . (w x a) = (a x t) . w for each axis t of the frame
+            a0 = lever[1] * z - lever[2] * y
+            a1 = lever[2] * x - lever[0] * z
+            a2 = lever[0] * y - lever[1] * x
+            for j in range(m):
+                linear, angular = every_linear[i, :, j], every_angular[i, :, j]
+                out[i, axis, j] = -(
+                    x * linear[0] + y * linear[1] + z * linear[2]
+                    + a0 * angular[0] + a1 * angular[1] + a2 * angular[2]
+                )  # fmt: skip
+            out[i, axis, m], out[i, axis, m + 1], out[i, axis, m + 2] = x, y, z
+            out[i, axis, m + 3] = arm[1] * z - arm[2] * y
+            out[i, axis, m + 4] = arm[2] * x - arm[0] * z
+            out[i, axis, m + 5] = arm[0] * y - arm[1] * x
+    return out
+
+
+@compiled
+def step(
+    h: float,
+    v: Array,
+    hand: HandTerms,
+    body: Body,
+    shape: Shape,
+    friction: Array,
+    guess: Array,
+    slid: Array,
+) -> StepResult:
+    """Advance velocities by a step h, in s, so that the contact laws hold at its end.
+
+    Args:
+        h: Length of the step, s.
+        v: Joint rates, velocity and spin of the object at its start, shape (m + 6,).
+        hand: The hand half a step ahead.
+        body: The object at its start.
+        shape: Shape of the object.
+        friction: Coulomb friction of each finger, shape (k,).
+        guess: Impulses of the last step, shape (k, 3), N s.
+        slid: Distance that each contact has slid so far, shape (k,), m.
+    """
+    k, m = hand.support.shape
+    position, rotation = _moved(body, 0.5 * h, v[m:])
+    points, frames, gaps = contact_geometry(shape, position, rotation, hand.tips, hand.radii)
+    near = np.flatnonzero(gaps < NEAR)
+    c = len(near)
+    every = velocity_map(hand, position, points, frames)
+    rows = np.empty((3 * c, m + 6))
+    for i in range(c):
+        rows[3 * i : 3 * i + 3] = every[near[i]]
+    inverse_times, free = _response(h, v, hand, body, rotation, rows)
+    impulses, sliding, residual = np.zeros((k, 3)), np.zeros((k, 2)), 0.0
+    if c > 0:
+        closing, mu, start = np.empty(c), np.empty(c), np.empty((c, 3))
+        for i in range(c):
+            j = near[i]
+            # The gap at the start of the step, from the one half a step ahead.
+            gap = gaps[j] - 0.5 * h * (rows[3 * i + 1] @ v)
+            closing[i] = gap / h if gap > 0.0 else _RECOVERY * gap / h
+            mu[i] = friction[j]
+            start[i] = guess[j]
+        solved = solve_contacts(rows @ inverse_times, rows @ free, closing, mu, start)
+        free = free + inverse_times @ solved.impulses.copy().reshape(-1)
+        for i in range(c):
+            impulses[near[i]] = solved.impulses[i]
+            sliding[near[i], 0] = solved.velocities[i, 0]
+            sliding[near[i], 1] = solved.velocities[i, 2]
+        residual = solved.residual
+    theta = hand.theta + 0.5 * h * (v[:m] + free[:m])
+    position, rotation = _moved(body, h, 0.5 * (v[m:] + free[m:]))
+    # Back onto the rotations, before rounding errors of many products add up: one step of Newton's
+    # iteration to the nearest rotation (Higham 1986).
+    rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
+    slid = slid + h * np.sqrt(sliding[:, 0] ** 2 + sliding[:, 1] ** 2)
+    return StepResult(theta, free, position, rotation, impulses, sliding, slid, residual)
+
+
+@compiled
+def _moved(body: Body, h: float, v: Array) -> tuple[Array, Array]:
+    """Return position and rotation after a time h at a velocity and spin v, shape (6,)."""
+    turn = rodrigues(h * v[3], h * v[4], h * v[5])
+    return body.position + h * v[:3], turn @ body.rotation
+
+
+@compiled
+def _response(
+    h: float, v: Array, hand: HandTerms, body: Body, rotation: Array, rows: Array
+) -> tuple[Array, Array]:
+    """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
+    m, c = len(hand.theta), len(rows)
+    turning = rotation @ body.inertia @ rotation.T
+    spin = body.spin
+    momentum = turning @ spin
+    right = np.empty((m + 6, c + 1))
+    right[:, :c] = rows.T
+    right[:m, c] = h * (hand.torque - hand.bias)
+    right[m : m + 3, c] = h * body.wrench[:3]
+    right[m + 3, c] = h * (body.wrench[3] - spin[1] * momentum[2] + spin[2] * momentum[1])
+    right[m + 4, c] = h * (body.wrench[4] - spin[2] * momentum[0] + spin[0] * momentum[2])
+    right[m + 5, c] = h * (body.wrench[5] - spin[0] * momentum[1] + spin[1] * momentum[0])
+    divide_by_inertia(hand.inertia, right[:m])
+    right[m : m + 3] /= body.mass
+    divide_by_inertia(turning, right[m + 3 :])
+    return right[:, :c].copy(), v + right[:, c]

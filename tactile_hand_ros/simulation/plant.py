@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant: hand (3), object (5) and unilateral, frictional, rolling contact between them.
+
+One step follows Moreau's midpoint rule (Moreau 1988): the geometry is taken half a step ahead,
+the velocities after the step obey the contact laws there, and positions move with the mean of the
+velocities before and after. The contact point p_c = p_f + r n is found anew at each step, so that
+it moves over both bodies as the fingertip rolls; the acceleration form of (6) is never needed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.simulation.contact_step import (
+    Body,
+    HandTerms,
+    contact_geometry,
+    half_step,
+    observed,
+    step,
+)
+from tactile_hand_ros.simulation.disturbance import external_wrench
+from tactile_hand_ros.simulation.plant_config import PlantConfig
+
+Array = NDArray[np.float64]
+
+_FASTEST = 1e4  # rad/s and m/s
+_REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
+
+
+class PlantState(NamedTuple):
+    """Hand and object at one instant; vectors in palm axes unless they are in contact frames.
+
+    Attributes:
+        theta: Joint angles, shape (m,), rad.
+        rates: Joint rates, shape (m,), rad/s.
+        torque: Torque that acted on the joints, shape (m,), N m.
+        position: Object's centre of mass, shape (3,), m.
+        rotation: Object frame in the palm frame, shape (3, 3).
+        velocity: Velocity of the centre of mass, shape (3,), m/s.
+        spin: Angular velocity, shape (3,), rad/s.
+        contacts: Contact points and frames; NaN where a finger does not touch.
+        forces: Contact forces on the object in contact frames, shape (k, 3), N.
+        sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
+        slid: Distance that each contact has slid since the start, shape (k,), m.
+        gaps: Distances of the fingertips from the object, shape (k,), m.
+    """
+
+    theta: Array
+    rates: Array
+    torque: Array
+    position: Array
+    rotation: Array
+    velocity: Array
+    spin: Array
+    contacts: Contacts
+    forces: Array
+    sliding: Array
+    slid: Array
+    gaps: Array
+
+
+class Plant:
+    """A hand that holds an object; `advance` moves both in time."""
+
+    def __init__(self, config: PlantConfig) -> None:
+        """Build hand and object and put them at their start.
+
+        Raises:
+            HandModelError: If the hand cannot be built.
+            ObjectModelError: If the object has no volume or the fingers start inside it.
+            ConfigurationError: If the number of initial joint angles is wrong.
+        """
+        self.config = config
+        self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
+        self.solid = config.object.solid()
+        self._mass = config.object.mass
+        self._inertia = np.diag(config.object.inertia)
+        self._gravity = np.array(config.gravity)
+        self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
+        self._initial_joints = self._expand(config.initial_joints)
+        self.reset()
+
+    def _expand(self, given: list[float]) -> Array:
+        m, k = self.hand.joints, self.hand.fingers
+        if len(given) == m:
+            return np.array(given)
+        if len(given) * k == m:
+            return np.tile(given, k)
+        raise ConfigurationError(
+            f"initial_joints has {len(given)} angles; expected {m}, one per joint"
+            + (f", or {m // k} for every finger alike" if m % k == 0 else ""),
+            place="initial_joints",
+        )
+
+    def reset(self) -> PlantState:
+        """Put hand and object at their start, at rest, with the fingers touching."""
+        c = self.config.object
+        self.time = 0.0
+        self._steps = 0
+        self._theta = self._initial_joints.copy()
+        self._v = self._v_before = np.zeros(self.hand.joints + 6)
+        self._position = np.array(c.position)
+        self._rotation = rotation_from_vector(c.rotation)
+        self._close_gaps()
+        k = self.hand.fingers
+        self.friction = np.full(k, c.friction)
+        self._torque = np.zeros(self.hand.joints)
+        self._impulses = np.zeros((k, 3))
+        self.contact_residual = 0.0
+        self._sliding = np.zeros((k, 2))
+        self._slid = np.zeros(k)
+        self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
+        return self.state
+
+    def _close_gaps(self) -> None:
+        """Move the fingers so that tips within 5 mm of the object touch it exactly."""
+        for _ in range(20):
+            tips = self.hand.tip_positions(self._theta)
+            _, frames, gaps = contact_geometry(
+                self.solid.shape, self._position, self._rotation, tips, self.hand.radii
+            )
+            if gaps.min() < -_REACH:
+                finger = self.hand.finger_names[int(gaps.argmin())]
+                raise ObjectModelError(
+                    f"{finger} starts {-1e3 * gaps.min():.1f} mm inside the object; open the "
+                    "hand (initial_joints), move the object or make it smaller"
+                )
+            missing = np.where(np.abs(gaps) <= _REACH, gaps, 0.0)
+            if np.abs(missing).max() < 1e-15:
+                return
+            moves = frames[:, :, 1] * missing[:, None]
+            jacobian = self.hand.fingertips(self._theta).linear.reshape(-1, self.hand.joints)
+            self._theta = self._theta + np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
+
+    def advance(self, torque: Array) -> PlantState:
+        """Move one tick ahead while the joints keep a torque, shape (m,), N m.
+
+        The torque is limited to the joints' effort limits, as a motor would.
+
+        Raises:
+            DivergedError: If something has become faster than anything real; only a reset helps.
+        """
+        limit = self.hand.effort_limits
+        self._torque = np.minimum(np.maximum(torque, -limit), limit)
+        for _ in range(self.config.steps_per_tick):
+            self._step(self.config.time_step)
+        if not self._v.dot(self._v) < _FASTEST**2:  # NaN is not, either
+            raise DivergedError(
+                f"the simulation has diverged at {self.time:.3f} s, joints or object are faster "
+                f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
+                "lower the gains or the load of the computer, and reset the plant"
+            )
+        return self.state
+
+    def _step(self, h: float) -> None:
+        while self._changes and self._changes[0].start <= self.time:
+            self.friction[:] = self._changes.pop(0).friction
+        m, v = self.hand.joints, self._v
+        theta, ahead = half_step(h, self._theta, v, self._v_before)
+        terms = self.hand.raw_dynamics(theta, ahead[:m])
+        hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
+        wrench = self._weight
+        if self.config.disturbances:
+            wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + wrench
+        body = Body(
+            self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
+        )
+        after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses, self._slid)
+        self._v_before, self._v = v, after.velocities
+        self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
+        self._impulses, self._sliding, self._slid = after.impulses, after.sliding, after.slid
+        self.contact_residual = after.residual
+        self._steps += 1
+        self.time = self._steps * h
+
+    @property
+    def state(self) -> PlantState:
+        """Hand and object now; a step replaces its arrays and never writes into them."""
+        m, h = self.hand.joints, self.config.time_step
+        tips = self.hand.tip_positions(self._theta)
+        points, frames, gaps = observed(
+            self.solid.shape, self._position, self._rotation, tips, self.hand.radii, self._impulses
+        )
+        return PlantState(
+            self._theta,
+            self._v[:m],
+            self._torque,
+            self._position,
+            self._rotation,
+            self._v[m : m + 3],
+            self._v[m + 3 :],
+            Contacts(points, frames),
+            self._impulses / h,
+            self._sliding,
+            self._slid,
+            gaps,
+        )
+
+    def energy(self) -> float:
+        """Return kinetic and potential energy of links and object in J."""
+        m = self.hand.joints
+        v, w = self._v[m : m + 3], self._rotation.T @ self._v[m + 3 :]
+        body = 0.5 * self._mass * (v @ v) + 0.5 * w @ self._inertia @ w
+        links = self.hand.kinetic_energy(self._theta, self._v[:m])
+        height = -self._mass * (self._gravity @ self._position)
+        return float(body + links + self.hand.potential_energy(self._theta) + height)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the simulated hand and object."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.simulation.disturbance import Disturbance
+from tactile_hand_ros.simulation.solid import ConvexPolyhedron
+
+Vector = tuple[float, float, float]
+
+
+class ObjectConfig(Config):
+    """The object in the hand: shape, mass and where it starts."""
+
+    size: Vector = param(
+        (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
+    )
+    vertices: list[float] = param([], "corners x, y, z of a convex polyhedron", unit="m")
+    mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
+    inertia: Vector = param(
+        (0.0014, 0.0014, 0.0014), "principal inertia, object axes", unit="kg m^2"
+    )
+    friction: float = param(100.0, "Coulomb friction mu of fingertips on it", live=True, ge=0.0)
+    position: Vector = param(
+        (0.0, 0.0, 0.4098), "centre of mass at the start, palm frame", unit="m"
+    )
+    rotation: Vector = param(
+        (0.0, 0.0, 0.0), "rotation vector at the start, palm frame", unit="rad"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_body(self) -> ObjectConfig:
+        if min(self.size) <= 0.0:
+            raise ValueError(f"size = {self.size}: all three edges must be positive")
+        if min(self.inertia) <= 0.0:
+            raise ValueError(f"inertia = {self.inertia}: all three values must be positive")
+        if len(self.vertices) % 3:
+            raise ValueError(
+                f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"
+            )
+        return self
+
+    def solid(self) -> ConvexPolyhedron:
+        """Return the shape, in the frame of the centre of mass.
+
+        Raises:
+            ObjectModelError: If the vertices do not span a solid.
+        """
+        if self.vertices:
+            return ConvexPolyhedron(np.reshape(self.vertices, (-1, 3)))
+        return ConvexPolyhedron.box(np.array(self.size))
+
+
+class FrictionChange(Config):
+    """The object's surface becomes another from some time on, by water say."""
+
+    start: float = param(..., "when it changes", unit="s", ge=0.0)
+    friction: float = param(..., "Coulomb friction mu from then on", ge=0.0)
+
+
+class PlantConfig(Config):
+    """Parameters of the plant."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    initial_joints: list[float] = param(
+        [1.047, 0.0, 1.571], "joint angles at the start, for all joints or one finger", unit="rad"
+    )
+    object: ObjectConfig = ObjectConfig()
+    gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
+    friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
+    disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
+    time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)
+    rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)
+    pacing: Literal["lockstep", "realtime"] = param(
+        "lockstep", "lockstep waits for each command, realtime follows the wall clock"
+    )
+    duration: float = param(
+        0.0, "simulated time after which the plant stops; 0 for never", unit="s", ge=0.0
+    )
+    autostart: bool = param(True, "run at once; otherwise wait for the run service")
+    command_timeout: float = param(
+        1.0, "silence of the controller after which the joints are held", unit="s", gt=0.0, le=60.0
+    )
+    resend_after: float = param(
+        0.1, "silence in lockstep after which a tick is sent again", unit="s", gt=0.0, le=10.0
+    )
+
+    @property
+    def steps_per_tick(self) -> int:
+        """Number of integration steps in one tick."""
+        return max(1, round(1.0 / (self.rate * self.time_step)))
+
+    @property
+    def tick(self) -> int:
+        """Length of a tick in ns."""
+        return round(1e9 / self.rate)
+
+    @model_validator(mode="after")
+    def _a_tick_is_whole_steps(self) -> PlantConfig:
+        steps = 1.0 / (self.rate * self.time_step)
+        if abs(steps - round(steps)) > 1e-9 or steps < 0.5:
+            raise ValueError(
+                f"rate = {self.rate} Hz with time_step = {self.time_step} s is {steps:.4g} steps "
+                "a tick; expected a whole number: choose a time_step that divides 1/rate"
+            )
+        return self

@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated tactile sensor: true contacts in, what a skin would report out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts, compiled_contact_frame
+from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.jit.rows import Row, Rows, row_of
+from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
+
+Array = NDArray[np.float64]
+
+
+class VibrationConfig(Config):
+    """Micro-vibration that a skin picks up while a contact slides (Johansson and Westling 1987)."""
+
+    gain: float = param(
+        0.0, "rms force per sliding speed, for slow sliding", unit="N s/m", live=True, ge=0.0
+    )
+    limit: float = param(0.2, "rms force that fast sliding tends to", unit="N", live=True, gt=0.0)
+    low: float = param(60.0, "lower edge of the band", unit="Hz", gt=0.0)
+    high: float = param(400.0, "upper edge of the band", unit="Hz", gt=0.0)
+
+
+class TactileSensorConfig(Config):
+    """Parameters of the tactile sensor."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    rate: float = param(
+        10000.0, "samples per second; between samples the last one is repeated", unit="Hz", gt=0.0
+    )
+    location_noise: float = param(
+        0.0, "standard deviation of the contact location", unit="m", live=True, ge=0.0
+    )
+    location_resolution: float = param(
+        0.0, "spacing of the taxels, 0 for continuous", unit="m", live=True, ge=0.0
+    )
+    location_bandwidth: float = param(
+        0.0, "corner frequency of the contact location, 0 for none", unit="Hz", ge=0.0
+    )
+    force_noise: float = param(
+        0.0, "standard deviation of each force component", unit="N", live=True, ge=0.0
+    )
+    force_resolution: float = param(
+        0.0, "smallest step of a force, 0 for continuous", unit="N", live=True, ge=0.0
+    )
+    bandwidth: float = param(
+        0.0, "corner frequency of the skin's first-order response, 0 for none", unit="Hz", ge=0.0
+    )
+    bias_drift: float = param(
+        0.0, "random walk of each force's zero, per square root of time", unit="N/sqrt(s)", ge=0.0
+    )
+    vibration: VibrationConfig = VibrationConfig()
+    latency: float = param(0.0, "age of a sample when it is published", unit="s", ge=0.0, le=1.0)
+    dropout: float = param(
+        0.0,
+        "chance that a finger's sample is lost, so that its last is repeated",
+        live=True,
+        ge=0.0,
+        le=1.0,
+    )
+    seed: int = param(1, "seed of everything random", ge=0)
+
+
+@dataclass(frozen=True)
+class TactileReading:
+    """What the skin reports, as it travels on topics.
+
+    Attributes:
+        positions: Contact points in the palm frame, shape (k, 3), m; NaN where there is none.
+        quaternions: Contact frames C_i in the palm frame (x, y, z, w), shape (k, 4).
+        forces: Forces on the object in C_i, shape (k, 3), N.
+    """
+
+    positions: Array
+    quaternions: Array
+    forces: Array
+
+    @property
+    def contacts(self) -> Contacts:
+        """Contact points and frames."""
+        return Contacts.from_poses(self.positions, self.quaternions)
+
+    def where(self, choose: NDArray[np.bool_], other: TactileReading) -> TactileReading:
+        """Return the chosen fingers of this one and the rest of another, `choose` of shape (k,)."""
+        rows = choose[:, None]
+        return TactileReading(
+            np.where(rows, self.positions, other.positions),
+            np.where(rows, self.quaternions, other.quaternions),
+            np.where(rows, self.forces, other.forces),
+        )
+
+
+_MEMORY = np.dtype(
+    [
+        ("bias", np.float64, 3),  # drifted zero of the force
+        ("felt", np.float64, 3),  # force after the bandwidth; NaN: none yet
+        ("arm", np.float64, 3),  # smoothed contact from the fingertip's centre; NaN: none
+    ]
+)
+
+
+class TactileSensor:
+    """Samples true contacts as a skin would, all from one seed.
+
+    A force passes, in this order: vibration while the contact slides, the skin's bandwidth, the
+    drifting zero, white noise, resolution, dropout and latency. A skin that is faster than the
+    ticks takes all its samples of a vibration, at its own rate, and a tick reads the newest; what
+    is true is known at ticks only, and stands for the samples since the last one.
+    """
+
+    def __init__(self, config: TactileSensorConfig, radii: Array) -> None:
+        """Build the skin of fingertips with the given radii, shape (k,), m."""
+        self._radii = np.asarray(radii, dtype=float)
+        self._at_rest = np.zeros(len(self._radii))
+        self.configure(config)
+        self.reset()
+
+    def configure(self, config: TactileSensorConfig) -> None:
+        """Take other noise while running; seed, rate, latency and filters stay."""
+        self.config = config
+        self._numbers = row_of(config)
+
+    def reset(self) -> None:
+        """Start anew, with the same seed."""
+        c, k = self.config, len(self._radii)
+        self._random = np.random.default_rng(c.seed)
+        self._sample = -1
+        self._held: TactileReading | None = None
+        self._waiting: deque[tuple[int, TactileReading]] = deque()
+        self._memory: Rows = np.zeros(k, _MEMORY)
+        self._memory["felt"] = self._memory["arm"] = np.nan
+        self._unread = np.random.default_rng([c.seed, 1])  # of samples that no tick reads
+        band = c.vibration.low, c.vibration.high
+        self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
+
+    def step(
+        self, stamp: int, true: TactileReading, sliding: Array | None = None
+    ) -> TactileReading:
+        """Return what is published at a tick.
+
+        Args:
+            stamp: The tick, ns.
+            true: True contacts at this tick.
+            sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
+        """
+        sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
+        if sample != self._sample:
+            count = 1 if self._sample < 0 else sample - self._sample
+            elapsed = (sample - self._sample) / self.config.rate
+            self._sample = sample
+            self._waiting.append((stamp, self._measure(true, sliding, elapsed, count)))
+        due = stamp - round(self.config.latency * 1e9)
+        # The first sample stands in for what was before it.
+        while self._held is None or (self._waiting and self._waiting[0][0] <= due):
+            self._held = self._waiting.popleft()[1]
+        return self._held
+
+    def _measure(
+        self, true: TactileReading, sliding: Array | None, elapsed: float, count: int
+    ) -> TactileReading:
+        """Return the newest of a number of samples."""
+        k = len(self._radii)
+        # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
+        white = self._random.standard_normal((4, k, 3))
+        luck = self._random.random(k)
+        if self.config.vibration.gain > 0.0:
+            unread = max(0, min(count, math.ceil(self.config.rate)) - 1)  # of a second at most
+            earlier = self._unread.standard_normal((unread, k, 3))
+            white[1] = self._rumble.step(np.concatenate((earlier, white[1:2])))
+        touch = true.positions, true.quaternions, true.forces
+        speeds = self._at_rest if sliding is None else sliding
+        numbers, radii = self._numbers, self._radii
+        measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
+        reading, dropout = TactileReading(*measured), self.config.dropout
+        last = self._waiting[-1][1] if self._waiting else self._held
+        return reading if last is None or dropout == 0.0 else last.where(luck < dropout, reading)
+
+
+@compiled
+def _measured(
+    memory: Rows,
+    config: Rows,
+    radii: Array,
+    positions: Array,
+    quaternions: Array,
+    forces: Array,
+    sliding: Array,
+    noise: Array,
+    elapsed: float,
+) -> tuple[Array, Array, Array]:
+    """Return positions, quaternions and forces of a sample, whatever was lost of it.
+
+    Args:
+        memory: What the skin remembers of each finger.
+        config: Numbers of a `TactileSensorConfig`.
+        radii: Radii of the fingertips, shape (k,), m.
+        positions: True contact points, shape (k, 3), m.
+        quaternions: True contact frames, shape (k, 4).
+        forces: True forces in contact frames, shape (k, 3), N.
+        sliding: Sliding speeds, shape (k,), m/s.
+        noise: Of unit variance, for location, vibration, drift and force, shape (4, k, 3).
+        elapsed: Time since the last sample, s.
+    """
+    c = config[0]
+    positions, quaternions, felt = positions.copy(), quaternions.copy(), np.empty_like(forces)
+    if c["location_noise"] > 0.0 or c["location_resolution"] > 0.0:
+        _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
+    for i in range(len(radii)):
+        rms, touches = _vibration(c, sliding[i]), math.isfinite(positions[i, 0])
+        for axis in range(3):
+            force = forces[i, axis] + rms * noise[1, i, axis]
+            force = _felt(memory[i], c, axis, force, noise[2, i, axis], elapsed)
+            force += c["force_noise"] * noise[3, i, axis]
+            felt[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
+    return positions, quaternions, felt
+
+
+@compiled
+def _vibration(c: Row, speed: float) -> float:
+    """Return the rms force of a contact that slides at a speed in m/s."""
+    gain, limit = c["vibration.gain"], c["vibration.limit"]
+    return limit * (1.0 - math.exp(-gain / limit * speed)) if gain > 0.0 else 0.0
+
+
+@compiled
+def _felt(m: Row, c: Row, axis: int, force: float, white: float, elapsed: float) -> float:
+    """Return a component of a force after bandwidth and drift."""
+    if c["bandwidth"] > 0.0:
+        share = 1.0 - math.exp(-2.0 * math.pi * c["bandwidth"] * elapsed)
+        before = m["felt"][axis]
+        if not math.isnan(before):
+            force = before + share * (force - before)
+        m["felt"][axis] = force
+    if c["bias_drift"] > 0.0:
+        m["bias"][axis] += c["bias_drift"] * math.sqrt(elapsed) * white
+        force += m["bias"][axis]
+    return force
+
+
+@compiled
+def _displace(
+    memory: Rows,
+    c: Row,
+    radii: Array,
+    positions: Array,
+    quaternions: Array,
+    white: Array,
+    elapsed: float,
+) -> None:
+    """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
+    frames = rows_of_quaternions(quaternions)
+    for i in range(len(radii)):
+        normal, arm = frames[i, 1::3], np.empty(3)
+        for axis in range(3):
+            shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
+            shifted = _rounded(shifted, c["location_resolution"])
+            arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
+        centre = positions[i] - radii[i] * normal
+        seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
+        positions[i] = centre + radii[i] * seen
+        frames[i] = compiled_contact_frame(seen).reshape(9)
+    quaternions[:] = quaternions_of_rows(frames)
+
+
+@compiled
+def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
+    """Low-pass where on the fingertip the contact is; a new contact shows at once."""
+    if c["location_bandwidth"] > 0.0:
+        share = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
+        before = m["arm"][axis]
+        if math.isfinite(before):
+            arm = before + share * (arm - before)
+        m["arm"][axis] = arm
+    return arm
+
+
+@compiled
+def _rounded(value: float, step: float) -> float:
+    return np.rint(value / step) * step if step > 0.0 else value
+
+
+class BandNoise:
+    """Gaussian noise of unit variance between two frequencies, sample by sample.
+
+    White noise through a first-order high-pass after a first-order low-pass; the variance of the
+    result is that of its impulse response.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
+    ) -> None:
+        """Start at rest; frequencies above half the rate count as half the rate.
+
+        Args:
+            shape: Shape of a sample.
+            low: Lower edge of the band, Hz.
+            high: Upper edge of the band, Hz.
+            rate: Samples per second, Hz.
+            bandwidth: Corner frequency of what the noise is led through next, 0 for none, Hz.
+        """
+        nyquist = 0.5 * rate
+        self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
+        self._follow = 1.0 - math.exp(-2.0 * math.pi * min(low, 0.9 * nyquist) / rate)
+        self._keep = math.exp(-2.0 * math.pi * bandwidth / rate) if bandwidth > 0.0 else 0.0
+        self._scale = 1.0
+        self._smooth, self._slow = np.zeros((1, 1)), np.zeros((1, 1))
+        impulse = [float(self.step(np.full((1, 1, 1), float(i == 0)))[0, 0]) for i in range(2000)]
+        self._scale = 1.0 / math.sqrt(sum(x * x for x in impulse))
+        self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
+
+    def step(self, white: Array) -> Array:
+        """Return the mean of the next samples, each weighted with what the bandwidth leaves of it.
+
+        A low-pass that takes this mean for all their time comes out where it would with each of
+        them in turn. A single sample is itself, and without a bandwidth only the newest counts.
+
+        Args:
+            white: White noise of unit variance, shape (n, *shape), oldest first.
+        """
+        memory = self._smooth, self._slow
+        return self._scale * _filtered(*memory, self._pass, self._follow, self._keep, white)
+
+
+@compiled
+def _filtered(
+    smooth: Array, slow: Array, passes: float, follows: float, keep: float, white: Array
+) -> Array:
+    """Move a low-pass and a slower one behind it on; return the mean of their difference."""
+    total, weight = np.zeros_like(smooth), 0.0
+    for i in range(len(white)):
+        smooth += passes * (white[i] - smooth)
+        slow += follows * (smooth - slow)
+        total = keep * total + (smooth - slow)
+        weight = keep * weight + 1.0
+    return total / weight

@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recomputation: the recorded sensor topics once more through the controllers, by function calls.
+
+With the configuration of the run every number must come out as it was recorded, to the bit. With
+another configuration or law the difference shows what that controller would have answered at the
+same ticks (a shadow controller: its answers do not move the hand).
+
+Calls of services (enable, grasp, reset) and live parameters are no messages, so that a bag does not
+hold them: ticks after one differ from what was recorded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import importlib
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, changed
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.laws import LawFactory
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.control.slip.split import ConeWatch
+from tactile_hand_ros.errors import BagError, ConfigurationError, MessageError, PoseError
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.heeding import Heeding
+from tactile_hand_ros.verify.recorded_inputs import Inputs, Wish, read_inputs
+
+Array = NDArray[np.float64]
+
+CONTROLLERS = ("slip_regulator", "force_optimizer", "manipulation_controller")
+COMPARED = (
+    ("grasp_force", "grasp_force", "N"),
+    ("grip_state", "friction", "1"),
+    ("grip_state, evidence", "slip_evidence", "1"),
+    ("grip_state, grip", "grip", "1"),
+    ("optimal_force", "optimal_forces", "1"),
+    ("auxiliary_pose, position", "auxiliary_position", "m"),
+    ("auxiliary_pose, orientation", "auxiliary_quaternion", "1"),
+    ("joint_command", "command", "N m"),
+)
+"""What is compared: topic, array of the record, unit."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One topic, recorded and recomputed.
+
+    Attributes:
+        topic: Its relative name.
+        unit: Unit of the difference.
+        compared: Number of ticks with a recorded message.
+        identical: Number of those that are equal to the bit.
+        first: Stamp of the first tick that differs in ns, None if there is none.
+        largest: Largest difference; NaN where only one of both has an answer.
+    """
+
+    topic: str
+    unit: str
+    compared: int
+    identical: int
+    first: int | None
+    largest: float
+
+    @property
+    def same(self) -> bool:
+        """Whether all ticks are identical."""
+        return self.compared == self.identical
+
+
+@dataclass(frozen=True)
+class Recomputation:
+    """What came out.
+
+    Attributes:
+        record: The run as recomputed; what controllers do not answer is as recorded.
+        comparisons: Topic by topic.
+        scenario: The configuration that was used.
+        simulated: Time of the run, s.
+        seconds: Time that the controllers needed for it, s.
+    """
+
+    record: Record
+    comparisons: list[Comparison]
+    scenario: Scenario
+    simulated: float
+    seconds: float
+
+    @property
+    def same(self) -> bool:
+        """Whether everything is identical."""
+        return all(comparison.same for comparison in self.comparisons)
+
+    @property
+    def speed(self) -> float:
+        """How many times faster than real time it was."""
+        return self.simulated / self.seconds if self.seconds > 0.0 else float("inf")
+
+
+def recompute(
+    run: Run, changes: Mapping[str, Any] | None = None, law: LawFactory | None = None
+) -> Recomputation:
+    """Feed the sensor topics of a run through the controllers.
+
+    Args:
+        run: The run; its scenario must be known.
+        changes: Other values by dotted key; that of a controller may go without its node's name.
+        law: Another law in the place of the configured one.
+
+    Raises:
+        BagError: If the scenario is not known.
+        TactileHandError: If a change is refused.
+    """
+    base = scenario_of(run)
+    wanted = changed(base, {full_key(key): value for key, value in (changes or {}).items()})
+    is_shadow = bool(changes) or law is not None
+    # When users were heeded shows only in the run's own answers.
+    inputs = heeded_inputs(run) if is_shadow else read_inputs(run)
+    began = time.perf_counter()
+    record = ShadowLoop(wanted, inputs, law).run()
+    seconds = time.perf_counter() - began
+    simulated = float(record.times[-1] - record.times[0]) if len(record) else 0.0
+    return Recomputation(record, compare(run.record, record), wanted, simulated, seconds)
+
+
+def heeded_inputs(run: Run) -> Inputs:
+    """Return the inputs of a run, with the tick at which each wish of its users was heeded."""
+    inputs = read_inputs(run)
+    if not all(wish.certain for wish in inputs.poses + inputs.forces):
+        ShadowLoop(scenario_of(run), inputs, None).run()
+    return inputs
+
+
+def scenario_of(run: Run) -> Scenario:
+    """Return the scenario of a run.
+
+    Raises:
+        BagError: If the bag does not tell it, or tells one of another version.
+    """
+    if run.scenario is None:
+        reason = run.scenario_problem or "the bag does not tell it"
+        raise BagError(
+            f"The configuration of {run.bag} is needed but not known ({reason}); record with "
+            "`scenario`, or put scenario.yaml beside the bag."
+        )
+    return run.scenario
+
+
+def full_key(key: str) -> str:
+    """Return the dotted key of a scenario for one that may begin inside a controller.
+
+    Raises:
+        ConfigurationError: If several controllers have such a value.
+    """
+    first = key.split(".")[0]
+    if first in Scenario.model_fields:
+        return key
+    owners = [
+        node
+        for node in CONTROLLERS
+        if first in getattr(Scenario.model_fields[node].annotation, "model_fields", {})
+    ]
+    if len(owners) > 1:
+        raise ConfigurationError(
+            f"'{key}' may mean {' or '.join(f'{owner}.{key}' for owner in owners)}; say which"
+        )
+    return f"{owners[0]}.{key}" if owners else key
+
+
+def reason(run: Run) -> str:
+    """Return in words what may be the reason that a run is not reproduced."""
+    told = run.summary.custom_data
+    others = [
+        f"{name} {told[f'version_{name}']} then, {version} now"
+        for name, version in versions().items()
+        if told.get(f"version_{name}", version) != version
+    ]
+    if others:
+        return f": {'; '.join(others)}."
+    if int(told.get("lost_messages", 0)):
+        return f": {told['lost_messages']} messages are missing from the bag."
+    return (
+        "; a service call (enable, grasp, reset) or a live parameter, neither of which a bag "
+        "holds, or changed code may be the reason."
+    )
+
+
+def load_law(name: str) -> LawFactory:
+    """Return a law given as ``module:Class``; the working directory is searched too.
+
+    Raises:
+        ConfigurationError: If there is no such class, or it is no law.
+    """
+    module, _, attribute = name.partition(":")
+    sys.path.insert(0, "")
+    try:
+        law: Any = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigurationError(
+            f"--law is '{name}' ({error}), expected module:Class of a law that can be imported here"
+        ) from None
+    finally:
+        sys.path.remove("")
+    missing = [method for method in ("squeeze", "drive") if not hasattr(law, method)]
+    if missing or not callable(law):
+        raise ConfigurationError(
+            f"--law is '{name}', which has no {' and no '.join(missing) or 'constructor'}; "
+            "expected a class like those in tactile_hand_ros.control.laws"
+        )
+    factory: LawFactory = law
+    return factory
+
+
+def compare(recorded: Record, other: Record) -> list[Comparison]:
+    """Compare what controllers said, tick by tick."""
+    return [
+        _compare(topic, unit, recorded.stamps, getattr(recorded, name), getattr(other, name))
+        for topic, name, unit in COMPARED
+    ]
+
+
+def _compare(
+    topic: str, unit: str, stamps: NDArray[np.int64], recorded: Array, other: Array
+) -> Comparison:
+    a = np.ascontiguousarray(recorded.reshape(len(stamps), -1))
+    b = np.ascontiguousarray(other.reshape(len(stamps), -1))
+    same = (a.view(np.int64) == b.view(np.int64)) | (np.isnan(a) & np.isnan(b))
+    known = ~(np.isnan(a).all(axis=1) & np.isnan(b).all(axis=1))
+    differs = known & ~same.all(axis=1)
+    rows = np.flatnonzero(differs)
+    gaps = np.abs(a[rows] - b[rows])
+    gaps = gaps[np.isfinite(gaps)]
+    largest = float(gaps.max()) if len(gaps) else (np.nan if len(rows) else 0.0)
+    first = int(stamps[rows[0]]) if len(rows) else None
+    return Comparison(topic, unit, int(known.sum()), int(known.sum()) - len(rows), first, largest)
+
+
+class ShadowLoop:
+    """The controllers, wired by function calls as in `ClosedLoop`, fed from a recording."""
+
+    def __init__(self, scenario: Scenario, inputs: Inputs, law: LawFactory | None = None) -> None:
+        """Build the controllers.
+
+        Args:
+            scenario: Their configuration.
+            inputs: What they hear.
+            law: A law in the place of the configured one.
+
+        Raises:
+            TactileHandError: If the hand cannot be built.
+        """
+        self._inputs = inputs
+        self._recorded = inputs.record
+        k = len(self._recorded.finger_names)
+        regulator = SlipRegulator(scenario.slip_regulator, k)
+        self._optimizer = ForceOptimizer(scenario.force_optimizer, k)
+        self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
+        controller = Controller(scenario.manipulation_controller, law)
+        self._feels = scenario.manipulation_controller.law.observer.time > 0.0
+        arrays = {name: np.full_like(getattr(self._recorded, name), np.nan) for name in _ANSWERS}
+        self._out = copy.copy(self._recorded)
+        for name, array in arrays.items():
+            object.__setattr__(self._out, name, array)  # the copy is nobody else's yet
+        self._regulator = Heeding(
+            regulator, inputs.forces, _request, lambda row: self._agrees(row, "grasp_force")
+        )
+        self._controller = Heeding(
+            controller, inputs.poses, _command, lambda row: self._agrees(row, "command")
+        )
+
+    def run(self) -> Record:
+        """Answer all ticks."""
+        r, heeded = self._recorded, self._inputs.heeded
+        regulated, optimized = heeded(r.grasp_force), heeded(r.optimal_forces)
+        controlled = heeded(r.command)
+        for row in range(len(r)):
+            contacts = self._inputs.contacts[row]
+            touched = contacts is not None and bool(self._inputs.felt[row])
+            if touched and regulated[row]:
+                self._regulator.step(row, self._regulate)
+            if contacts is not None and optimized[row]:
+                if touched or not self._optimizer.config.cones:
+                    self._optimize(row, contacts)
+            if touched and controlled[row]:
+                self._controller.step(row, self._control)
+            elif np.isfinite(self._recorded.command[row]).all():
+                self._controller.step(row, self._hold)
+        self._regulator.finish()
+        self._controller.finish()
+        return self._out
+
+    def _agrees(self, row: int, name: str) -> bool:
+        mine = np.asarray(getattr(self._out, name)[row])
+        return bool((mine == getattr(self._recorded, name)[row]).all())
+
+    def _regulate(self, row: int) -> None:
+        contacts, out = self._inputs.contacts[row], self._out
+        regulator: SlipRegulator = self._regulator.block
+        stamp = int(self._recorded.stamps[row])
+        out.grasp_force[row] = regulator.step(stamp, contacts, self._recorded.forces[row])
+        out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
+        out.friction[row] = regulator.friction
+
+    def _optimize(self, row: int, contacts: Contacts) -> None:
+        c, cones = self._optimizer.config, None
+        if c.cones:
+            cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])
+        self._out.optimal_forces[row] = self._optimizer.solve(contacts, cones).forces
+
+    def _cones(self, row: int, contacts: Contacts, friction: Array) -> Cones | None:
+        stamp = int(self._recorded.stamps[row])
+        return self._cone_watch.step(stamp, contacts, self._recorded.forces[row], friction)
+
+    def _control(self, row: int) -> None:
+        r, out = self._recorded, self._out
+        contacts = self._inputs.contacts[row]
+        assert contacts is not None
+        controller: Controller = self._controller.block
+        command = controller.step(
+            int(r.stamps[row]),
+            r.theta[row],
+            r.rates[row],
+            contacts,
+            out.optimal_forces[row],
+            float(out.grasp_force[row]),
+            r.forces[row] if self._feels else None,
+        )
+        out.command[row] = command.torque
+        pose = command.pose
+        if pose is None:
+            out.auxiliary_position[row] = out.auxiliary_quaternion[row] = np.nan
+        else:
+            out.auxiliary_position[row] = pose.position
+            out.auxiliary_quaternion[row] = quaternion_from_rotation(pose.orientation)
+
+    def _hold(self, row: int) -> None:
+        r = self._recorded
+        controller: Controller = self._controller.block
+        held = controller.hold(r.theta[row], r.rates[row], "inputs are missing")
+        self._out.command[row] = held.torque
+
+
+def _request(regulator: SlipRegulator, wish: Wish) -> None:
+    with contextlib.suppress(MessageError):  # the node dropped it too
+        regulator.request(wish.value)
+
+
+def _command(controller: Controller, wish: Wish) -> None:
+    with contextlib.suppress(PoseError):  # the node dropped it too
+        controller.command(wish.value, wish.stamp)
+
+
+_ANSWERS = tuple(name for _, name, _ in COMPARED)
+
+COLUMNS = ("topic", "ticks", "identical", "first that differs", "largest difference")
+
+
+def rows(comparisons: list[Comparison]) -> list[list[str]]:
+    """Return comparisons as text, columns as in `COLUMNS`."""
+    return [
+        [
+            c.topic,
+            str(c.compared),
+            str(c.identical),
+            "" if c.first is None else f"{1e-9 * c.first:.3f} s",
+            _difference(c),
+        ]
+        for c in comparisons
+    ]
+
+
+def _difference(c: Comparison) -> str:
+    if c.same:
+        return "none"
+    if c.unit == "bytes":
+        return "other bytes"
+    return "only one has an answer" if np.isnan(c.largest) else f"{c.largest:.3g} {c.unit}"

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The blocks together: determinism, other hands, the record, and a loop that lost something."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.hands import prism_grasp
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.preflight import check_scenario
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.simulation.truth import true_reading
+
+NOISY = {
+    "tactile_sensor.force_noise": 0.02,
+    "tactile_sensor.location_noise": 0.0002,
+    "tactile_sensor.dropout": 0.1,
+    "manipulation_controller.midpoint_hold": False,
+}
+
+
+def run(name="paper", ticks=100, **changes):
+    return ClosedLoop(load_scenario(name, changes.get("changes"))).run(ticks)
+
+
+def arrays(record):
+    return {name: value for name, value in vars(record).items() if isinstance(value, np.ndarray)}
+
+
+def test_equal_seeds_give_equal_bits_and_others_do_not():
+    first, second = run(changes=NOISY), run(changes=NOISY)
+    for name, value in arrays(first).items():
+        np.testing.assert_array_equal(value, getattr(second, name), err_msg=name)
+    other = run(changes={**NOISY, "seed": 2})
+    assert np.abs(other.object_position - first.object_position).max() > 1e-9
+
+
+def test_a_run_may_be_continued():
+    whole, loop = run(ticks=60), ClosedLoop(load_scenario("paper"))
+    first, rest = loop.run(20), loop.run(40)
+    for name, value in arrays(whole).items():
+        joined = np.concatenate([getattr(first, name), getattr(rest, name)])
+        np.testing.assert_array_equal(value, joined, err_msg=name)
+
+
+def test_the_record_is_complete_and_consistent():
+    record = run(ticks=50)
+    assert len(record) == 50
+    np.testing.assert_array_equal(record.stamps, 2_000_000 * np.arange(50))
+    np.testing.assert_allclose(record.times, 0.002 * np.arange(50))
+    for name, value in arrays(record).items():
+        assert np.isfinite(value).all(), name
+    # What was commanded at a tick acts until the next one.
+    np.testing.assert_array_equal(record.torque[1:], record.command[:-1])
+    np.testing.assert_array_equal(record.torque[0], 0.0)
+    # A perfect skin reports the truth.
+    np.testing.assert_array_equal(record.contact_positions, record.true_positions)
+    np.testing.assert_array_equal(record.forces, record.true_forces)
+    np.testing.assert_allclose(
+        record.auxiliary_position, record.contact_positions.mean(axis=1), atol=1e-15
+    )
+    np.testing.assert_array_equal(record.desired_position, [[-0.1, 0.2, 0.4]] * 50)
+
+
+def test_a_target_is_recorded_from_the_tick_it_holds():
+    targets = [{"time": 0.05, "position": [0.0, 0.05, 0.41]}]
+    record = run(ticks=50, changes={"targets": targets})
+    assert np.isnan(record.desired_position[:25]).all()
+    np.testing.assert_array_equal(record.desired_position[25:], [[0.0, 0.05, 0.41]] * 25)
+    still = np.abs(record.object_position[:26] - record.object_position[0]).max()
+    assert still < 1e-6 < np.abs(record.object_position[-1] - record.object_position[0]).max()
+
+
+def test_progress_is_told_as_ticks_are_done():
+    told = []
+    ClosedLoop(load_scenario("paper")).run(50, told.append)
+    assert told == list(range(1, 51))
+
+
+def test_parts_of_a_record_are_records():
+    record = run(ticks=10)
+    part = record.part(slice(2, 5))
+    assert len(part) == 3 and part.finger_names == record.finger_names
+    np.testing.assert_array_equal(part.theta, record.theta[2:5])
+
+
+def test_an_empty_record_knows_its_shapes():
+    record = Record.empty(4, ["a", "b", "c", "d"], [f"j{i}" for i in range(11)])
+    assert record.theta.shape == (4, 11) and record.true_positions.shape == (4, 4, 3)
+    assert record.contact_quaternions.shape == (4, 4, 4) and record.grasp_force.shape == (4,)
+    assert np.isnan(record.theta).all()
+
+
+@pytest.mark.parametrize(
+    "joints", [[3, 4, 5], [3, 3, 4, 5], [3, 3, 3, 4, 5]], ids=["three", "four", "five"]
+)
+def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
+    """Fingers of 3 to 5 joints around a prism with as many sides: only files differ."""
+    values = {
+        **prism_grasp(tmp_path, joints),
+        "plant.object.mass": 0.1,
+        "manipulation_controller.law.k_p": 30.0,
+        "manipulation_controller.law.k_o": 3.0,
+        "manipulation_controller.law.damping": 0.3,
+        "duration": 3.0,
+    }
+    # R_pod is that of the contacts' own frame, which starts as their places make it.
+    start = ClosedLoop(load_scenario("paper", {**values, "targets": []})).run(1)
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.05])
+    wanted = turn * Rotation.from_quat(start.auxiliary_quaternion[0])
+    target = {"position": [0.01, -0.01, 0.41], "rotation": wanted.as_rotvec().tolist()}
+    scenario = load_scenario("paper", {**values, "targets": [target]})
+    check_scenario(scenario)
+    record = ClosedLoop(scenario).run()
+    assert np.isfinite(record.true_positions).all()
+    assert np.linalg.norm(record.auxiliary_position[-1] - target["position"]) < 2e-3
+    missing = wanted * Rotation.from_quat(record.auxiliary_quaternion[-1]).inv()
+    assert missing.magnitude() < 5e-3
+    carried = Rotation.from_quat(record.object_quaternion[-1]).as_rotvec()
+    np.testing.assert_allclose(carried, [0.0, 0.0, 0.05], atol=0.02)
+    np.testing.assert_allclose(record.optimal_forces[-1, :, 1].sum(), 1.0, atol=1e-9)
+    assert record.optimal_forces[-1, :, 1].min() > 0.5 / len(joints)
+    np.testing.assert_allclose(
+        record.true_forces[-1, :, 1], 10.0 * record.optimal_forces[-1, :, 1], atol=0.1
+    )
+
+
+def test_two_joints_a_finger_still_squeeze(tmp_path):
+    """A5 does not hold, so nothing can be steered, but model, optimizer and loop must bear it."""
+    scenario = load_scenario("paper", {**prism_grasp(tmp_path, [2, 2, 3, 4]), "targets": []})
+    record = ClosedLoop(scenario).run(200)
+    assert np.isfinite(record.true_positions).all()
+    np.testing.assert_allclose(record.true_forces[-1, :, 1].sum(), 10.0, rtol=0.05)
+
+
+def test_the_hand_holds_when_a_contact_is_lost_and_drives_when_it_is_back():
+    """A push pulls the object off finger 3; holding keeps the others, and the grasp returns."""
+    pull = {"kind": "pulse", "start": 0.1, "duration": 0.02, "force": [0.0, -12.0, 0.0]}
+    loop = ClosedLoop(
+        load_scenario(
+            "paper", {"targets": [], "plant.disturbances": [pull], "plant.object.mass": 0.1}
+        )
+    )
+    record = loop.run(1000)
+    touching = np.isfinite(record.true_positions[:, :, 0])
+    lost = ~touching.all(axis=1)
+    assert 0 < lost.sum() < 900 and touching[-1].all()
+    assert np.isnan(record.auxiliary_position[lost]).all()
+    assert np.isfinite(record.command).all() and np.abs(record.command).max() < 20.0
+    assert np.isfinite(record.auxiliary_position[-1]).all()
+
+
+def test_what_is_true_of_a_finger_in_the_air_is_nan_without_force():
+    loop = ClosedLoop(
+        load_scenario("paper", {"plant.object.size": [0.24, 0.2604, 0.2604], "targets": []})
+    )
+    reading = true_reading(loop.plant.state)
+    assert np.isnan(reading.positions[:2]).all() and np.isnan(reading.quaternions[:2]).all()
+    assert not reading.forces.any() and np.isfinite(reading.positions[2]).all()

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cannot work is said before anything starts, in one sentence."""
+
+import numpy as np
+import pytest
+from support.hands import posture_for, write_hand
+
+from tactile_hand_ros.closed_loop.preflight import check_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.errors import (
+    CollinearContactsError,
+    ConfigurationError,
+    GraspError,
+    HandModelError,
+    ObjectModelError,
+    PoseError,
+    TactileHandError,
+)
+from tactile_hand_ros.hand.hand import Hand
+
+
+def check(**changes):
+    names = {key.replace("__", "."): value for key, value in changes.items()}
+    check_scenario(load_scenario("paper", names))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"layout": "four_faces"}, HandModelError, r"no layout 'four_faces'.*three_faces, pinch"),
+        ({"hand": "claw"}, HandModelError, r"no hand is called 'claw'.*paper"),
+        (
+            {"plant__object__size": [0.2, 0.2, 0.2]},
+            GraspError,
+            r"finger_1 starts 30.2 mm away from the object",
+        ),
+        (
+            {"plant__object__size": [0.3, 0.3, 0.3]},
+            ObjectModelError,
+            r"finger_1 starts 19.8 mm inside the object",
+        ),
+        (
+            {"plant__object__position": [0.0, 0.0, 1.0]},
+            GraspError,
+            r"finger_1 starts .* mm away",
+        ),
+        (
+            {"plant__object__vertices": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]},
+            ObjectModelError,
+            r"3 points do not span a solid",
+        ),
+        (
+            {"targets": [{"position": [0.0, 0.0, 3.0]}]},
+            PoseError,
+            r"\(0.000, 0.000, 3.000\) m is out of reach",
+        ),
+        (
+            {"plant__initial_joints": [1.0, 2.0]},
+            ConfigurationError,
+            r"initial_joints has 2 angles",
+        ),
+        (
+            {"force_optimizer__weights": [1.0, 2.0, 3.0, 4.0]},
+            ConfigurationError,
+            r"expected 3 or 9 positive numbers",
+        ),
+    ],
+)
+def test_what_cannot_work_is_refused_in_one_sentence(changes, error, message):
+    with pytest.raises(error, match=message) as caught:
+        check(**changes)
+    assert isinstance(caught.value, TactileHandError) and "\n" not in str(caught.value)
+
+
+def touching(folder, tips, **plant):
+    """Return the changes for a hand that touches an object with its tips at the given places."""
+    path = write_hand(folder, [3, 3, 3])
+    changes = {"hand": str(path), "layout": "", "targets": []}
+    theta = posture_for(Hand.load(str(path)), np.array(tips))
+    changes["plant__initial_joints"] = theta.tolist()
+    return {**changes, **{f"plant__object__{key}": value for key, value in plant.items()}}
+
+
+def test_normals_that_cannot_balance_are_refused(tmp_path):
+    """All fingers under a plate: they only push up, and nothing pushes down."""
+    bearings = 2.0 * np.pi * np.arange(3) / 3
+    tips = np.stack([0.1 * np.cos(bearings), 0.1 * np.sin(bearings), np.full(3, 0.3)], axis=1)
+    plate = {"size": [0.4, 0.4, 0.1], "position": [0.0, 0.0, 0.3 + 0.02 + 0.05]}
+    with pytest.raises(GraspError, match="no pushing forces at these contacts balance"):
+        check(**touching(tmp_path, tips, **plate))
+
+
+def test_fingers_on_a_line_are_refused(tmp_path):
+    box = {"size": [0.2, 0.2, 0.2], "position": [0.0, 0.0, 0.3]}
+    spread = [[0.12, 0.0, 0.3], [-0.12, 0.04, 0.3], [-0.12, -0.04, 0.3]]
+    check(**touching(tmp_path, spread, **box))
+    row = [[-0.12, 0.08, 0.3], [-0.12, 0.0, 0.3], [-0.12, -0.08, 0.3]]
+    with pytest.raises(CollinearContactsError, match=r"lie on one line \(A7\)"):
+        check(**touching(tmp_path, row, **box))
+
+
+def test_a_hand_with_too_few_joints_is_refused(tmp_path):
+    """Eight joints cannot move nine coordinates of contact points."""
+    path = write_hand(tmp_path, [2, 3, 3])
+    theta = np.array([1.0, 1.5, 1.047, 0.0, 1.571, 1.047, 0.0, 1.571])
+    tips = Hand.load(str(path)).fingertips(theta).positions
+    inward = tips.mean(axis=0) - tips
+    corners = tips + 0.02 * inward / np.linalg.norm(inward, axis=1)[:, None]
+    upright = np.vstack([corners + [0.0, 0.0, 0.05], corners - [0.0, 0.0, 0.05]])
+    centre = corners.mean(axis=0)
+    with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 8"):
+        check(
+            hand=str(path),
+            layout="",
+            plant__initial_joints=theta.tolist(),
+            plant__object__vertices=(upright - centre).ravel().tolist(),
+            plant__object__position=centre.tolist(),
+            targets=[],
+        )

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenarios: what ships works, what is wrong is refused with its place."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tactile_hand_ros.closed_loop.preflight import check_scenario
+from tactile_hand_ros.closed_loop.scenario import (
+    NODES,
+    Scenario,
+    changed,
+    find_scenario,
+    load_scenario,
+    resolved,
+    scenario_names,
+)
+from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.simulation.plant_config import PlantConfig
+
+SHIPPED = {
+    "paper",
+    "paper_nominal_weights",
+    "pinch",
+    "kawamura",
+    "contact_law",
+    "rotate",
+    "waypoints",
+}
+
+
+def load(tmp_path, text, name="mine", **changes):
+    path = tmp_path / f"{name}.yaml"
+    path.write_text(text)
+    return load_scenario(str(path), changes)
+
+
+def test_the_promised_scenarios_ship():
+    assert SHIPPED <= set(scenario_names())
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_shipped_scenario_loads_and_can_work(name):
+    scenario = load_scenario(name)
+    assert scenario.name == name and scenario.description
+    check_scenario(scenario)
+
+
+def test_the_paper_is_table_one():
+    paper = load_scenario("paper")
+    law, body = paper.manipulation_controller.law, paper.plant.object
+    assert (law.name, law.k_p, law.k_o, law.damping) == ("optimal", 3.0, 0.5, 0.07)
+    assert paper.slip_regulator.grasp_force == 10.0
+    assert paper.force_optimizer.weights == [10.0, 1.0, 10.0]
+    assert (body.mass, body.inertia, body.size) == (0.0018, (0.0014,) * 3, (0.2604,) * 3)
+    assert paper.plant.initial_joints == [1.047, 0.0, 1.571]
+    assert paper.plant.gravity == (0.0, 0.0, 0.0) and not paper.plant.disturbances
+    assert (paper.duration, paper.layout) == (10.0, "three_faces")
+    (target,) = paper.targets
+    np.testing.assert_array_equal(target.target().position, [-0.1, 0.2, 0.4])
+    np.testing.assert_array_equal(target.target().orientation, np.eye(3))
+
+
+def test_variants_differ_from_the_paper_in_what_they_say():
+    paper = load_scenario("paper")
+    assert load_scenario("pinch").plant.layout == "pinch"
+    assert load_scenario("kawamura").manipulation_controller.law.name == "kawamura"
+    contact = load_scenario("contact_law")
+    assert contact.manipulation_controller.law.changed({"name": "optimal"}) == (
+        paper.manipulation_controller.law
+    )
+    assert load_scenario("paper_nominal_weights").force_optimizer.weights == [1.0, 1.0, 1.0]
+
+
+def test_rotate_turns_about_each_axis_in_turn():
+    turns = [t.rotation for t in load_scenario("rotate").targets]
+    np.testing.assert_array_equal(turns, 0.2 * np.eye(3))
+
+
+def test_an_empty_file_is_a_scenario_of_defaults(tmp_path):
+    scenario = load(tmp_path, "")
+    assert scenario.name == "mine" and scenario.hand == "paper"
+
+
+def test_what_is_said_once_reaches_every_node(tmp_path):
+    scenario = load(tmp_path, "layout: pinch\nseed: 7\nduration: 2.5\n")
+    assert scenario.plant.layout == scenario.manipulation_controller.layout == "pinch"
+    assert scenario.tactile_sensor.seed == 7
+    assert scenario.plant.duration == 2.5
+    assert scenario.ticks == 1251
+
+
+def test_defaults_of_the_scenario_reach_every_node_too(tmp_path):
+    """Without a duration the scenario ends after its default; so must the plant."""
+    for scenario in (load(tmp_path, ""), Scenario()):
+        assert scenario.plant.duration == scenario.duration
+        assert scenario.tactile_sensor.seed == scenario.seed
+        for node in NODES:
+            section = scenario.node_config(node)
+            assert getattr(section, "hand", scenario.hand) == scenario.hand
+
+
+GRAVITY = (1.0, -2.0, 3.0)
+
+
+@pytest.mark.parametrize("plant", [PlantConfig(rate=250.0), PlantConfig().changed({"rate": 250.0})])
+def test_what_is_said_once_reaches_finished_sections_too(plant):
+    """What a section has by default, nobody has said."""
+    scenario = Scenario(gravity=GRAVITY, hand="other", plant=plant, duration=3.0)
+    assert scenario.plant.gravity == scenario.manipulation_controller.gravity == GRAVITY
+    assert scenario.plant.hand == scenario.manipulation_controller.hand == "other"
+    assert (scenario.plant.duration, scenario.plant.rate) == (3.0, 250.0)
+    still = Scenario(manipulation_controller=ControllerConfig())
+    assert still.manipulation_controller.gravity == still.plant.gravity == (0.0, 0.0, 0.0)
+
+
+def test_finished_sections_of_a_scenario_fit_into_its_like():
+    paper = load_scenario("paper")
+    sections = {name: getattr(paper, name) for name in type(paper).model_fields}
+    assert Scenario(**sections) == paper
+
+
+def test_a_finished_section_cannot_contradict_the_scenario():
+    with pytest.raises(ValidationError, match="set 'gravity' once at the top, not in 'plant'"):
+        Scenario(plant=PlantConfig(gravity=GRAVITY))
+    with pytest.raises(ValidationError, match="set 'layout' once at the top, not in 'plant'"):
+        Scenario(layout="pinch", plant=load_scenario("paper").plant)
+    with pytest.raises(ValidationError, match=r"plant\n.*PlantConfig"):
+        Scenario(plant=ControllerConfig())
+
+
+def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is():
+    paper = load_scenario("paper")
+    changes = {"gravity": GRAVITY, "plant.rate": 250.0, "targets": []}
+    other = paper.changed(changes)
+    assert other.plant.gravity == other.manipulation_controller.gravity == GRAVITY
+    assert (other.plant.rate, other.targets) == (250.0, [])
+    assert paper == load_scenario("paper") and paper.changed({}) == paper
+    assert other == changed(paper, changes)
+    with pytest.raises(ConfigurationError, match="unknown key 'raet'"):
+        paper.changed({"plant.raet": 1.0})
+    with pytest.raises(ConfigurationError, match="set 'gravity' once at the top"):
+        paper.changed({"plant.gravity": GRAVITY})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("plant: {objet: {}}", r"mine.yaml: unknown key 'objet' in plant, did you mean 'object'"),
+        ("lay_out: pinch", r"unknown key 'lay_out', did you mean 'layout'"),
+        ("plant: {object: {mass: -1}}", r"plant.object.mass is -1, expected.*> 0.* kg"),
+        ("plant: {object: {mass: .nan}}", r"plant.object.mass is nan, expected a finite number"),
+        ("plant: {rate: fast}", r"plant.rate is 'fast', expected a finite number"),
+        ("plant: {pacing: slow}", r"plant.pacing is 'slow', expected one of lockstep, realtime"),
+        (
+            "manipulation_controller: {law: {name: pid}}",
+            r"law.name is 'pid', expected one of optimal, contact, kawamura",
+        ),
+        ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
+        ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
+        ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),
+        ("plant: {hand: other}", r"set 'hand' once at the top, not in 'plant'"),
+        ("plant: 3", r"plant is 3, expected a mapping"),
+        ("[1, 2]", r"holds list; expected a mapping"),
+        ("duration: 0", r"duration is 0, expected.*> 0"),
+        ("a: 1\na: 2", r"the key 'a' appears twice"),
+        ("a: [1", r"not valid YAML"),
+        (
+            "targets: [{time: 2, position: [0, 0, 0]}, {time: 1, position: [0, 0, 0]}]",
+            r"in order of time, got \[2.0, 1.0\]",
+        ),
+        (
+            "duration: 1\ntargets: [{time: 1, position: [0, 0, 0]}]",
+            r"last target comes at 1.0 s, but the run ends at 1.0 s",
+        ),
+        ("plant: {rate: 300}", r"expected a whole number"),
+        ("slip_regulator: {grasp_force: 99}", r"grasp_force = 99.0 N is outside"),
+    ],
+)
+def test_a_mistake_is_refused_with_its_place(tmp_path, text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        load(tmp_path, text)
+
+
+def test_an_unknown_scenario_names_the_known_ones(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"'papper', did you mean 'paper'.*waypoints"):
+        load_scenario("papper")
+    with pytest.raises(ConfigurationError, match=r"gone.yaml' does not exist.*paper"):
+        load_scenario(str(tmp_path / "gone.yaml"))
+
+
+def test_an_extension_replaces_keys_and_keeps_the_rest(tmp_path):
+    scenario = load(
+        tmp_path,
+        "extends: pinch\nplant: {object: {mass: 0.5}}\nforce_optimizer: {weights: [1, 2, 3]}",
+    )
+    assert scenario.plant.object.mass == 0.5
+    assert scenario.plant.object.size == (0.2604,) * 3 and scenario.layout == "pinch"
+    assert scenario.force_optimizer.weights == [1.0, 2.0, 3.0]
+    assert scenario.name == "mine"
+
+
+def test_an_extension_looks_beside_itself_first(tmp_path):
+    (tmp_path / "base.yaml").write_text("extends: paper\nduration: 3.0\nname: base\n")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "other.yaml").write_text("extends: ../base.yaml\nseed: 5\n")
+    for text in ("extends: base", "extends: base.yaml", "extends: sub/other.yaml"):
+        scenario = load(tmp_path, text)
+        assert scenario.duration == 3.0 and scenario.name == "mine"
+        assert scenario.plant.object.mass == 0.0018
+
+
+def test_a_copy_of_the_paper_may_extend_the_paper(tmp_path):
+    scenario = load(tmp_path, "extends: paper\nseed: 3\n", name="paper")
+    assert scenario.seed == 3 and scenario.plant.object.mass == 0.0018
+
+
+def test_scenarios_that_extend_each_other_are_refused(tmp_path):
+    (tmp_path / "a.yaml").write_text("extends: b\n")
+    (tmp_path / "b.yaml").write_text("extends: a\n")
+    with pytest.raises(ConfigurationError, match="in a circle: a -> b -> a"):
+        load_scenario(str(tmp_path / "a.yaml"))
+    with pytest.raises(ConfigurationError, match="no scenario is called 'nowhere'"):
+        load(tmp_path, "extends: nowhere")
+
+
+def test_changes_go_over_the_file():
+    scenario = load_scenario("paper", {"plant.object.mass": 0.2, "duration": 1.0})
+    assert scenario.plant.object.mass == 0.2 and scenario.plant.duration == 1.0
+    with pytest.raises(ConfigurationError, match="unknown key 'wight'"):
+        load_scenario("paper", {"plant.object.wight": 0.2})
+    with pytest.raises(ConfigurationError, match="'targets.0.time' cannot be set"):
+        load_scenario("paper", {"targets.0.time": 0.2})
+    with pytest.raises(ConfigurationError, match="'duration.x' cannot be set"):
+        load_scenario("paper", {"duration.x": 0.2})
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_resolved_scenario_reads_back_to_the_same(tmp_path, name):
+    scenario = load_scenario(name)
+    assert load(tmp_path, resolved(scenario), name) == scenario
+
+
+def test_files_are_found_by_name_and_path(tmp_path):
+    assert find_scenario("paper").is_file()
+    (tmp_path / "x.yml").touch()
+    assert find_scenario(str(tmp_path / "x.yml")) == tmp_path / "x.yml"

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration is immutable, finite, and says where and why it refuses a value."""
+
+import enum
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field, ValidationError, model_validator
+
+from tactile_hand_ros.config.model import (
+    Config,
+    flatten,
+    from_flat,
+    is_live,
+    leaves,
+    load_yaml,
+    param,
+    unit_of,
+)
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+
+
+class Law(str, enum.Enum):
+    PROPOSED = "proposed"
+    KAWAMURA = "kawamura"
+
+
+class Body(Config):
+    mass: float = param(0.1, "Mass", unit="kg", gt=0.0)
+    size: float = param(0.2, "Edge", unit="m", gt=0.0, le=1.0)
+
+
+class Push(Config):
+    kind: Literal["step", "ramp"] = param("step", "Shape over time")
+    start: float = param(0.0, "Start", unit="s", ge=0.0)
+
+
+class Example(Config):
+    body: Body = Body()
+    law: Law = param(Law.PROPOSED, "Control law", live=True)
+    gains: tuple[Annotated[float, Field(ge=0.0)], ...] = param((1.0, 2.0), "Gains", live=True)
+    fingers: int = param(3, "Number of fingers", ge=3)
+    noisy: bool = param(False, "Whether there is noise")
+    pushes: tuple[Push, ...] = param((), "Disturbances")
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        if self.noisy and self.fingers > 4:
+            raise ValueError("noise is supported for up to 4 fingers, take fewer")
+        return self
+
+
+def load(tmp_path, text):
+    path = tmp_path / "example.yaml"
+    path.write_text(text)
+    return load_yaml(path, Example)
+
+
+def test_an_empty_file_gives_the_defaults(tmp_path):
+    assert load(tmp_path, "# nothing\n") == Example()
+
+
+def test_values_are_read_into_their_types(tmp_path):
+    config = load(
+        tmp_path,
+        "body: {mass: 1e-3}\nlaw: kawamura\ngains: [1, 2.5]\npushes:\n- {kind: ramp, start: 2}\n",
+    )
+    assert config.body == Body(mass=0.001)
+    assert config.law is Law.KAWAMURA
+    assert config.gains == (1.0, 2.5)
+    assert config.pushes == (Push(kind="ramp", start=2.0),)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        ("bod: {}", "bod", ["unknown key 'bod'", "did you mean 'body'?", "fingers, gains, law"]),
+        ("body: {mas: 1}", "body.mas", ["'mas' in body", "did you mean 'mass'?", "mass, size"]),
+        ("body: {mass: -1}", "body.mass", ["body.mass is -1", "> 0.0 kg"]),
+        ("body: {size: 1.5}", "body.size", ["is 1.5", "> 0.0 and <= 1.0 m"]),
+        ("law: best", "law", ["law is 'best'", "one of proposed, kawamura"]),
+        ("gains: [1, .nan]", "gains[1]", ["gains[1] is nan", "finite number"]),
+        ("gains: [1, .inf]", "gains[1]", ["gains[1] is inf", "finite number"]),
+        ("gains: [-1]", "gains[0]", ["gains[0] is -1", ">= 0.0"]),
+        ("gains: 3", "gains", ["gains is 3", "a list"]),
+        ("body: {mass: true}", "body.mass", ["is True", "a finite number"]),
+        ("fingers: '4'", "fingers", ["is '4'", "a whole number >= 3"]),
+        ("fingers: 3.5", "fingers", ["is 3.5", "a whole number"]),
+        ("noisy: perhaps", "noisy", ["is 'perhaps'", "true or false"]),
+        ("pushes: [{kind: shove}]", "pushes[0].kind", ["is 'shove'", "one of step, ramp"]),
+        ("pushes: [{knd: step}]", "pushes[0].knd", ["'knd' in pushes[0]", "did you mean 'kind'"]),
+        ("body: 3", "body", ["body is 3", "a mapping of mass, size"]),
+        ("- 1", "", ["the content is [1]", "a mapping of body, law"]),
+        ("noisy: true\nfingers: 5", "", ["noise is supported for up to 4 fingers"]),
+        ("law: [", "line 1", ["not valid YAML"]),
+        ("law: proposed\nlaw: kawamura", "line 2", ["the key 'law' appears twice"]),
+        ("law: {[1, 2]: 3}", "line 1, column 7", ["a sequence is no key, expected a text"]),
+        ("fingers: 3\n? {a: 1}\n: 2", "line 2, column 3", ["a mapping is no key"]),
+        ("law: 2024-13-01", "line 1, column 6", ["'2024-13-01' is no timestamp", "month"]),
+        ("fingers: !!int three", "line 1, column 10", ["'three' is no int"]),
+        ("gains: " + 2000 * "[", "", ["nested too deeply"]),
+    ],
+)
+def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, words):
+    with pytest.raises(ConfigurationError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "example.yaml"))
+    for word in words:
+        assert word in message
+    assert caught.value.place.startswith(place)
+    assert caught.value.source == str(tmp_path / "example.yaml")
+    assert "\n" not in message and message.endswith(".")
+
+
+def test_every_mistake_is_named(tmp_path):
+    with pytest.raises(ConfigurationError) as caught:
+        load(tmp_path, "law: best\nfingers: 1\n")
+    assert [line.split(": ")[1].split()[0] for line in str(caught.value).split("\n")] == [
+        "law",
+        "fingers",
+    ]
+
+
+def test_a_file_that_cannot_be_read_is_an_error_of_this_package(tmp_path):
+    with pytest.raises(TactileHandError, match="cannot be read: No such file"):
+        load_yaml(tmp_path / "absent.yaml", Example)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TactileHandError, match="not UTF-8 text"):
+        load_yaml(tmp_path / "binary.yaml", Example)
+
+
+def test_a_configuration_cannot_be_changed_in_place():
+    with pytest.raises(ValidationError):
+        Example().fingers = 4
+
+
+def test_flat_and_nested_forms_are_equal():
+    config = Example(body=Body(mass=2.0), pushes=(Push(start=1.0),))
+    assert list(flatten(config)) == list(leaves(Example))
+    assert flatten(config)["body.mass"] == 2.0
+    assert from_flat(Example, flatten(config)) == config
+
+
+def test_changed_returns_a_validated_copy():
+    config = Example()
+    assert config.changed({"body.mass": 2.0}).body.mass == 2.0
+    assert config.body.mass == 0.1
+    with pytest.raises(ConfigurationError, match="body.mass is -2"):
+        config.changed({"body.mass": -2.0})
+    with pytest.raises(ConfigurationError, match="unknown key 'law.x'"):
+        config.changed({"law.x": 1})
+
+
+def test_fields_carry_unit_and_whether_they_are_live():
+    fields = leaves(Example)
+    assert unit_of(fields["body.mass"]) == "kg"
+    assert is_live(fields["law"]) and not is_live(fields["fingers"])

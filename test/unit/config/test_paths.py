@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finding the configuration directory."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tactile_hand_ros.config import paths
+from tactile_hand_ros.errors import ConfigurationError
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Pretend that the package is installed in a place without any configuration."""
+    module = tmp_path / "site" / "tactile_hand_ros" / "config" / "paths.py"
+    monkeypatch.setattr(paths, "__file__", str(module))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
+    monkeypatch.delenv("TACTILE_HAND_CONFIG", raising=False)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "empty"))
+    return tmp_path
+
+
+def make_share(prefix: Path) -> Path:
+    """Create an installed configuration directory below a prefix."""
+    directory = prefix / "share" / "tactile_hand_ros" / "config"
+    directory.mkdir(parents=True)
+    return directory
+
+
+def test_installed_package_has_hands_and_scenarios() -> None:
+    assert (paths.config_directory() / "hands").is_dir()
+    assert (paths.config_directory() / "scenarios").is_dir()
+
+
+def test_environment_comes_first(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_share(Path(sys.prefix))
+    monkeypatch.setenv("TACTILE_HAND_CONFIG", str(elsewhere))
+    assert paths.config_directory() == elsewhere.resolve()
+
+
+def test_environment_must_exist(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_share(Path(sys.prefix))
+    monkeypatch.setenv("TACTILE_HAND_CONFIG", str(elsewhere / "misspelt"))
+    with pytest.raises(ConfigurationError, match="misspelt"):
+        paths.config_directory()
+
+
+def test_source_tree_before_installations(elsewhere: Path) -> None:
+    make_share(Path(sys.prefix))
+    (elsewhere / "site" / "config").mkdir(parents=True)
+    (elsewhere / "site" / "package.xml").touch()
+    assert paths.config_directory() == (elsewhere / "site" / "config").resolve()
+
+
+def test_unrelated_config_beside_the_package_is_ignored(elsewhere: Path) -> None:
+    expected = make_share(Path(sys.prefix))
+    (elsewhere / "site" / "config").mkdir(parents=True)
+    assert paths.config_directory() == expected.resolve()
+
+
+def test_first_ament_prefix_wins(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_share(Path(sys.prefix))
+    overlay = make_share(elsewhere / "overlay")
+    make_share(elsewhere / "underlay")
+    prefixes = f"{elsewhere / 'empty'}:{elsewhere / 'overlay'}:{elsewhere / 'underlay'}"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes)
+    assert paths.config_directory() == overlay.resolve()
+
+
+def test_virtual_environment_is_the_last_resort(elsewhere: Path) -> None:
+    expected = make_share(Path(sys.prefix))
+    assert paths.config_directory() == expected.resolve()
+
+
+def test_nowhere_names_the_places(elsewhere: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"empty.*prefix.*TACTILE_HAND_CONFIG"):
+        paths.config_directory()

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optimization (13): known answers, reasons for none, and recovery from both."""
+
+import numpy as np
+import pytest
+from support.exact import best_forces
+from support.grasps import HALF, contacts_at, moved, pinch, three_faces
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.optimizer.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    Status,
+)
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.rotations import rotation_from_vector
+
+W = np.tile([10.0, 1.0, 10.0], 3)
+# Fingers 1 and 2 oppose each other and carry the push of finger 3 by friction. With t its share
+# on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), and the cost (1 - 2t)^2/2 + 4t^2 + 20t^2 is least at
+# t = 1/26. Finger 1 sees +y as its x, finger 2 as its -x.
+THREE_FACES = np.array([[1 / 26, 6 / 13, 0.0], [-1 / 26, 6 / 13, 0.0], [0.0, 1 / 13, 0.0]])
+# Nothing but the normals can balance along y: the thumb pushes as much as both others.
+PINCH = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.5, 0.0]])
+
+
+def optimizer(fingers=3, **values):
+    return ForceOptimizer(ForceOptimizerConfig(**values), fingers)
+
+
+def same_side():
+    """Three fingers on one face: no pushing forces balance."""
+    points = 0.1 * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]])
+    return contacts_at(points, np.tile([0.0, 0.0, 1.0], (3, 1)))
+
+
+def without_finger(contacts, finger):
+    positions, rotations = contacts.positions.copy(), contacts.rotations.copy()
+    positions[finger] = rotations[finger] = np.nan
+    return Contacts(positions, rotations)
+
+
+@pytest.mark.parametrize(("grasp", "expected"), [(three_faces, THREE_FACES), (pinch, PINCH)])
+def test_the_papers_layouts_have_the_forces_computed_by_hand(grasp, expected):
+    found = optimizer().solve(grasp())
+    assert found.ok and found.status is Status.SOLVED and found.reason == ""
+    np.testing.assert_allclose(found.forces, expected, atol=1e-10)
+    assert found.residual < 1e-9
+    assert 0 < found.iterations < 4 and found.solve_time == 0.0
+
+
+def test_weights_of_one_ask_for_more_friction():
+    """With W = I the cost (1 - 2t)^2/2 + 4t^2 + 2t^2 is least at t = 1/8."""
+    forces = optimizer(weights=[1.0, 1.0, 1.0]).solve(three_faces()).forces
+    np.testing.assert_allclose(forces[:, 1], [3 / 8, 3 / 8, 1 / 4], atol=1e-10)
+    np.testing.assert_allclose(np.abs(forces[:, 0]), [1 / 8, 1 / 8, 0.0], atol=1e-10)
+
+
+def test_weights_may_differ_from_contact_to_contact():
+    weights = [10.0, 5.0, 10.0, 8.0, 1.0, 10.0, 10.0, 0.5, 3.0]
+    found = optimizer(weights=weights).solve(three_faces())
+    expected = best_forces(three_faces(), np.array(weights))
+    np.testing.assert_allclose(found.forces, expected, atol=1e-10)
+
+
+def test_only_the_ratio_of_weights_matters():
+    forces = optimizer(weights=[1000.0, 100.0, 1000.0]).solve(three_faces()).forces
+    np.testing.assert_allclose(forces, THREE_FACES, atol=1e-10)
+
+
+def test_a_least_share_is_kept_exactly():
+    found = optimizer(minimum_normal=0.2).solve(three_faces())
+    np.testing.assert_allclose(found.forces[:, 1], [0.4, 0.4, 0.2], atol=1e-10)
+    assert found.residual < 1e-9
+
+
+def test_a_finger_that_could_only_disturb_gets_nothing():
+    """Finger 3 beside two opposed ones, weights that forbid friction nearly altogether."""
+    points = np.array([[HALF, 0.0, 0.0], [-HALF, 0.0, 0.0], [0.0, HALF, 0.05]])
+    grasp = contacts_at(points, [[-1.0, 0, 0.1], [1.0, 0, 0.1], [0, -0.1, 1.0]])
+    weights = np.tile([10.0, 1.0, 10.0], 3)
+    expected = best_forces(grasp, weights)
+    assert expected[:, 1].min() == pytest.approx(0.0, abs=1e-12)
+    found = optimizer().solve(grasp)
+    np.testing.assert_allclose(found.forces, expected, atol=1e-9)
+    assert found.residual < 1e-9
+
+
+def test_forces_belong_to_the_object_not_to_place_or_size():
+    turn = rotation_from_vector([0.4, -1.1, 2.0])
+    solver, grasp = optimizer(), three_faces()
+    expected = solver.solve(grasp).forces
+    there = solver.solve(moved(grasp, turn, np.array([3.0, -2.0, 1.0]))).forces
+    np.testing.assert_allclose(there, expected, atol=1e-9)
+    for scale in (0.01, 20.0):
+        scaled = Contacts(scale * grasp.positions, grasp.rotations)
+        np.testing.assert_allclose(solver.solve(scaled).forces, expected, atol=1e-9)
+
+
+def test_normals_that_cannot_balance_are_a_status_with_a_reason():
+    found = optimizer().solve(same_side())
+    assert found.status is Status.UNBALANCED and not found.ok
+    assert "opposing face" in found.reason
+    assert np.isnan(found.forces).all() and np.isnan(found.residual)
+
+
+def test_contacts_on_a_line_are_a_status_with_a_reason():
+    points = 0.1 * np.array([[1.0, 0, 0], [0.0, 0, 0], [-1.0, 0, 0]])
+    found = optimizer().solve(contacts_at(points, [[0, 1.0, 0], [0, -1.0, 0], [0, 1.0, 0]]))
+    assert found.status is Status.COLLINEAR
+    assert "line" in found.reason and np.isnan(found.forces).all()
+
+
+def test_a_missing_contact_is_named():
+    found = optimizer().solve(without_finger(without_finger(three_faces(), 0), 2))
+    assert found.status is Status.CONTACT_MISSING
+    assert "finger 1, 3" in found.reason and np.isnan(found.forces).all()
+
+
+def test_a_contact_without_direction_is_missing_too():
+    grasp = three_faces()
+    grasp.rotations[1] = np.nan
+    assert optimizer().solve(grasp).status is Status.CONTACT_MISSING
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [same_side(), without_finger(three_faces(), 1), contacts_at(np.eye(3) * 0, np.eye(3))],
+)
+def test_after_no_answer_the_next_grasp_gets_its_own(problem):
+    solver = optimizer()
+    solver.solve(pinch())
+    for _ in range(3):
+        assert not solver.solve(problem).ok
+        np.testing.assert_allclose(solver.solve(three_faces()).forces, THREE_FACES, atol=1e-10)
+
+
+def test_equal_histories_give_equal_bits():
+    turns = [rotation_from_vector([0.001 * i, 0.002 * i, 0.0]) for i in range(50)]
+    grasps = [moved(three_faces(), t, np.zeros(3)) for t in turns] + [same_side(), pinch()]
+    first, second = optimizer(), optimizer()
+    second.solve(pinch())
+    second.reset()
+    for grasp in grasps:
+        one, two = first.solve(grasp), second.solve(grasp)
+        np.testing.assert_array_equal(one.forces, two.forces)
+        assert one.iterations == two.iterations
+
+
+def test_new_weights_take_effect_and_refused_ones_change_nothing():
+    solver = optimizer()
+    solver.solve(three_faces())
+    solver.configure(ForceOptimizerConfig(weights=[1.0, 1.0, 1.0]))
+    equal = solver.solve(three_faces()).forces
+    assert equal[2, 1] == pytest.approx(0.25)
+    for values in (
+        {"weights": [1.0, 2.0, 3.0, 4.0]},
+        {"weights": [1.0, 0.0, 1.0]},
+        {"weights": [-1.0, 1.0, 1.0]},
+    ):
+        with pytest.raises(ConfigurationError, match="3 or 9 positive numbers"):
+            solver.configure(ForceOptimizerConfig(**values))
+        assert solver.config.weights == [1.0, 1.0, 1.0]
+    np.testing.assert_allclose(solver.solve(three_faces()).forces, equal, atol=1e-12)
+
+
+def test_shares_that_add_up_to_more_than_the_whole_are_refused():
+    assert optimizer(fingers=3, minimum_normal=0.3).config.minimum_normal == 0.3
+    assert optimizer(fingers=4, minimum_normal=0.2499).config.minimum_normal == 0.2499
+    for share in (0.25, 0.3):  # of a quarter each nothing is left to share
+        with pytest.raises(ConfigurationError, match=rf"= {share}: 4 contacts.*below 0.25"):
+            optimizer(fingers=4, minimum_normal=share)
+
+
+def test_four_contacts_on_four_faces_share_alike():
+    points = HALF * np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
+    found = optimizer(4).solve(contacts_at(points, -points))
+    np.testing.assert_allclose(found.forces, np.tile([0.0, 0.25, 0.0], (4, 1)), atol=1e-10)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip detector alone, on forces made by hand."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+
+DT, NORMAL = 0.001, np.array([[0.0, 1.0, 0.0]])
+NOTHING = [np.nan] * 3
+
+
+def run(forces, detector=None, own_change=0.0, friction=np.inf):
+    """Return what a detector says of the forces of one contact, one a tick."""
+    detector = detector or SlipDetector(SlipDetectorConfig(), 1)
+    mu = np.array([friction])
+    told = [
+        detector.step(np.array([f]), NORMAL, own_change, DT if i else 0.0, mu)[0]
+        for i, f in enumerate(forces)
+    ]
+    return np.array(told)
+
+
+def sticking(ticks, noise=0.01, seed=0):
+    random = np.random.default_rng(seed)
+    return np.array([1.0, 5.0, 0.5]) + noise * random.standard_normal((ticks, 3))
+
+
+def sliding(ticks, rms=0.15, seed=1):
+    return sticking(ticks, rms, seed)
+
+
+def test_noise_alone_raises_no_alarm_in_a_minute():
+    told = run(sticking(60_000))
+    assert (told[100:] == Grip.STICK).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sliding_is_found_within_ten_samples(seed):
+    told = run(np.concatenate([sticking(500, seed=seed), sliding(50, seed=100 + seed)]))
+    assert not (told[:500] == Grip.SLIP).any()
+    assert (told[500:510] == Grip.SLIP).any()
+
+
+def test_a_push_is_no_slip():
+    """The load jumps by 3 N within one sample and stays."""
+    forces = sticking(1000)
+    forces[500:, 0] += 3.0
+    assert not (run(forces) == Grip.SLIP).any()
+
+
+def test_what_the_hand_does_itself_is_no_slip():
+    """The squeeze rises along the normal with jerks that would be slip across it."""
+    forces = sticking(1000)
+    forces[500:, 1] += 0.5 * np.random.default_rng(3).standard_normal(500)
+    assert not (run(forces) == Grip.SLIP).any()
+
+
+def test_unknown_is_not_no_slip():
+    detector = SlipDetector(SlipDetectorConfig(), 1)
+    light = sticking(100) * 1e-3
+    assert (run(light, detector) == Grip.UNKNOWN).all()
+    assert (run([NOTHING] * 10, detector) == Grip.UNKNOWN).all()
+    told = run(sticking(100), detector)
+    assert (told[:50] == Grip.UNKNOWN).all() and told[-1] == Grip.STICK
+
+
+def test_repeated_samples_tell_nothing():
+    """A skin at 250 Hz under a loop at 1 kHz."""
+    forces = np.repeat(sticking(500), 4, axis=0)
+    assert not (run(forces) == Grip.SLIP).any()
+
+
+def test_a_slow_skin_is_judged_by_its_samples_not_by_ticks():
+    """One at 250 Hz under a loop at 1 kHz needs as many samples as one that is as slow as it."""
+    samples = np.concatenate([sticking(300), sliding(20)])
+    slow, fast = run(np.repeat(samples, 4, axis=0)), run(samples)
+    assert 300 < (fast == Grip.SLIP).argmax() < 308
+    later = (slow == Grip.SLIP).argmax() // 4 - (fast == Grip.SLIP).argmax()
+    assert later in (0, 1)
+
+
+def test_one_wild_sample_of_a_slow_skin_is_no_slip():
+    samples = sticking(500)
+    samples[300, 0] += 0.5
+    assert not (run(np.repeat(samples, 4, axis=0), friction=0.1) == Grip.SLIP).any()
+
+
+def test_at_the_brink_of_the_believed_cone_slip_is_found_a_sample_earlier():
+    """The forces are the same: a ratio of 0.22, against a friction of 0.2 or of 0.9."""
+    forces = np.concatenate([sticking(500), sliding(50)])
+    first = [int((run(forces, friction=mu) == Grip.SLIP).argmax()) for mu in (0.2, 0.9)]
+    assert 503 <= first[0] == first[1] - 1
+
+
+def test_even_at_the_brink_a_push_is_no_slip():
+    forces = sticking(1000)
+    forces[500:, 0] += 3.0
+    assert not (run(forces, friction=0.2) == Grip.SLIP).any()
+
+
+def test_the_newest_sample_tells_sooner_than_the_sum_that_it_has_stopped():
+    detector = SlipDetector(SlipDetectorConfig(), 1)
+    run(np.concatenate([sticking(500), sliding(20)]), detector)
+    assert detector.state == [Grip.SLIP]
+    run(sticking(4, seed=9), detector)
+    assert detector.state == [Grip.SLIP] and not detector.agrees[0]
+
+
+def test_what_lasts_is_learned_as_noise():
+    told = run(np.concatenate([sticking(500), sliding(8000, rms=0.05)]))
+    assert (told[500:800] == Grip.SLIP).any() and not (told[-1000:] == Grip.SLIP).any()
+
+
+EVEN = np.array([[1.0, 2.0, 0.0], [0.5, 5.0, 0.0], [-1.0, 8.0, 0.0]]) + np.array(
+    [[[i / 1024.0, 0.0, i / 1024.0]] for i in range(100)]
+)
+FLOOR = np.sqrt(6.0 * (0.002**2 + (0.002 * np.array([2.0, 5.0, 8.0])) ** 2))
+
+
+def kinked(kinks, axes=None, own_change=0.0, friction=(np.inf,) * 3, **values):
+    """Return a detector of three contacts after one kink of each force in otherwise even ones.
+
+    The even ones are binary fractions, so that until then no second difference is anything but 0.
+    """
+    detector = SlipDetector(SlipDetectorConfig(noise=1e-6, **values), 3)
+    axes = np.tile(NORMAL, (3, 1)) if axes is None else np.asarray(axes)
+    for forces in EVEN[:-1]:
+        detector.step(forces, axes, 0.0, DT, np.array(friction))
+    assert not detector.evidence.any() and (detector.state == Grip.STICK).all()
+    detector.step(EVEN[-1] + kinks, axes, own_change, DT, np.array(friction))
+    return detector
+
+
+def evidence(power):
+    """Return the log-likelihood ratio of a second difference of some power against its noise."""
+    return 0.5 * (8.0 / 9.0 * np.asarray(power) - 2.0 * np.log(9.0))
+
+
+def across(*sizes):
+    """Return changes of the forces by multiples of their noise, across their normals."""
+    return np.array(
+        [[a * s, 0.0, b * s] for s, a, b in zip(FLOOR, sizes, sizes[::-1], strict=True)]
+    )
+
+
+def test_a_change_counts_against_the_noise_of_each_normal_force():
+    found = kinked(across(3.0, 2.4, 1.0)).evidence
+    np.testing.assert_allclose(found, evidence([10.0, 2 * 2.4**2, 10.0]), rtol=0.01)
+    assert (found > 1.0).all()
+    np.testing.assert_array_equal(kinked(across(1.0, 1.0, 1.0)).evidence, 0.0)
+
+
+def test_a_skin_without_relative_noise_has_a_fixed_floor():
+    kinks = 0.002 * np.sqrt(6.0) * np.array([[2.8, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 3.3]])
+    found = kinked(kinks, relative_noise=0.0).evidence
+    np.testing.assert_allclose(found, evidence(np.array([2.8, 3.0, 3.3]) ** 2), rtol=0.01)
+
+
+def test_three_parts_in_a_hundred_of_what_the_hand_has_bent_count_as_noise():
+    kinks = across(3.0, 2.4, 1.0)
+    louder = FLOOR**2 + (0.03 * 0.5) ** 2
+    found = kinked(1.2 * kinks, own_change=0.5).evidence
+    expected = evidence((1.2 * kinks**2 * 1.2).sum(axis=1) / louder)
+    np.testing.assert_allclose(found, np.maximum(expected, 0.0), rtol=0.01)
+    assert found[1] > 1.0 and (found < kinked(1.2 * kinks).evidence).all()
+    np.testing.assert_array_equal(kinked(kinks, own_change=20.0).evidence, 0.0)
+
+
+def test_one_sample_counts_for_a_quarter_of_the_threshold_and_for_a_third_at_the_brink():
+    wild = across(300.0, 200.0, 400.0)
+    felt = EVEN[-1] + wild
+    ratios = np.hypot(felt[:, 0], felt[:, 2]) / felt[:, 1]
+    for share, part in ((0.94, 3.0), (0.97, 4.0)):  # the brink is at 0.95 of the friction
+        found = kinked(wild, friction=np.roll([1.0, np.inf, 1.0], 1) * ratios / share)
+        told = np.where(np.roll([1, 0, 1], 1), 28.0 / (7.0 - part), 7.0)
+        np.testing.assert_allclose(found.evidence, told)
+        np.testing.assert_allclose(found.likelihood, told / 28.0)
+        assert (found.state == Grip.STICK).all() and found.agrees.all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 40.0])
+def test_the_direction_of_the_squeeze_counts_and_not_its_length(scale):
+    axes = scale * np.array([[0.3, 2.0, -0.4], [-0.5, 1.0, 0.2], [0.1, 0.5, 0.7]])
+    units = axes / np.linalg.norm(axes, axis=1)[:, None]
+    np.testing.assert_array_equal(kinked(0.5 * units, axes).evidence, 0.0)
+    sides = np.cross(units, [0.6, 0.0, 0.8])
+    sides *= 3.3 * FLOOR[:, None] / np.linalg.norm(sides, axis=1)[:, None]
+    along = kinked(sides + 0.1 * units * FLOOR[:, None], axes).evidence
+    np.testing.assert_allclose(along, evidence(3.3**2), rtol=0.05)  # the floor moves with f_n
+
+
+def test_without_a_squeeze_every_direction_counts():
+    """Also that of the normal."""
+    kinks = 3.3 * FLOOR[:, None] * np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0]])
+    found = kinked(kinks, np.zeros((3, 3))).evidence
+    np.testing.assert_allclose(found, evidence(3.3**2), rtol=0.08)  # the floor moves with f_n
+
+
+def test_slip_is_told_above_the_threshold_and_until_three_quarters_of_it():
+    detector = SlipDetector(SlipDetectorConfig(noise=1e-6), 1)
+    steady = np.array([1.0, 5.0, 0.0]) + np.arange(100)[:, None] * [1 / 1024, 0.0, 0.0]
+    run(steady, detector)
+    jerks = steady[-1] + np.array([1.0, -1.0] * 5)[:, None] * [0.0, 0.0, 4.0]
+    told = run(jerks, detector)  # a quarter of the threshold each; four of them are not above it
+    np.testing.assert_array_equal(told, [Grip.STICK] * 4 + [Grip.SLIP] * 6)
+    assert detector.evidence == pytest.approx(1.2 * 28.0) and detector.likelihood == 1.0
+    last = jerks[-1] + np.arange(1, 12)[:, None] * [1 / 1024, 0.0, -8.0]  # goes on evenly
+    told = run(last, detector)
+    # ln 9 less each time: 33.6 falls to 21 after 5.7 of them.
+    np.testing.assert_array_equal(told, [Grip.SLIP] * 5 + [Grip.STICK] * 6)
+
+
+def test_a_contact_is_known_from_the_least_force_on():
+    for normal, state in ((0.05, Grip.UNKNOWN), (np.nextafter(0.05, 1.0), Grip.STICK)):
+        forces = np.array([0.01, normal, 0.0]) + np.arange(100)[:, None] * [1 / 1024, 0.0, 0.0]
+        assert run(forces)[-1] == state

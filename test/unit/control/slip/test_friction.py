@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction of a contact: learned from real slips and sticks, recovered from false alarms."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
+
+DT = 0.001
+
+
+def feel(
+    estimator, ratios, state, evidence, contact=0, agrees=True, normal=5.0, noise=0.01, seed=0
+):
+    """Feed force ratios to one contact, one a tick, and return its last estimate."""
+    random = np.random.default_rng(seed)
+    k = len(estimator.estimate)
+    told = np.full(k, state), np.full(k, evidence), DT, np.full(k, agrees)
+    forces = np.full((k, 3), np.nan)
+    for ratio in ratios:
+        forces[contact] = np.array([ratio * normal, normal, 0.0]) + noise * random.standard_normal(
+            3
+        )
+        estimator.step(forces, *told)
+    return estimator.estimate[contact]
+
+
+def slip(estimator, ratio, **how):
+    """Let a contact slide for 12 ms, of which the first 5 are only suspected."""
+    feel(estimator, [ratio] * 5, Grip.STICK, 10.0, **how)
+    return feel(estimator, [ratio] * 7, Grip.SLIP, 22.0, **how)
+
+
+def quiet(estimator, seconds, ratio=0.1, **how):
+    return feel(estimator, [ratio] * round(seconds / DT), Grip.STICK, 0.0, **how)
+
+
+def still(contacts=1, **values):
+    """Return an estimator that does not grow."""
+    return FrictionEstimator(FrictionConfig(explore=0.0, forget=0.0, **values), contacts)
+
+
+def test_a_slip_shows_friction_and_a_stick_proves_more():
+    estimator = still()
+    assert slip(estimator, 0.3) == pytest.approx(0.3, abs=0.03)
+    assert estimator.confidence > 0.5
+    assert quiet(estimator, 0.5, ratio=0.45) == pytest.approx(0.45, abs=0.01)
+
+
+def test_what_was_felt_before_the_slip_does_not_count():
+    """Water runs over a contact that carried 0.5: it shows 0.15."""
+    estimator = still()
+    quiet(estimator, 0.5, ratio=0.5)
+    assert slip(estimator, 0.15) < 0.25
+
+
+def test_what_is_felt_once_the_squeeze_has_caught_it_does_not_count():
+    estimator = still()
+    slip(estimator, 0.5)
+    after = feel(estimator, np.linspace(0.4, 0.05, 20), Grip.SLIP, 20.0)
+    assert after == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_contact_that_is_hardly_pressed_tells_next_to_nothing():
+    """0.1 N with a noise of 0.1 N."""
+    estimator = still()
+    assert slip(estimator, 0.1, normal=0.1, noise=0.1) == pytest.approx(0.4, abs=0.1)
+    assert estimator.confidence < 0.3
+    assert quiet(estimator, 1.0, ratio=0.1, normal=0.1, noise=0.1) < 0.5  # nor does it prove more
+
+
+def test_a_second_slip_makes_sure_and_a_contrary_one_raises_doubt():
+    estimator = still()
+    slip(estimator, 0.35)
+    once = estimator.confidence
+    quiet(estimator, 0.1)
+    slip(estimator, 0.35)
+    assert estimator.confidence > once
+    before, sure = estimator.estimate[0], estimator.confidence[0]
+    quiet(estimator, 0.1)
+    assert 0.1 < slip(estimator, 0.05) < before  # not believed at once
+    assert estimator.confidence < sure
+
+
+def test_alarms_that_follow_at_once_are_the_same_slip():
+    estimator = still()
+    first = slip(estimator, 0.35)
+    for _ in range(5):
+        quiet(estimator, 0.01)
+        feel(estimator, [0.05] * 6, Grip.SLIP, 22.0)
+    assert estimator.estimate == pytest.approx(first, abs=0.02)
+
+
+def test_what_slips_have_shown_is_forgotten_slowly_and_a_guess_is_outgrown():
+    config = FrictionConfig(explore=0.05, forget=0.002)
+    guess, known = FrictionEstimator(config, 1), FrictionEstimator(config, 1)
+    for _ in range(3):
+        slip(known, 0.4)
+        quiet(known, 0.1)
+    before = known.estimate, guess.estimate
+    quiet(known, 2.0), quiet(guess, 2.0)
+    assert guess.estimate / before[1] == pytest.approx(1.05**2, abs=0.02)
+    assert known.estimate / before[0] < 1.02
+
+
+def test_what_a_neighbour_has_shown_lowers_a_guess_only():
+    hand = still(contacts=3)
+    slip(hand, 0.2, contact=0)
+    sure = slip(hand, 0.5, contact=2)
+    hand.share()
+    assert hand.estimate[1] < 0.3 and hand.estimate[2] == sure
+    low = still(contacts=2, prior=0.1)
+    slip(low, 0.2)
+    low.share()
+    assert low.estimate[1] == 0.1
+
+
+def test_what_sticks_again_says_nothing_of_friction():
+    """The squeeze has caught it after four samples; the detector still says slip."""
+    estimator = still()
+    feel(estimator, [0.3] * 6, Grip.SLIP, 22.0)
+    feel(estimator, [0.05] * 10, Grip.SLIP, 22.0, agrees=False)
+    assert estimator.estimate == pytest.approx(0.3, abs=0.03)
+
+
+def test_a_clear_slip_counts_for_more_than_a_blurred_one_before_it():
+    estimator = still()
+    slip(estimator, 0.3, normal=0.5, noise=0.05)
+    blurred = estimator.estimate[0], estimator.confidence[0]
+    quiet(estimator, 0.1, ratio=0.0)
+    assert slip(estimator, 0.15, noise=0.002) < 0.15 + 0.25 * (blurred[0] - 0.15)
+    assert blurred[0] > 0.3 and blurred[1] > 0.3  # it was worth something
+
+
+def test_a_guess_grows_no_faster_than_a_lower_one_that_is_known():
+    """Else a finger that presses lightly outgrows what the others have found, until it slips."""
+    config = FrictionConfig(explore=0.05, forget=0.0)
+    hand, alone = FrictionEstimator(config, 2), FrictionEstimator(config, 1)
+    for _ in range(3):
+        slip(hand, 0.2)
+        quiet(hand, 0.1)
+    hand.share()
+    before = hand.estimate[1]
+    assert quiet(alone, 2.0) == pytest.approx(0.4 * 1.05**2, rel=0.01)
+    assert quiet(hand, 2.0, contact=1) < 1.02 * before
+
+
+def test_without_contact_nothing_is_learned():
+    estimator = still()
+    for state, ratio in ((Grip.UNKNOWN, 1.0), (Grip.STICK, np.nan)):
+        feel(estimator, [ratio] * 200, state, 0.0)
+    assert estimator.estimate == 0.4

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze that a user asks for: inside limits and without jumps."""
+
+import numpy as np
+import pytest
+from support.grasps import three_faces
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.errors import ConfigurationError, MessageError
+
+TICK = 2_000_000
+
+
+def regulator(**values):
+    return SlipRegulator(SlipRegulatorConfig(**values), 3)
+
+
+def squeezes(slip, ticks, start=0):
+    """Return k_f at each of the ticks."""
+    return np.array([slip.step((start + i) * TICK) for i in range(ticks)])
+
+
+def test_starts_with_the_configured_squeeze_and_keeps_it():
+    np.testing.assert_array_equal(squeezes(regulator(grasp_force=7.0), 100), 7.0)
+
+
+def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
+    slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0, smoothing=0.05)
+    slip.step(0)
+    slip.request(20.0)
+    up = squeezes(slip, 1000, start=1)
+    slip.request(5.0)
+    down = squeezes(slip, 2000, start=1001)
+    for force, goal, rate in ((up, 20.0, 50.0), (down, 5.0, 20.0)):
+        steps = np.abs(np.diff(force))
+        assert steps.max() == pytest.approx(rate * 0.002)
+        assert (np.diff(np.abs(force - goal)) <= 0.0).all()  # neither overshoots nor turns back
+        assert force[-1] == pytest.approx(goal, abs=1e-6)
+    # 12.5 N at full rate, then exponentially with the time constant.
+    assert up[125] == pytest.approx(5.0 + 0.252 * 50.0, abs=1e-9)
+    landing = 20.0 - up[300:400]
+    np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
+
+
+def test_a_change_has_no_corner_where_it_lands():
+    slip = regulator(grasp_force=5.0)
+    slip.step(0)
+    slip.request(10.0)
+    bends = np.abs(np.diff(squeezes(slip, 500, start=1), n=2))
+    assert bends[1:].max() < 0.1 * 50.0 * 0.002
+
+
+@pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
+def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
+    slip = regulator(grasp_force=10.0, minimum=0.5, maximum=40.0)
+    slip.step(0)
+    with pytest.raises(MessageError, match=r"outside 0.5 to 40.0 N"):
+        slip.request(force)
+    np.testing.assert_array_equal(squeezes(slip, 10, start=1), 10.0)
+
+
+def test_limits_themselves_may_be_asked_for():
+    slip = regulator(minimum=1.0, maximum=30.0)
+    slip.step(0)
+    for goal in (30.0, 1.0):
+        slip.request(goal)
+        assert squeezes(slip, 3000, start=round(goal) * 3000)[-1] == pytest.approx(goal, abs=1e-6)
+
+
+def test_a_repeated_tick_changes_nothing():
+    slip = regulator()
+    slip.step(0)
+    slip.request(20.0)
+    once = slip.step(TICK)
+    assert [slip.step(TICK) for _ in range(5)] == [once] * 5
+    assert slip.step(2 * TICK) > once
+
+
+def test_the_result_does_not_depend_on_ticks_that_were_missed():
+    slip = regulator(grasp_force=5.0)
+    slip.step(0)
+    slip.request(15.0)
+    assert slip.step(10**11) == 15.0  # a long silence lands on the goal, not beyond
+
+
+def test_a_clock_that_starts_again_makes_no_jump():
+    slip = regulator()
+    squeezes(slip, 10, start=1000)
+    slip.request(20.0)
+    before = slip.grasp_force
+    assert abs(slip.step(0) - before) <= 50.0 * 0.002
+    assert squeezes(slip, 2000, start=1)[-1] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "limits", "bound"), [(30.0, {"maximum": 15.0}, 15.0), (6.0, {"minimum": 9.0}, 9.0)]
+)
+def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted(
+    asked, limits, bound
+):
+    slip = regulator(grasp_force=10.0)
+    slip.step(0)
+    slip.request(asked)
+    assert squeezes(slip, 1500, start=1)[-1] == pytest.approx(asked)
+    slip.configure(SlipRegulatorConfig(**limits))
+    np.testing.assert_array_equal(squeezes(slip, 20, start=1501), bound)
+    slip.configure(SlipRegulatorConfig())
+    lifted = np.array([bound, *squeezes(slip, 1500, start=1521)])
+    assert np.diff(lifted).max() <= 50.0 * 0.002 + 1e-12
+    assert np.diff(lifted).min() >= -20.0 * 0.002 - 1e-12
+    assert lifted[-1] == pytest.approx(asked)
+
+
+def test_the_limits_hold_for_what_the_object_needs_too():
+    """One that needs less than the least squeeze, and one that needs more than the largest."""
+    contacts = three_faces()
+    light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
+    heavy = np.array([[0.0, 1.0, 4.0]] * 3)
+    slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0)
+    found = np.array([slip.step(i * TICK, contacts, light) for i in range(2000)])
+    assert 0.0 < slip.needed < 1.5 and found.min() == found[-1] == 2.0
+    found = [slip.step((2000 + i) * TICK, contacts, heavy) for i in range(200)]
+    assert slip.needed > 8.0 and max(found) == found[-1] == 8.0
+
+
+def test_reset_goes_back_to_the_configured_squeeze():
+    slip = regulator(grasp_force=8.0)
+    slip.step(0)
+    slip.request(20.0)
+    squeezes(slip, 100, start=1)
+    slip.reset()
+    np.testing.assert_array_equal(squeezes(slip, 10), 8.0)
+
+
+FELT = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
+
+
+def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
+    """Return all that is told at each tick while some fingers slide, 2 ms apart from 0 on."""
+    told, random = [], np.random.default_rng(seed)
+    rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
+    for i in range(ticks):
+        now = forces + rms * random.standard_normal((3, 3))
+        squeeze = slip.step(i * TICK, contacts or three_faces(), now)
+        likelihood = slip.slip_likelihood
+        told.append([squeeze, slip.needed, *slip.friction, *slip.state, *likelihood])
+    return np.array(told)
+
+
+@pytest.mark.parametrize("slides", [(), (1,)])
+def test_a_regulator_that_was_reset_cannot_be_told_from_a_new_one(slides):
+    fresh, used = (regulator(mode="shared", grasp_force=8.0) for _ in range(2))
+    used.request(30.0)
+    feel(used, 150, seed=1)
+    feel(used, 15, slides=(0, 2), seed=2)
+    assert (used.friction != fresh.friction).all() and used.grasp_force > 8.0
+    assert Grip.SLIP in used.state and used.slip_likelihood.max() == 1.0
+    used.reset()
+    np.testing.assert_array_equal(used.friction, [0.4, 0.4, 0.4])
+    assert (used.state == Grip.UNKNOWN).all() and not used.slip_likelihood.any()
+    assert np.isnan(used.needed) and used.grasp_force == 8.0
+    np.testing.assert_array_equal(feel(used, 150, slides), feel(fresh, 150, slides))
+
+
+@pytest.mark.parametrize("mode", ["user", "auto"])
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode, lost):
+    """A skin that has drifted may report some; here it would prove a friction of 0.7 and more."""
+    positions, slip = three_faces().positions, regulator(mode=mode)
+    positions[lost] = np.nan
+    feel(slip, 200, contacts=Contacts(positions, three_faces().rotations))
+    known = np.hypot(FELT[:, 0], FELT[:, 2]) / FELT[:, 1] > 0.45
+    for finger in range(3):
+        assert slip.state[finger] == (Grip.UNKNOWN if finger == lost else Grip.STICK)
+        assert (slip.friction[finger] > 0.45) == (known[finger] and finger != lost)
+    assert slip.friction[lost] == 0.4
+    assert np.isnan(slip.needed)
+
+
+def test_a_start_outside_the_limits_is_refused():
+    with pytest.raises(ConfigurationError, match="grasp_force = 50.0 N is outside"):
+        SlipRegulatorConfig().changed({"grasp_force": 50.0})
+    with pytest.raises(ConfigurationError, match="outside minimum = 12.0 N"):
+        SlipRegulatorConfig().changed({"minimum": 12.0})
+
+
+def test_touch_does_not_change_what_the_user_asked_for():
+    """In the mode `user` a regulator that feels a heavy load still gives what was asked."""
+    from support.plants import plant
+
+    contacts = plant().state.contacts
+    slip = regulator(grasp_force=6.0)
+    forces = np.array([[3.0, 4.0, 3.0]] * 3)
+    assert [slip.step(i * TICK, contacts, forces) for i in range(50)] == [6.0] * 50
+
+
+def test_a_change_of_mode_makes_no_jump():
+    """The squeeze falls to what the user asks for, and rises to it, at the user's rates."""
+    from support.plants import plant
+
+    contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
+    slip = regulator(mode="auto", grasp_force=6.0)
+
+    def change(mode, at, ticks):
+        slip.configure(SlipRegulatorConfig(mode=mode, grasp_force=6.0))
+        before = slip.grasp_force
+        found = [slip.step((at + i) * TICK, contacts, forces) for i in range(ticks)]
+        return np.array([before, *found])
+
+    needed = change("auto", 0, 500)[-1]
+    assert needed > 7.0
+    down = change("user", 500, 1000)
+    assert down[0] == needed and np.diff(down).min() >= -20.0 * 0.002 - 1e-9
+    assert down[-1] == pytest.approx(6.0, abs=1e-6)
+    slip.request(30.0)
+    assert change("auto", 1500, 500)[-1] < needed  # the user's wish does not count there
+    up = change("shared", 2000, 1000)
+    assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
+
+
+def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
+    """Up and down in turns; a detector that is told as much says the same."""
+    slip = regulator(grasp_force=5.0, rise_rate=400.0, fall_rate=250.0, smoothing=0.01)
+    detector = SlipDetector(SlipDetectorConfig(), 3)
+    random, squeezed, normals = np.random.default_rng(5), [5.0], np.tile([0.0, 1.0, 0.0], (3, 1))
+    bent = []
+    for i in range(400):
+        if i % 37 == 0:
+            slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
+        forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.friction
+        squeezed.append(slip.step(i * TICK, three_faces(), forces))
+        bends = np.abs(np.diff(squeezed[:-1][-6:], n=2))
+        bent.append(max(bends, default=0.0))
+        detector.step(forces, normals, bent[-1], 1e-9 * TICK if i else 0.0, friction)
+        np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
+    assert max(bent) > 0.3 and np.count_nonzero(bent) > 100
+
+
+def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():
+    """It has a tangential part at fingers 1 and 2, as f* may have."""
+    shape = np.array([[1 / 8, 3 / 8, 0.0], [-1 / 8, 3 / 8, 0.0], [0.0, 1 / 4, 0.0]])
+    slip, random = regulator(mode="auto"), np.random.default_rng(6)
+    for i in range(100):
+        slip.step(i * TICK, three_faces(), (10.0 + random.standard_normal()) * shape)
+    assert (slip.state == Grip.STICK).all() and not slip.slip_likelihood.any()

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces as load and squeeze, what the cones are told of them, and the squeeze that holds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.split import ConeWatch, required_squeeze, split
+from tactile_hand_ros.errors import CollinearContactsError
+from tactile_hand_ros.rotations import rotation_from_vector
+
+MS = 1_000_000
+GRASP = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0.1, -0.2, 0.3]))
+FORCES = np.array([[0.3, 3.0, 0.9], [-0.2, 2.5, 0.6], [0.1, 0.8, -0.1]])
+HEAVY = FORCES + np.array([[0.9, 0.1, -0.4], [0.2, 0.0, 0.7], [-0.3, 0.2, 0.5]])
+MU = np.array([0.5, 0.3, 0.8])
+
+
+def thin(margin):
+    """Return contacts nearly on a line; of a height h over it h / sqrt(3) is the margin."""
+    height = margin * math.sqrt(3.0)
+    points = 0.1 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, height, 0.0]])
+    return contacts_at(points, [[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def per_squeeze(contacts, forces):
+    """Return the load per squeeze by the pseudoinverse of G~ in contact frames."""
+    balance = balance_in_frames(contacts)
+    load = (np.linalg.pinv(balance) @ balance @ forces.ravel()).reshape(-1, 3)
+    return load / (forces - load)[:, 1].sum()
+
+
+@given(grasps(), st.integers(0, 2**32 - 1))
+def test_the_load_is_the_smallest_with_the_net_wrench_and_the_squeeze_balances(contacts, seed):
+    forces = np.random.default_rng(seed).normal(size=contacts.positions.shape)
+    parts = split(contacts, forces)
+    balance = balance_in_frames(contacts)
+    expected = np.linalg.pinv(balance) @ balance @ forces.ravel()
+    np.testing.assert_allclose(parts.load.ravel(), expected, atol=1e-9)
+    np.testing.assert_allclose(parts.load + parts.squeeze, forces, atol=1e-12)
+    np.testing.assert_allclose(balance @ parts.squeeze.ravel(), np.zeros(6), atol=1e-9)
+    assert parts.grasp_force == pytest.approx(parts.squeeze[:, 1].sum())
+
+
+def test_contacts_closer_to_a_line_than_a_thousandth_have_no_load():
+    split(thin(1.01e-3), FORCES)
+    with pytest.raises(CollinearContactsError):
+        split(thin(0.99e-3), FORCES)
+
+
+def test_the_cones_are_told_the_load_per_squeeze_and_the_friction_of_each_finger():
+    cones = ConeWatch(0.02).step(0, GRASP, FORCES, MU)
+    np.testing.assert_array_equal(cones.friction, MU)
+    np.testing.assert_allclose(cones.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+
+
+def test_the_load_is_followed_by_the_time_that_has_passed():
+    """20 ms of time constant, ticks of 5, 10 and 40 ms."""
+    watch = ConeWatch(0.02)
+    expected = watch.step(7 * MS, GRASP, FORCES, MU).load
+    for stamp, passed, forces in ((12, 5, HEAVY), (22, 10, HEAVY), (62, 40, FORCES)):
+        goal = per_squeeze(GRASP, forces)
+        expected = goal + math.exp(-passed / 20.0) * (expected - goal)
+        found = watch.step(stamp * MS, GRASP, forces, MU[::-1])
+        np.testing.assert_allclose(found.load, expected, atol=1e-12)
+        np.testing.assert_array_equal(found.friction, MU[::-1])
+
+
+def lost(watch):
+    positions = GRASP.positions.copy()
+    positions[1] = np.nan
+    return watch.step(4 * MS, Contacts(positions, GRASP.rotations), FORCES, MU)
+
+
+INTERRUPTIONS = {
+    "a finger is lost": lost,
+    "nothing is squeezed": lambda watch: watch.step(4 * MS, GRASP, 1e-3 * FORCES, MU),
+    "the fingers pull": lambda watch: watch.step(4 * MS, GRASP, -FORCES, MU),
+    "the contacts are in line": lambda watch: watch.step(4 * MS, thin(0.005), 9.0 * FORCES, MU),
+    "all starts anew": lambda watch: watch.reset(),
+}
+
+
+@pytest.mark.parametrize("happens", INTERRUPTIONS.values(), ids=INTERRUPTIONS)
+def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(happens):
+    watch = ConeWatch(0.02)
+    watch.step(3 * MS, GRASP, HEAVY, MU)
+    assert happens(watch) is None
+    found = watch.step(5 * MS, GRASP, FORCES, MU)
+    np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+
+
+def test_a_squeeze_below_a_tenth_of_a_newton_bears_no_ratio():
+    total = split(GRASP, FORCES).grasp_force
+    assert ConeWatch(0.02).step(0, GRASP, 0.0999 / total * FORCES, MU) is None
+    found = ConeWatch(0.02).step(0, GRASP, 0.1001 / total * FORCES, MU)
+    np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+
+
+def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
+    forces = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])
+    for margin in (0.0099, 0.0101):
+        told = ConeWatch(0.02).step(0, thin(margin), forces, MU)
+        assert (told is not None) == (margin > 0.01)
+
+
+@pytest.mark.parametrize(
+    ("load", "shape", "friction", "expected"),
+    [
+        ((3.0, 0.0, 4.0), (0.0, 0.5, 0.0), 0.4, 25.0),  # 5 N sideways over 0.4 times a half
+        ((3.0, 1.0, 4.0), (0.0, 0.5, 0.0), 0.4, 23.0),  # a load that presses helps
+        ((0.0, -2.0, 0.0), (0.0, 0.5, 0.0), 0.4, 4.0),  # one that pulls must be overcome first
+        ((0.3, 1.0, 0.2), (0.0, 0.5, 0.0), 0.4, 0.0),  # inside already
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4, 0.0),  # nothing to hold
+        ((1.0, 0.0, 0.0), (0.1, 0.5, 0.0), 0.4, 10.0),  # 1 + 0.1 k = 0.2 k
+        ((1.0, 0.0, 0.0), (-0.1, 0.5, 0.0), 0.4, 10.0 / 3.0),  # 1 - 0.1 k = 0.2 k
+        ((1.0, 0.0, 0.0), (-0.6, 0.5, 0.0), 0.4, 1.25),  # passes through: 1 - 0.6 k = 0.2 k
+        ((1.0, 0.0, 0.0), (0.3, 0.5, 0.0), 0.4, math.inf),  # leads away from the cone
+        ((1.0, 0.0, 0.5), (-0.6, 0.5, 0.0), 0.4, math.inf),  # passes it by
+        ((0.1, -1.0, 0.0), (0.3, 0.5, 0.0), 0.4, math.inf),  # from inside the mirrored cone
+        ((1.0, 0.0, 0.0), (-0.6, -0.5, 0.0), 0.4, math.inf),  # through the mirrored cone
+        ((1.0, 1.0, 0.0), (0.0, -0.5, 0.0), 0.4, math.inf),  # pulls
+        ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4, math.inf),
+    ],
+)
+def test_the_squeeze_that_holds_a_load_has_the_values_computed_by_hand(
+    load, shape, friction, expected
+):
+    assert required_squeeze(load, shape, friction) == pytest.approx(expected)
+
+
+@given(
+    st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+    st.floats(0.05, 1.5),
+)
+def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
+    """How far inside the cone a force is, is concave in k: it holds on one interval or nowhere."""
+    load, shape = np.array(load), np.array(shape)
+    assume(abs(shape[0] ** 2 + shape[2] ** 2 - friction**2 * shape[1] ** 2) > 1e-2)
+
+    def inside(k):
+        x, n, z = (load[:, None] + shape[:, None] * k) if np.ndim(k) else load + k * shape
+        return friction * n - np.hypot(x, z)
+
+    k = required_squeeze(tuple(load.tolist()), tuple(shape.tolist()), friction)
+    if math.isinf(k):
+        assert inside(np.geomspace(1e-3, 1e4, 2000)).max() < 1e-9 and inside(0.0) < 1e-9
+    elif k == 0.0:
+        assert inside(0.0) >= -1e-9
+    else:
+        assert inside(k) == pytest.approx(0.0, abs=1e-9 * (1.0 + k))
+        assert inside(np.linspace(0.0, 0.999 * k, 100)).max() < 1e-9

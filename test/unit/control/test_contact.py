@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact frames follow the convention, on both sides of its threshold."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from support.grasps import normals, vectors
+
+from tactile_hand_ros.control.contact import (
+    Contacts,
+    contact_frame,
+    hand_jacobian,
+    in_palm,
+    joint_torques,
+    skew,
+)
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import quaternion_from_rotation
+
+
+@given(normals)
+def test_frame_is_right_handed_with_y_along_the_normal(normal):
+    frame = contact_frame(normal)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+    np.testing.assert_allclose(frame[:, 1], normal, atol=1e-15)
+    t_x, n, t_z = frame.T
+    np.testing.assert_allclose(np.cross(n, t_z), t_x, atol=1e-12)
+    if np.hypot(normal[0], normal[1]) > 1.001e-3:
+        assert t_z[2] > 0.0
+        np.testing.assert_allclose(t_x[2], 0.0, atol=1e-12)  # t_z takes all of palm z
+
+
+@pytest.mark.parametrize(
+    ("normal", "t_z"),
+    [
+        ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]),
+        ([-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+        ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]),
+        ([0.0, 0.0, -1.0], [1.0, 0.0, 0.0]),
+        ([0.0, 0.6, 0.8], [0.0, -0.8, 0.6]),
+    ],
+)
+def test_known_frames(normal, t_z):
+    np.testing.assert_allclose(contact_frame(np.array(normal))[:, 2], t_z, atol=1e-15)
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+@pytest.mark.parametrize("bearing", [0.3, 1.8, -2.5])
+def test_palm_x_takes_over_where_the_projection_is_shorter_than_a_thousandth(up, bearing):
+    """The projection of z on the face is as long as the horizontal part of the normal."""
+    level = np.array([np.cos(bearing), np.sin(bearing)])
+
+    def t_z(length):
+        return contact_frame(np.array([*(length * level), up * np.sqrt(1.0 - length**2)]))[:, 2]
+
+    np.testing.assert_allclose(t_z(1.01e-3), [*(-up * level), 0.0], atol=2e-3)
+    np.testing.assert_allclose(t_z(0.99e-3), [1.0, 0.0, 0.0], atol=2e-3)
+
+
+@given(vectors, vectors)
+def test_skew_is_the_cross_product(a, b):
+    np.testing.assert_allclose(skew(a) @ b, np.cross(a, b), atol=1e-15)
+
+
+def test_skew_of_many_is_skew_of_each():
+    rows = np.arange(12.0).reshape(2, 2, 3)
+    np.testing.assert_array_equal(skew(rows)[1, 0], skew(rows[1, 0]))
+
+
+def frames(normals):
+    return np.array([contact_frame(np.array(n)) for n in normals])
+
+
+def test_a_finger_without_contact_does_not_touch():
+    positions = np.array([[0.1, 0.0, 0.0], [np.nan] * 3, [0.0, 0.1, 0.0]])
+    rotations = frames([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]])
+    rotations[1] = np.nan
+    contacts = Contacts(positions, rotations)
+    np.testing.assert_array_equal(contacts.touching, [True, False, True])
+    assert np.isnan(contacts.centroid).all()
+
+
+def test_a_contact_without_a_direction_does_not_count():
+    """A zero quaternion beside a good position: nothing can be pushed along no direction."""
+    quaternions = quaternion_from_rotation(frames([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]))
+    quaternions[2] = 0.0
+    contacts = Contacts.from_poses(np.eye(3), quaternions)
+    np.testing.assert_array_equal(contacts.touching, [True, True, False])
+
+
+def test_a_position_with_one_bad_coordinate_does_not_count():
+    positions = np.eye(3)
+    positions[1, 2] = np.nan
+    contacts = Contacts(positions, frames(-np.eye(3)))
+    np.testing.assert_array_equal(contacts.touching, [True, False, True])
+
+
+def test_what_travels_on_a_topic_gives_the_same_frames_back():
+    rotations = frames([[-1.0, 0, 0], [1.0, 0, 0], [0.0, -0.6, 0.8]])
+    contacts = Contacts.from_poses(np.eye(3), quaternion_from_rotation(rotations))
+    np.testing.assert_allclose(contacts.rotations, rotations, atol=1e-15)
+    np.testing.assert_allclose(contacts.normals[2], [0.0, -0.6, 0.8], atol=1e-15)
+    np.testing.assert_allclose(contacts.centroid, np.full(3, 1 / 3))
+
+
+def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces() -> None:
+    """Written out it must be what equation (2) says, and do the work that the contacts do."""
+    hand, random = Hand.load("paper"), np.random.default_rng(5)
+    tips = hand.fingertips(random.uniform(0.2, 0.9, hand.joints))
+    points = tips.positions + random.normal(0.0, 0.01, (3, 3))
+    forces, rates = random.normal(size=(3, 3)), random.normal(size=hand.joints)
+    jacobian = hand_jacobian(tips, points)
+    torques = joint_torques(*tips, points, forces)
+    np.testing.assert_allclose(torques, np.einsum("kim,ki->m", jacobian, forces), atol=1e-15)
+    assert torques @ rates == pytest.approx(np.sum((jacobian @ rates) * forces))
+
+
+def test_forces_are_turned_into_palm_axes() -> None:
+    frames = np.array([contact_frame(n) for n in np.eye(3)])
+    forces = np.random.default_rng(6).normal(size=(3, 3))
+    expected = [2.0 * frame @ force for frame, force in zip(frames, forces, strict=True)]
+    np.testing.assert_allclose(in_palm(frames, forces, 2.0), expected, atol=1e-15)

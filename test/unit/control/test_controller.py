@@ -1,0 +1,550 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller: driving, holding, disabled, targets now and later, and what it refuses."""
+
+import numpy as np
+import pytest
+from support.grasps import moved
+from support.plants import plant
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import MOST_WAITING, Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.errors import GraspError, PoseError
+from tactile_hand_ros.rotations import rotation_from_vector
+
+TICK = 2_000_000
+REST = np.zeros(9)
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+EVERYTHING = {
+    "law__integral__k_p": 20.0,
+    "law__integral__k_o": 3.0,
+    "law__observer__time": 0.02,
+    "midpoint_hold": True,
+    "reference_time": 0.05,
+}
+
+
+class Bench:
+    """A controller that sees the paper's grasp at rest."""
+
+    def __init__(self, **values):
+        state = plant().state
+        changes = {name.replace("__", "."): value for name, value in values.items()}
+        self.controller = Controller(ControllerConfig().changed(changes))
+        self.theta, self.contacts, self.rates = state.theta, state.contacts, REST
+        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
+        self.grasp_force, self.stamp = 10.0, 0
+
+    def step(self, ticks=1, **given):
+        """Answer the next ticks; return the last command."""
+        for _ in range(ticks):
+            seen = {
+                "theta": self.theta,
+                "rates": self.rates,
+                "contacts": self.contacts,
+                "optimal_forces": self.optimal,
+                "grasp_force": self.grasp_force,
+                **given,
+            }
+            command = self.controller.step(self.stamp, **seen)
+            self.stamp += TICK
+        return command
+
+    def without_finger(self, finger):
+        positions = self.contacts.positions.copy()
+        rotations = self.contacts.rotations.copy()
+        positions[finger] = rotations[finger] = np.nan
+        return Contacts(positions, rotations)
+
+    def elsewhere(self, *shift, turn=(0.0, 0.0, 0.0)):
+        """Return the contacts after a motion of the grasp about its centroid."""
+        rotation = rotation_from_vector(turn)
+        return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
+
+    @property
+    def centroid(self):
+        return self.contacts.centroid
+
+    def target(self, *shift, turn=(0.0, 0.0, 0.0)):
+        return Target(self.centroid + np.array(shift), rotation_from_vector(turn))
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
+    first = bench.step()
+    assert first.mode is Mode.DRIVE and first.reason == ""
+    np.testing.assert_allclose(first.pose.position, bench.centroid)
+    np.testing.assert_allclose(first.pose.orientation, np.eye(3), atol=1e-12)
+    shifted = moved(bench.contacts, np.eye(3), np.array([0.01, 0.0, 0.0]))
+    back = bench.step(contacts=shifted).torque - first.torque
+    pulls = bench.controller.hand.fingertips(bench.theta).linear.sum(axis=0)
+    assert (pulls @ back)[0] < 0.0 and np.linalg.norm(back) > 1e-3
+    np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
+
+
+def test_a_target_takes_effect_at_the_next_tick(bench):
+    rest = bench.step().torque
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    command = bench.step()
+    assert np.abs(command.torque - rest).max() > 1e-2
+    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
+
+
+def test_a_target_may_come_before_the_first_tick(bench):
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.step()
+    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
+
+
+def test_a_future_target_waits_for_its_tick(bench):
+    rest = bench.step().torque
+    bench.controller.command(bench.target(0.05, 0.0, 0.0), stamp=4 * TICK)
+    np.testing.assert_array_equal(bench.step(3).torque, rest)
+    assert bench.stamp == 4 * TICK
+    assert np.abs(bench.step().torque - rest).max() > 1e-2
+
+
+def test_of_several_targets_the_latest_due_one_counts(bench):
+    bench.step(5)
+    bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=7 * TICK)
+    bench.controller.command(bench.target(0.04, 0.0, 0.0), stamp=4 * TICK)
+    bench.controller.command(bench.target(0.01, 0.0, 0.0), stamp=1 * TICK)
+    bench.controller.command(bench.target(0.02, 0.0, 0.0), stamp=0)
+    wanted = []
+    for _ in range(4):
+        bench.step()
+        wanted.append(bench.controller.target.position[0] - bench.centroid[0])
+    np.testing.assert_allclose(wanted, [0.02, 0.02, 0.03, 0.03], atol=1e-12)
+
+
+def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
+    bench.step()
+    for tick in range(MOST_WAITING, 0, -1):
+        bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
+    assert bench.controller.dropped == 0
+    for _ in range(2):
+        bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
+    assert bench.controller.dropped == 2
+    bench.stamp = 4 * TICK
+    bench.step()  # the first two are gone
+    np.testing.assert_array_equal(bench.controller.target.position, bench.centroid)
+    bench.step()
+    np.testing.assert_allclose(bench.controller.target.position, bench.target(3e-5, 0, 0)[0])
+    bench.controller.reset()
+    assert bench.controller.dropped == 2
+
+
+def test_targets_after_a_tick_can_be_forgotten(bench):
+    bench.step()
+    for tick in (7, 8, 9, 9):
+        bench.controller.command(bench.target(1e-3 * tick, 0.0, 0.0), stamp=tick * TICK)
+    assert bench.controller.forget_after(8 * TICK) == [9 * TICK, 9 * TICK]
+    assert bench.controller.forget_after(8 * TICK) == []
+    bench.stamp = 20 * TICK
+    bench.step()
+    np.testing.assert_allclose(bench.controller.target.position, bench.target(8e-3, 0, 0)[0])
+
+
+def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.step()
+    with pytest.raises(PoseError, match=r"out of reach: finger_\d would stay \d+ mm short"):
+        bench.controller.command(bench.target(0.0, 0.0, 2.0))
+    assert bench.step().reason == ""
+    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
+
+
+def test_a_target_that_is_out_of_reach_when_due_is_refused_with_its_reason(bench):
+    """Before the first tick nothing is known of the grasp: it is checked when it is due."""
+    bench.controller.command(bench.target(0.0, 0.0, 2.0))
+    command = bench.step()
+    assert command.mode is Mode.DRIVE and "out of reach" in command.reason
+    np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
+    assert bench.step().reason == ""
+
+
+def test_nan_is_out_of_reach(bench):
+    bench.step()
+    with pytest.raises(PoseError):
+        bench.controller.command(Target(np.array([np.nan, 0.0, 0.4]), np.eye(3)))
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (lambda b: {"contacts": b.without_finger(1)}, "no contact at finger_2"),
+        (lambda b: {"optimal_forces": np.full((3, 3), np.nan)}, "no optimal force"),
+        (lambda b: {"optimal_forces": b.optimal + [[0], [0], [np.nan]]}, "no optimal force"),
+        (lambda b: {"grasp_force": float("nan")}, "k_f = nan"),
+        (lambda b: {"grasp_force": float("inf")}, "k_f = inf"),
+        (lambda b: {"grasp_force": -1.0}, "k_f = -1.0"),
+        (
+            lambda b: {
+                "contacts": Contacts(b.contacts.positions * [1, 0, 0], b.contacts.rotations)
+            },
+            "one line",
+        ),
+    ],
+)
+def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, reason):
+    bench = Bench()
+    drive = bench.step()
+    held = bench.step(**given(bench))
+    assert held.mode is Mode.HOLD and reason in held.reason
+    # At rest and at the target the drive is the squeeze alone, and holding keeps exactly that.
+    np.testing.assert_allclose(held.torque, drive.torque, atol=1e-9)
+    away = bench.theta + 0.01
+    pushed = bench.step(theta=away, **given(bench)).torque
+    np.testing.assert_allclose(pushed - held.torque, -10.0 * 0.01, atol=1e-9)
+    rubbed = bench.step(rates=np.ones(9), **given(bench)).torque
+    np.testing.assert_allclose(rubbed - held.torque, -0.5, atol=1e-9)
+    again = bench.step()
+    assert again.mode is Mode.DRIVE
+    np.testing.assert_allclose(again.torque, drive.torque, atol=1e-9)
+
+
+def test_law_10_needs_no_optimal_force():
+    bench = Bench(law__name="contact")
+    assert bench.step(optimal_forces=np.full((3, 3), np.nan)).mode is Mode.DRIVE
+
+
+def test_no_grasp_force_at_all_is_a_grasp_force(bench):
+    command = bench.step(grasp_force=0.0)
+    assert command.mode is Mode.DRIVE
+    np.testing.assert_allclose(command.torque, REST, atol=1e-12)
+
+
+def test_a_hold_from_the_first_tick_has_no_squeeze_to_keep(bench):
+    command = bench.step(contacts=bench.without_finger(0))
+    assert command.mode is Mode.HOLD and command.pose is None
+    np.testing.assert_array_equal(command.torque, REST)
+
+
+def test_a_second_hold_starts_from_its_own_posture(bench):
+    bench.step()
+    bench.controller.hold(bench.theta, REST, "silence")
+    bench.step()
+    there = bench.theta + 0.05
+    drive = bench.step(theta=there)
+    held = bench.controller.hold(there, REST, "silence")
+    assert held.reason == "silence" and held.mode is Mode.HOLD
+    assert np.abs(held.torque - drive.torque).max() < 0.2  # no spring back to the first posture
+
+
+def test_disabled_means_damping_only_and_enabled_drives_again(bench):
+    drive = bench.step()
+    bench.controller.enabled = False
+    rates = np.linspace(-1.0, 1.0, 9)
+    for command in (bench.step(rates=rates), bench.controller.hold(bench.theta, rates, "silence")):
+        assert command.mode is Mode.DISABLED
+        np.testing.assert_allclose(command.torque, -0.07 * rates, atol=1e-15)
+    bench.controller.enabled = True
+    np.testing.assert_allclose(bench.step().torque, drive.torque, atol=1e-9)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_after_disabling_a_hold_keeps_neither_the_old_squeeze_nor_the_old_posture(silent):
+    """Held, disabled, moved by hand, enabled: the fingers stay where the hand has put them."""
+    bench = Bench(law__observer__time=0.02)
+    bench.step(10, forces=FORCES)
+    bench.controller.hold(bench.theta, REST, "silence")
+    bench.controller.enabled = False
+    if silent:
+        bench.controller.hold(bench.theta, REST, "silence")
+    else:
+        bench.step(forces=FORCES)
+    bench.controller.enabled = True
+    there = bench.theta + np.linspace(-0.3, 0.4, 9)
+    held = bench.controller.hold(there, REST, "silence", grasp_force=20.0)
+    assert held.mode is Mode.HOLD
+    np.testing.assert_array_equal(held.torque, REST)
+
+
+def test_a_hold_keeps_what_it_carries_and_only_the_squeeze_rises_with_the_grasp_force():
+    bench, plain = Bench(law__observer__time=0.02), Bench()
+    squeeze = plain.step(forces=FORCES).torque
+    drive = bench.step(50, forces=FORCES).torque
+    assert np.linalg.norm(drive - squeeze) > 0.1  # the observed load
+    lost = {"contacts": bench.without_finger(1), "forces": FORCES}
+    np.testing.assert_allclose(bench.step(**lost).torque, drive, atol=1e-9)
+    risen = bench.step(grasp_force=15.0, **lost).torque
+    np.testing.assert_allclose(risen - drive, 0.5 * squeeze, atol=1e-9)
+    bench.step(forces=FORCES)
+    held = bench.controller.hold(bench.theta, REST, "silence").torque
+    np.testing.assert_allclose(held, drive, atol=1e-2 * np.linalg.norm(drive))
+
+
+def test_gravity_is_carried_in_every_mode():
+    bench = Bench(gravity_compensation=True)
+    weight = bench.controller.hand.gravity_torque(bench.theta)
+    assert np.abs(weight).max() > 0.1
+    plain = Bench()
+    np.testing.assert_allclose(bench.step().torque - plain.step().torque, weight, atol=1e-12)
+    for b in (bench, plain):
+        b.held = b.step(contacts=b.without_finger(0)).torque
+        b.step()
+        b.controller.release()
+        b.open = b.step(20).torque
+        b.controller.enabled = False
+        b.idle = b.step().torque
+    np.testing.assert_allclose(bench.open - plain.open, weight, atol=1e-12)
+    np.testing.assert_allclose(bench.held - plain.held, weight, atol=1e-12)
+    np.testing.assert_allclose(bench.idle - plain.idle, weight, atol=1e-12)
+
+
+def test_midpoint_hold_extrapolates_by_half_a_tick():
+    bench, plain = Bench(midpoint_hold=True), Bench()
+    torques = []
+    for force in (10.0, 11.0, 13.0):
+        bench.grasp_force = plain.grasp_force = force
+        torques.append((bench.step().torque, plain.step().torque))
+    np.testing.assert_array_equal(torques[0][0], torques[0][1])
+    for (_, before), (ahead, now) in zip(torques, torques[1:]):
+        np.testing.assert_allclose(ahead, now + 0.5 * (now - before), atol=1e-12)
+
+
+def let_go_and_take_again(bench):
+    bench.controller.release()
+    bench.step(3)
+    bench.controller.grasp()
+
+
+def idle(bench):
+    bench.controller.enabled = False
+    bench.step()
+    bench.controller.enabled = True
+
+
+def miss(bench):
+    bench.controller.hold(bench.theta, REST, "silence")
+
+
+@pytest.mark.parametrize("interrupt", [miss, idle, let_go_and_take_again])
+def test_midpoint_hold_extrapolates_nothing_over_an_interruption(interrupt):
+    bench, plain = Bench(midpoint_hold=True), Bench()
+    for b in (bench, plain):
+        b.step()
+        interrupt(b)
+    force = {"grasp_force": 14.0}
+    np.testing.assert_array_equal(bench.step(**force).torque, plain.step(**force).torque)
+
+
+@pytest.mark.parametrize("interrupt", [miss, idle])
+def test_a_smooth_reference_starts_again_from_where_the_grasp_is(interrupt):
+    """What was on its way before an interruption must not pull at the grasp after it."""
+    bench = Bench(reference_time=0.05)
+    rest = bench.step().torque
+    bench.controller.command(bench.target(0.05, 0.02, 0.0, turn=(0.0, 0.0, 0.2)))
+    assert np.abs(bench.step(30).torque - rest).max() > 1e-2
+    interrupt(bench)
+    there = {"contacts": bench.elsewhere(-0.02, 0.01, 0.03, turn=(0.1, -0.1, 0.0))}
+    following, start = bench.step(**there).torque, Bench().step(**there).torque
+    np.testing.assert_allclose(following, start, atol=1e-12)
+    assert np.abs(bench.step(30, **there).torque - start).max() > 1e-2
+
+
+def integral_torque(interrupt):
+    """Return the size of the integral action after 22 ticks with something in the middle."""
+    torques = []
+    for gains in ({"law__integral__k_p": 1.0}, {}):
+        bench = Bench(**gains)
+        bench.controller.command(bench.target(0.02, 0.0, 0.0))
+        bench.step(11)
+        interrupt(bench)
+        torques.append(bench.step(11).torque)
+    return np.linalg.norm(torques[0] - torques[1])
+
+
+def silence(bench):
+    bench.controller.hold(bench.theta, REST, "silence")
+    bench.stamp += 10_000_000_000
+
+
+def pause(bench):
+    idle(bench)
+    bench.stamp += 10_000_000_000
+
+
+def restart(bench):
+    bench.stamp = 0
+
+
+@pytest.mark.parametrize("interrupt", [silence, pause, restart])
+def test_nothing_is_integrated_over_an_interruption(interrupt):
+    """Ten silent seconds must not become ten seconds of integral action, nor a restart undo it."""
+    without = integral_torque(lambda bench: None)
+    assert without > 1e-4
+    assert integral_torque(interrupt) == pytest.approx(20 / 21 * without)
+
+
+def test_gains_change_while_running(bench):
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    soft = bench.step().torque
+    bench.controller.configure(ControllerConfig().changed({"law.k_p": 6.0}))
+    stiff = bench.step().torque
+    bench.controller.configure(ControllerConfig().changed({"law.k_p": 0.0}))
+    none = bench.step().torque
+    np.testing.assert_allclose(stiff - none, 2.0 * (soft - none), atol=1e-9)
+    assert np.abs(soft - none).max() > 1e-2
+    bench.controller.configure(ControllerConfig().changed({"law.damping": 0.2}))
+    bench.controller.enabled = False
+    idling = bench.step(rates=np.ones(9)).torque
+    np.testing.assert_allclose(idling, -0.2, atol=1e-15)
+
+
+def strained(interrupt=lambda bench: None):
+    """Return a controller in full use, with integral, load, reference and targets to come."""
+    bench = Bench(**EVERYTHING)
+    bench.controller.command(bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.3)))
+    bench.step(20, forces=FORCES)
+    interrupt(bench)
+    return bench
+
+
+def let_go(bench):
+    bench.controller.release()
+    bench.step(3)
+    assert bench.controller.is_open
+
+
+@pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
+def test_reset_forgets_everything(interrupt):
+    """Whatever went before: from a reset on the answers are those of a new controller."""
+    bench, fresh = strained(interrupt), Bench(**EVERYTHING)
+    bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
+    bench.controller.reset()
+    assert bench.controller.target is None and not bench.controller.is_open
+    with pytest.raises(GraspError, match="there is no grasp to let go of"):
+        bench.controller.release()
+    fresh.stamp = bench.stamp
+    # Upside down: a remembered side of the virtual frame would show.
+    given = {"contacts": bench.elsewhere(0.0, 0.01, 0.02, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
+    for _ in range(6):
+        answer, expected = bench.step(**given), fresh.step(**given)
+        assert answer.mode is Mode.DRIVE and answer.reason == ""
+        np.testing.assert_array_equal(answer.torque, expected.torque)
+        np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
+
+
+def test_reset_forgets_a_hold_with_its_posture_and_squeeze():
+    bench = strained(miss)
+    bench.controller.reset()
+    there = bench.theta + np.linspace(-0.2, 0.3, 9)
+    held = bench.controller.hold(there, REST, "silence", grasp_force=20.0)
+    np.testing.assert_array_equal(held.torque, REST)
+
+
+def test_after_a_reset_time_may_begin_again():
+    """A target for a tick to come waits for it, though there was a later tick before the reset."""
+    bench = strained()
+    bench.controller.reset()
+    bench.stamp = 0
+    bench.controller.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
+    for expected in (0.0, 0.0, 0.0, 0.0, 0.02):
+        bench.step()
+        shift = bench.controller.target.position - bench.centroid
+        np.testing.assert_allclose(shift, [expected, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_new_grasp_keeps_nothing_of_the_old_one():
+    """Taken elsewhere and upside down: from the first tick on as if there had been no other."""
+    bench, fresh = strained(let_go_and_take_again), Bench(**EVERYTHING)
+    assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
+    fresh.stamp = bench.stamp
+    given = {"contacts": bench.elsewhere(0.01, 0.02, 0.03, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
+    for _ in range(6):
+        answer, expected = bench.step(**given), fresh.step(**given)
+        assert answer.mode is Mode.DRIVE and not bench.controller.is_open
+        np.testing.assert_array_equal(answer.torque, expected.torque)
+        np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
+    target = bench.controller.target
+    np.testing.assert_allclose(target.position, given["contacts"].centroid, atol=1e-12)
+
+
+def test_open_fingers_touching_again_are_no_grasp_before_they_are_told_to_close(bench):
+    bench.step()
+    let_go(bench)
+    assert bench.step(5).mode is Mode.OPEN
+    bench.controller.grasp()
+    assert bench.step().mode is Mode.DRIVE
+
+
+def test_to_close_a_hand_that_is_not_open_changes_nothing(bench):
+    drive = bench.step()
+    bench.controller.grasp()
+    again = bench.step()
+    assert again.mode is Mode.DRIVE
+    np.testing.assert_array_equal(again.torque, drive.torque)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_squeeze(again):
+    bench = Bench(law__observer__time=0.02)
+    bench.step(20, forces=FORCES)
+    if again:
+        let_go_and_take_again(bench)
+        bench.step(20, forces=FORCES)
+    bench.controller.release()
+    first = bench.step()
+    assert first.mode is Mode.OPEN
+    np.testing.assert_allclose(first.torque, REST, atol=1e-4)
+    silent = bench.controller.hold(bench.theta, REST, "silence", grasp_force=30.0)
+    np.testing.assert_allclose(silent.torque, REST, atol=1e-4)
+
+
+def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
+    """The posture that is held, seen from torques of 10 N m/rad about a hand that stays."""
+    bench.step()
+    bench.controller.release()
+    hand, normals = bench.controller.hand, bench.contacts.normals
+
+    def opened(**given):
+        posture = bench.theta + bench.step(**given).torque / 10.0
+        moves = hand.tip_positions(posture) - hand.tip_positions(bench.theta)
+        outward = -(moves * normals).sum(axis=1)
+        np.testing.assert_allclose(moves, -outward[:, None] * normals, atol=1e-5)
+        return outward
+
+    bench.step(50)
+    np.testing.assert_allclose(opened(), 0.02 * 0.1, atol=1e-5)
+    bench.stamp += 10_000_000_000
+    np.testing.assert_allclose(opened(), 0.02 * 0.15, atol=1e-5)
+    bench.stamp -= 5_000_000_000
+    np.testing.assert_allclose(opened(), 0.02 * 0.15, atol=1e-5)
+
+
+def test_an_interruption_of_the_opening_is_not_made_up_for():
+    """The fingers wait while disabled or without touch, and after a reset they begin anew."""
+    for interrupt in (miss, idle):
+        bench = Bench()
+        bench.step()
+        bench.controller.release()
+        before = bench.step(5).torque
+        interrupt(bench)
+        bench.stamp += 10_000_000_000
+        np.testing.assert_allclose(bench.step().torque, before, atol=1e-4)
+    bench.controller.reset()
+    bench.stamp += 10_000_000_000
+    bench.step()
+    bench.controller.release()
+    np.testing.assert_allclose(bench.step().torque, REST, atol=1e-4)
+
+
+def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
+    bench = Bench()
+    bench.step()
+    lost = {"contacts": bench.without_finger(2)}
+    base = bench.step(**lost).torque
+    twice = bench.step(grasp_force=20.0, **lost).torque
+    np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is squeeze
+    for k_f in (10.0, float("nan"), 0.0):
+        np.testing.assert_array_equal(bench.step(grasp_force=k_f, **lost).torque, twice)
+    silent = bench.controller.hold(bench.theta, REST, "touch is late")
+    np.testing.assert_array_equal(silent.torque, twice)
+    bench.step()
+    np.testing.assert_allclose(bench.step(**lost).torque, base, atol=1e-9)

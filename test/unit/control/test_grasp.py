@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grasp maps, the checks of A5 and A7, and the friction that a contact needs."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from support.grasps import literal_grasp_map, point_sets, rotations, vectors
+
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.control.grasp import (
+    check_joints,
+    check_spread,
+    collinearity_margin,
+    grasp_map,
+    joint_margin,
+    required_friction,
+    wrench_forces,
+)
+from tactile_hand_ros.errors import CollinearContactsError, GraspError
+from tactile_hand_ros.hand.hand import Hand
+
+LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
+
+
+@given(point_sets(), vectors)
+def test_grasp_map_is_forces_and_their_moments(points, origin):
+    np.testing.assert_allclose(
+        grasp_map(points, origin), literal_grasp_map(points, origin), atol=1e-15
+    )
+
+
+@given(point_sets(), vectors, vectors, vectors)
+def test_transposed_grasp_map_is_the_velocity_of_the_points(points, origin, velocity, spin):
+    """G^T [v; w] is the velocity of the rigid body at the contacts, the right side of (6)."""
+    expected = velocity + np.cross(spin, points - origin)
+    found = grasp_map(points, origin).T @ np.concatenate([velocity, spin])
+    np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
+
+
+@given(point_sets(), vectors, vectors)
+def test_wrench_forces_are_the_pseudoinverse(points, force, torque):
+    wrench = np.concatenate([force, torque])
+    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    forces = wrench_forces(points, wrench).ravel()
+    np.testing.assert_allclose(forces, np.linalg.pinv(about_centroid) @ wrench, atol=1e-9)
+    np.testing.assert_allclose(about_centroid @ forces, wrench, atol=1e-10)
+
+
+@given(point_sets(), rotations, vectors)
+def test_collinearity_margin_does_not_depend_on_place_or_direction(points, rotation, shift):
+    moved = points @ rotation.T + shift
+    assert collinearity_margin(moved) == pytest.approx(collinearity_margin(points), abs=1e-9)
+    assert collinearity_margin(7.0 * points) == pytest.approx(collinearity_margin(points))
+
+
+def test_collinearity_margin_of_known_shapes():
+    third = 2.0 * np.pi / 3.0
+    even = [[np.cos(a), np.sin(a), 0.0] for a in (0.0, third, 2.0 * third)]
+    assert collinearity_margin(np.array(even)) == pytest.approx(1.0)
+    assert collinearity_margin(LINE) == pytest.approx(0.0, abs=1e-7)
+    assert collinearity_margin(np.ones((3, 3))) == 0.0
+
+
+def test_contacts_on_a_line_are_an_error_that_says_so():
+    for check in (check_spread, lambda points: wrench_forces(points, np.ones(6))):
+        with pytest.raises(CollinearContactsError, match=r"\(0.1000, 0.1000.*one line \(A7\)"):
+            check(LINE)
+    with pytest.raises(GraspError, match="2 contacts"):
+        check_spread(LINE[:2])
+
+
+def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
+    hand = Hand.load("paper")
+
+    def jacobian(theta):
+        tips = hand.fingertips(theta)
+        return hand_jacobian(tips, tips.positions)
+
+    good = jacobian(np.tile([1.047, 0.0, 1.571], 3))
+    stacked = np.linalg.svd(np.vstack(list(good)), compute_uv=False)
+    assert joint_margin(good) == pytest.approx(stacked[-1])
+    check_joints(good)
+    stretched = np.tile([1.047, 0.0, 1.571], 3)
+    stretched[5] = 0.0
+    with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 9"):
+        check_joints(jacobian(stretched))
+
+
+def test_too_few_joints_have_no_margin():
+    assert joint_margin(np.ones((9, 6))) == 0.0
+    with pytest.raises(GraspError, match="9 x 6"):
+        check_joints(np.ones((9, 6)))
+
+
+def test_required_friction_of_known_forces():
+    forces = np.array([[3.0, 10.0, 4.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(required_friction(forces), [0.5, 0.0, 0.0, np.inf])
+    assert required_friction(np.array([0.0, -1.0, 0.1])) == np.inf
+    assert required_friction(np.zeros((5, 2, 3))).shape == (5, 2)

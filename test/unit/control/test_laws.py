@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws (8), (10), (14) against their formulas, and the physics that follows from them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.grasps import literal_grasp_map, moved
+
+from tactile_hand_ros.control.contact import Contacts, contact_frame, hand_jacobian
+from tactile_hand_ros.control.grasp import grasp_map
+from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.errors import CollinearContactsError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
+
+RADII = np.array([0.06, 0.05, 0.04])
+K_F, DT = 7.0, 0.002
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+GAINS = {"k_p": 3.0, "k_o": 0.5, "damping": 0.07, "k_st": 0.3, "r_ref": (0.1, -0.2, 0.3)}
+
+
+class Grip:
+    """The paper's hand in some unsymmetric posture, touching along unsymmetric normals."""
+
+    def __init__(self, seed=3):
+        random = np.random.default_rng(seed)
+        hand = Hand.load("paper")
+        self.theta = np.tile([1.047, 0.0, 1.571], 3) + random.uniform(-0.2, 0.2, 9)
+        self.rates = random.uniform(-1.0, 1.0, 9)
+        self.tips = hand.fingertips(self.theta)
+        inward = np.array([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]])
+        normals = inward + random.uniform(-0.3, 0.3, (3, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        frames = np.array([contact_frame(n) for n in normals])
+        self.contacts = Contacts(self.tips.positions + RADII[:, None] * normals, frames)
+        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
+        self.jacobian = hand_jacobian(self.tips, self.contacts.positions).reshape(9, 9)
+        turn = rotation_from_vector(random.uniform(-0.5, 0.5, 3))
+        self.target = Target(self.contacts.centroid + random.uniform(-0.1, 0.1, 3), turn)
+
+    def torque(self, name, target=None, law=None, forces=None, **values):
+        law = law or ManipulationLaw(LawConfig(name=name, **{**GAINS, **values}), RADII)
+        pose = law.auxiliary_pose(self.tips, self.contacts)
+        return law.step(
+            self.tips,
+            self.rates,
+            self.contacts,
+            self.optimal,
+            K_F,
+            target or self.target,
+            pose,
+            DT,
+            forces,
+        )
+
+    def net(self, forces):
+        """Return the wrench of forces in contact frames about the centroid, shape (6,)."""
+        in_palm = [r @ f for r, f in zip(self.contacts.rotations, forces, strict=True)]
+        return self.about_centroid @ np.concatenate(in_palm)
+
+    @property
+    def about_centroid(self):
+        return literal_grasp_map(self.contacts.positions, self.contacts.positions.mean(axis=0))
+
+    def carrying(self, wrench):
+        """Return the torques of (14) for a wrench, J_h^T G~^+ wrench, shape (9,)."""
+        return self.jacobian.T @ np.linalg.pinv(self.about_centroid) @ wrench
+
+
+@pytest.fixture
+def grip():
+    return Grip()
+
+
+def virtual_frame(points):
+    r_x = points[0] - points[1]
+    r_z = np.cross(r_x, points[0] - points[2])
+    r_z *= np.sign(r_z[2])
+    r_x, r_z = r_x / np.linalg.norm(r_x), r_z / np.linalg.norm(r_z)
+    return np.stack([r_x, np.cross(r_z, r_x), r_z], axis=1)
+
+
+def rotation_error(points, desired):
+    """Write r_d = r_x x r_dx + r_y x r_dy + r_z x r_dz out."""
+    return sum(np.cross(a, b) for a, b in zip(virtual_frame(points).T, desired.T))
+
+
+def test_equation_14_to_the_letter(grip):
+    points = grip.contacts.positions
+    error = np.concatenate(
+        [
+            grip.target.position - points.mean(axis=0),
+            rotation_error(points, grip.target.orientation),
+        ]
+    )
+    gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
+    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    in_palm = [r @ f for r, f in zip(grip.contacts.rotations, grip.optimal)]
+    expected = (
+        K_F * grip.jacobian.T @ np.concatenate(in_palm)
+        - 0.07 * grip.rates
+        + grip.jacobian.T @ np.linalg.pinv(about_centroid) @ gains @ error
+    )
+    np.testing.assert_allclose(grip.torque("optimal").total, expected, atol=1e-11)
+
+
+def test_equation_10_to_the_letter(grip):
+    points = grip.contacts.positions
+    error = np.concatenate(
+        [
+            grip.target.position - points.mean(axis=0),
+            rotation_error(points, grip.target.orientation),
+        ]
+    )
+    gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
+    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    expected = -0.07 * grip.rates
+    for i in range(3):
+        block = grip.jacobian[3 * i : 3 * i + 3]
+        expected = expected + K_F * block.T @ (points.mean(axis=0) - points[i])
+    expected = expected + grip.jacobian.T @ np.linalg.pinv(about_centroid) @ gains @ error
+    np.testing.assert_allclose(grip.torque("contact").total, expected, atol=1e-11)
+
+
+def test_equation_8_to_the_letter(grip):
+    """Law (8) knows fingertips only: its centroid and frame are those of their centres."""
+    tips = grip.tips.positions
+    turn = rotation_error(tips, grip.target.orientation)
+    expected = -0.07 * grip.rates
+    for i in range(3):
+        linear, angular = grip.tips.linear[i].T, grip.tips.angular[i].T
+        expected = expected + K_F / RADII.sum() * linear @ (tips.mean(axis=0) - tips[i])
+        expected = expected + 0.3 * angular @ np.array([0.1, -0.2, 0.3])
+        expected = expected + 3.0 * linear @ (grip.target.position - tips.mean(axis=0))
+        expected = expected + 0.5 * angular @ turn
+    np.testing.assert_allclose(grip.torque("kawamura").total, expected, atol=1e-11)
+
+
+def rigid_rates(grip, twist):
+    """Return the joint rates with which the contacts follow a twist of the grasp, (6)."""
+    points = grip.contacts.positions
+    return np.linalg.solve(grip.jacobian, grasp_map(points, points.mean(axis=0)).T @ twist)
+
+
+@pytest.mark.parametrize("name", ["optimal", "contact"])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_squeeze_does_no_work_when_the_grasp_moves_as_one(name, seed):
+    grip = Grip(seed)
+    squeeze = grip.torque(name).squeeze
+    for twist in np.eye(6):
+        rates = rigid_rates(grip, twist)
+        assert squeeze @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
+    assert np.linalg.norm(squeeze) > 0.1
+
+
+@pytest.mark.parametrize(("name", "fingers"), [("optimal", 1), ("contact", 1), ("kawamura", 3)])
+def test_stiffness_against_a_shift_is_k_p_once_or_once_per_finger(grip, name, fingers):
+    law = ManipulationLaw(LawConfig(name=name, k_p=3.0, k_o=0.0), RADII)
+    pose = law.auxiliary_pose(grip.tips, grip.contacts)
+    shift = np.array([1e-3, -2e-3, 3e-3])
+    drive = grip.torque(name, Target(pose.position + shift, pose.orientation), law).drive
+    points = grip.tips.positions if name == "kawamura" else grip.contacts.positions
+    jacobian = hand_jacobian(grip.tips, points).reshape(9, 9)
+    for axis in np.eye(3):
+        rates = np.linalg.solve(jacobian, np.tile(axis, 3))
+        assert drive @ rates == pytest.approx(fingers * 3.0 * shift @ axis, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["optimal", "contact"])
+def test_stiffness_against_a_small_turn_is_twice_k_o(grip, name):
+    law = ManipulationLaw(LawConfig(name=name, k_p=3.0, k_o=0.5), RADII)
+    pose = law.auxiliary_pose(grip.tips, grip.contacts)
+    turn = 1e-4 * np.array([1.0, 2.0, -1.0])
+    wanted = Rotation.from_rotvec(turn).as_matrix() @ pose.orientation
+    drive = grip.torque(name, Target(pose.position, wanted), law).drive
+    for axis in np.eye(3):
+        work = drive @ rigid_rates(grip, np.concatenate([np.zeros(3), axis]))
+        assert work == pytest.approx(2.0 * 0.5 * turn @ axis, rel=1e-6, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["optimal", "contact", "kawamura"])
+def test_at_its_target_and_at_rest_only_the_squeeze_remains(grip, name):
+    law = ManipulationLaw(LawConfig(name=name), RADII)
+    pose = law.auxiliary_pose(grip.tips, grip.contacts)
+    grip.rates = np.zeros(9)
+    parts = grip.torque(name, Target(pose.position, pose.orientation), law)
+    np.testing.assert_allclose(parts.drive, 0.0, atol=1e-13)
+    np.testing.assert_array_equal(parts.damping, 0.0)
+    np.testing.assert_allclose(parts.total, parts.squeeze, atol=1e-13)
+
+
+def integral_law(**integral):
+    return ManipulationLaw(LawConfig(k_p=0.0, k_o=0.0, integral=integral), RADII)
+
+
+def offset(law, grip, shift, turn=(0.0, 0.0, 0.0)):
+    pose = law.auxiliary_pose(grip.tips, grip.contacts)
+    return Target(pose.position + np.array(shift), rotation_from_vector(turn) @ pose.orientation)
+
+
+def test_integral_action_is_the_gain_times_the_integral_of_the_error(grip):
+    law = integral_law(k_p=2.0, k_o=0.4)
+    target = offset(law, grip, (0.01, 0.0, -0.02), (0.0, 0.1, 0.0))
+    for _ in range(100):
+        parts = grip.torque("optimal", target, law)
+    expected = [2.0 * 0.2 * 0.01, 0.0, -2.0 * 0.2 * 0.02, 0.0, 0.4 * 0.2 * 2 * np.sin(0.1), 0.0]
+    np.testing.assert_allclose(law.integral_wrench, expected, atol=1e-12)
+    np.testing.assert_allclose(parts.carry, grip.carrying(expected), atol=1e-10)
+
+
+def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):
+    """Anti-windup: however long the error lasted, one step of the opposite error unloads it."""
+    law = integral_law(k_p=100.0, k_o=100.0, force_limit=2.0, torque_limit=0.3)
+    there = offset(law, grip, (0.3, 0.0, 0.4), (0.0, 0.0, 0.5))
+    for _ in range(500):
+        grip.torque("optimal", there, law)
+    np.testing.assert_allclose(law.integral_wrench, [1.2, 0, 1.6, 0, 0, 0.3], atol=1e-9)
+    grip.torque("optimal", offset(law, grip, (-0.3, 0.0, -0.4)), law)
+    assert np.linalg.norm(law.integral_wrench[:3]) == pytest.approx(2.0 - 100.0 * DT * 0.5)
+
+
+def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
+    plain = ManipulationLaw(LawConfig(), RADII)
+    grip.torque("optimal", law=plain)
+    assert not plain.integral_wrench.any()
+    law = integral_law(k_p=2.0)
+    grip.torque("optimal", law=law)
+    assert law.integral_wrench.any()
+    law.configure(LawConfig(integral={"k_p": 3.0}))
+    assert law.integral_wrench.any()
+    law.configure(LawConfig())
+    grip.torque("optimal", law=law)
+    assert not law.integral_wrench.any()
+    law = integral_law(k_p=2.0)
+    grip.torque("optimal", law=law)
+    law.reset()
+    assert not law.integral_wrench.any()
+
+
+@pytest.mark.parametrize(("off", "part"), [("k_p", slice(0, 3)), ("k_o", slice(3, 6))])
+def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
+    """Its part is forgotten at the next tick; the other one goes on as if nothing had happened."""
+    gains = {"k_p": 2.0, "k_o": 0.4}
+    law, both = integral_law(**gains), integral_law(**gains)
+    target = offset(law, grip, (0.01, 0.03, -0.02), (0.2, 0.1, -0.1))
+    for _ in range(5):
+        grip.torque("optimal", target, law)
+    assert np.abs(law.integral_wrench).min() > 0.0
+    law.configure(LawConfig(k_p=0.0, k_o=0.0, integral={**gains, off: 0.0}))
+    grip.torque("optimal", target, law)
+    for _ in range(6):
+        grip.torque("optimal", target, both)
+    expected = both.integral_wrench
+    expected[part] = 0.0
+    np.testing.assert_array_equal(law.integral_wrench, expected)
+    np.testing.assert_allclose(
+        grip.torque("optimal", target, law).carry, grip.carrying(7.0 / 6.0 * expected), atol=1e-12
+    )
+
+
+def test_integral_and_observed_load_are_carried_together(grip):
+    """Each as it would be alone: the integral of the error, and 1 - exp(-t / T) of the forces."""
+    law = ManipulationLaw(LawConfig(integral={"k_p": 2.0}, observer={"time": 0.02}), RADII)
+    target = offset(law, grip, (0.01, 0.0, -0.02))
+    for _ in range(10):
+        carry = grip.torque("optimal", target, law, forces=FORCES).carry
+    told = law.integral_wrench
+    integral = np.array([2.0 * 10 * DT * 0.01, 0.0, -2.0 * 10 * DT * 0.02, 0.0, 0.0, 0.0])
+    load = (1.0 - np.exp(-10 * DT / 0.02)) * grip.net(FORCES)
+    np.testing.assert_allclose(carry, grip.carrying(integral + load), atol=1e-11)
+    blind = grip.torque("optimal", target, law).carry
+    np.testing.assert_allclose(blind, grip.carrying(1.1 * integral), atol=1e-11)
+    np.testing.assert_allclose(told, integral, atol=1e-12)  # what was told does not change
+
+
+def test_the_observed_load_is_carried_without_integral_action(grip):
+    law = ManipulationLaw(LawConfig(observer={"time": 0.02}), RADII)
+    parts = grip.torque("optimal", law=law, forces=FORCES)
+    load = (1.0 - np.exp(-DT / 0.02)) * grip.net(FORCES)
+    np.testing.assert_allclose(parts.carry, grip.carrying(load), atol=1e-12)
+    off = grip.torque("optimal", law=ManipulationLaw(LawConfig(), RADII), forces=FORCES)
+    np.testing.assert_array_equal(off.carry, 0.0)
+    np.testing.assert_allclose(parts.total, off.total + parts.carry, atol=1e-12)
+
+
+def test_a_load_observer_that_is_switched_off_forgets(grip):
+    """Switched on again it begins without a load, not with one of long ago."""
+    on = LawConfig(observer={"time": 0.02})
+    law, fresh = ManipulationLaw(on, RADII), ManipulationLaw(on, RADII)
+    for _ in range(20):
+        grip.torque("optimal", law=law, forces=FORCES)
+    law.configure(LawConfig())
+    law.configure(on)
+    again = grip.torque("optimal", law=law, forces=FORCES).carry
+    expected = grip.torque("optimal", law=fresh, forces=FORCES).carry
+    np.testing.assert_array_equal(again, expected)
+
+
+def test_reset_forgets_frame_integral_and_load(grip):
+    """A grasp may be taken upside down: the side of its plane is chosen anew, along palm +z."""
+    config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
+    law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
+    for _ in range(20):
+        grip.torque("optimal", law=law, forces=FORCES)
+    turned = moved(grip.contacts, rotation_from_vector([3.0, 0.3, 0.2]), np.zeros(3))
+    assert law.auxiliary_pose(grip.tips, turned).orientation[2, 2] < 0.0
+    law.reset()
+    np.testing.assert_array_equal(
+        law.auxiliary_pose(grip.tips, turned).orientation,
+        fresh.auxiliary_pose(grip.tips, turned).orientation,
+    )
+    law.reset()
+    fresh.reset()
+    for _ in range(3):
+        again = grip.torque("optimal", law=law, forces=FORCES)
+        np.testing.assert_array_equal(
+            again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
+        )
+    np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
+
+
+def test_a_grasp_on_a_line_is_an_error(grip):
+    flat = grip.contacts.positions * [1.0, 0.0, 0.0]
+    contacts = Contacts(flat, grip.contacts.rotations)
+    law = ManipulationLaw(LawConfig(), RADII)
+    with pytest.raises(CollinearContactsError):
+        law.auxiliary_pose(grip.tips, contacts)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The load observer: a low-pass of the net contact force, within limits, deaf to lost forces."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.grasps import contacts_at, literal_grasp_map
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
+
+DT, TIME = 0.002, 0.05
+GRIP = contacts_at(
+    [[0.13, 0.01, 0.40], [-0.11, -0.03, 0.43], [0.02, 0.12, 0.38]],
+    [[-1.0, 0.2, 0.1], [0.9, 0.3, -0.2], [0.1, -1.0, 0.3]],
+)
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+UNLIMITED = {"force_limit": 1e3, "torque_limit": 1e3}
+
+
+def net(forces=FORCES):
+    """Return the wrench of forces in contact frames about the centroid of the grip."""
+    in_palm = [r @ f for r, f in zip(GRIP.rotations, forces, strict=True)]
+    about = literal_grasp_map(GRIP.positions, GRIP.positions.mean(axis=0))
+    return about @ np.concatenate(in_palm)
+
+
+def settled(config):
+    """Return an observer that has seen the same forces for a hundred time constants."""
+    observer = LoadObserver()
+    observer.step(config, GRIP, FORCES, 100.0 * config.time)
+    return observer
+
+
+def test_what_is_carried_is_the_net_force_of_the_contacts_on_the_object():
+    """At rest hat w = f = -w_e: it points against the load, and is about the centroid."""
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    carried = settled(config).wrench
+    np.testing.assert_allclose(carried, net(), rtol=1e-12)
+    assert np.abs(carried[:3]).min() > 0.1 and np.abs(carried[3:]).min() > 0.01
+
+
+def test_a_step_is_met_as_by_a_low_pass():
+    """After n ticks 1 - exp(-n dt / T) of the step is there, however long the ticks are."""
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    for ticks, dt in ((1, DT), (25, DT), (200, DT), (10, 0.005), (1, TIME)):
+        observer = LoadObserver()
+        for _ in range(ticks):
+            carried = observer.step(config, GRIP, FORCES, dt)
+        share = 1.0 - math.exp(-ticks * dt / TIME)
+        np.testing.assert_allclose(carried, share * net(), rtol=1e-12)
+    first = carried.copy()
+    second = observer.step(config, GRIP, -2.0 * FORCES, TIME)
+    np.testing.assert_allclose(second, math.exp(-1.0) * first - 2.0 * share * net(), rtol=1e-12)
+
+
+def test_no_time_passes_and_nothing_is_learnt():
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    observer = settled(config)
+    before = observer.wrench.copy()
+    np.testing.assert_array_equal(observer.step(config, GRIP, 3.0 * FORCES, 0.0), before)
+
+
+@pytest.mark.parametrize(("part", "name"), [(slice(0, 3), "force"), (slice(3, 6), "torque")])
+def test_force_and_torque_are_limited_each_for_itself_in_length_not_in_direction(part, name):
+    full = net()
+    limit = 0.7 * np.linalg.norm(full[part])
+    config = ObserverConfig(time=TIME, **{**UNLIMITED, f"{name}_limit": limit})
+    expected = full.copy()
+    expected[part] *= 0.7
+    np.testing.assert_allclose(settled(config).wrench, expected, rtol=1e-12)
+
+
+def test_the_limited_load_does_not_wind_up():
+    config = ObserverConfig(time=TIME, force_limit=0.5, torque_limit=0.01)
+    observer = LoadObserver()
+    for _ in range(1000):
+        observer.step(config, GRIP, FORCES, DT)
+    full = observer.wrench.copy()
+    np.testing.assert_allclose(
+        [np.linalg.norm(full[:3]), np.linalg.norm(full[3:])], [0.5, 0.01], rtol=1e-12
+    )
+    gone = observer.step(config, GRIP, np.zeros((3, 3)), DT)
+    np.testing.assert_allclose(gone, math.exp(-DT / TIME) * full, rtol=1e-12)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_lost_forces_keep_the_load_until_they_return(value):
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    observer = settled(config)
+    before = observer.wrench.copy()
+    lost = FORCES.copy()
+    lost[1, 2] = value
+    for _ in range(3):
+        np.testing.assert_array_equal(observer.step(config, GRIP, lost, DT), before)
+    doubled = observer.step(config, GRIP, 2.0 * FORCES, DT)
+    np.testing.assert_allclose(doubled, (2.0 - math.exp(-DT / TIME)) * before, rtol=1e-12)
+
+
+def test_a_lost_point_keeps_the_load_though_its_force_is_known():
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    observer = settled(config)
+    before = observer.wrench.copy()
+    positions = GRIP.positions.copy()
+    positions[2] = np.nan
+    lost = Contacts(positions, GRIP.rotations)
+    np.testing.assert_array_equal(observer.step(config, lost, 2.0 * FORCES, DT), before)
+
+
+@pytest.mark.parametrize("forces", [FORCES, np.full((3, 3), np.nan)])
+def test_switched_off_it_carries_nothing(forces):
+    observer = settled(ObserverConfig(time=TIME, **UNLIMITED))
+    carried = observer.step(ObserverConfig(time=0.0), GRIP, forces, DT)
+    np.testing.assert_array_equal(carried, np.zeros(6))
+
+
+def test_reset_forgets_the_load():
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    observer = settled(config)
+    observer.reset()
+    again = observer.step(config, GRIP, FORCES, DT)
+    np.testing.assert_array_equal(again, LoadObserver().step(config, GRIP, FORCES, DT))
+    observer.reset()
+    np.testing.assert_array_equal(observer.wrench, np.zeros(6))
+
+
+def test_a_load_that_was_handed_out_does_not_change_later():
+    config = ObserverConfig(time=TIME, force_limit=0.5, torque_limit=0.01)
+    observer = LoadObserver()
+    carried = observer.step(config, GRIP, FORCES, DT)
+    before = carried.copy()
+    observer.step(config, GRIP, -FORCES, 10.0 * TIME)
+    np.testing.assert_array_equal(carried, before)
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3), st.floats(0.0, 20.0))
+def test_limiting_shortens_and_never_lengthens(values, limit):
+    vector = np.array(values)
+    limit_length(vector, limit)
+    length = np.linalg.norm(values)
+    assert np.linalg.norm(vector) == pytest.approx(min(length, limit), rel=1e-12, abs=1e-100)
+    scaled = np.array(values) * np.linalg.norm(vector)
+    np.testing.assert_allclose(vector * length, scaled, rtol=1e-9, atol=1e-100)
+
+
+def test_a_length_at_its_limit_and_nothing_at_all_stay_to_the_bit():
+    for values, limit in (([3.0, 0.0, 4.0], 5.0), ([0.0, 0.0, 0.0], 0.0)):
+        vector = np.array(values)
+        limit_length(vector, limit)
+        np.testing.assert_array_equal(vector, values)
+    vector = np.array([3.0, 0.0, -4.0])
+    limit_length(vector, 2.5)
+    np.testing.assert_allclose(vector, [1.5, 0.0, -2.0], rtol=1e-15)

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Margins of A1 to A7 on the paper's grasp, and on what breaks them."""
+
+import numpy as np
+import pytest
+from support.plants import plant
+
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.control.contact import Contacts, contact_frame, hand_jacobian
+from tactile_hand_ros.control.margins import (
+    REACTION,
+    GraspWatch,
+    SlipWatch,
+    cone_distances,
+    local_normals,
+)
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
+
+MS = 1_000_000
+HOLDS = np.array([[0.2, 1.0, 0.1], [0.0, 2.0, 0.4], [0.3, 1.0, 0.0]])
+STICK, LOOSE = np.full(3, int(Grip.STICK)), np.full(3, int(Grip.UNKNOWN))
+MU = np.array([0.5, 0.35, 0.8])
+INSIDE = np.array([0.5 - np.hypot(0.2, 0.1), 0.3, 0.5])  # mu f_n - |f_t| of them
+POSTURE = np.array([1.2, 0.1, 1.3, 0.9, -0.2, 1.6, 1.0, 0.3, 1.1])
+RADII = np.array([0.03, 0.06, 0.05])
+
+
+@pytest.fixture
+def grasp():
+    state = plant().state
+    return state.theta, state.contacts
+
+
+def note(watch, stamp, contacts, grip=STICK, evidence=0.1, forces=HOLDS):
+    watch.note(stamp, contacts, forces, MU, grip, np.broadcast_to(evidence, 3).copy())
+
+
+@pytest.fixture(scope="module")
+def hand():
+    """Return a hand whose fingertips differ."""
+    config = load_hand_config("paper")
+    fingers = zip(config.fingers, RADII, strict=True)
+    changed = [finger.model_copy(update={"radius": float(r)}) for finger, r in fingers]
+    return Hand(config.model_copy(update={"fingers": changed}))
+
+
+def leaning(hand, theta, angles):
+    """Return contacts of which each normal leans by its angle from where its fingertip points."""
+    ways = np.array([0.4, 2.5, -1.2])  # round the tip
+    sides = np.array([0.0 * ways, np.cos(ways), np.sin(ways)]).T
+    local = np.cos(angles)[:, None] * [1.0, 0.0, 0.0] + np.sin(angles)[:, None] * sides
+    tips, centres = hand.tip_rotations(theta), hand.tip_positions(theta)
+    normals = np.array([tip @ n for tip, n in zip(tips, local, strict=True)])
+    frames = np.array([contact_frame(n) for n in normals])
+    return Contacts(centres + RADII[:, None] * normals, frames)
+
+
+def test_the_papers_grasp_is_far_from_every_edge(grasp):
+    theta, contacts = grasp
+    hand = Hand.load("paper")
+    margins = GraspWatch(hand).margins(theta, contacts)
+    # The last links point 30 degrees above the horizontal.
+    assert margins.hemisphere == pytest.approx(np.radians(60.0), abs=2e-3)
+    assert margins.face_travel == 0.0
+    jacobian = np.vstack(list(hand_jacobian(hand.fingertips(theta), contacts.positions)))
+    assert 0.05 < margins.joint == pytest.approx(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    extents = np.linalg.svd(contacts.positions - contacts.centroid, compute_uv=False)
+    assert 0.5 < margins.collinearity == pytest.approx(extents[1] / extents[0])
+
+
+def test_normals_in_the_frames_of_their_tips_for_any_number_of_postures(hand):
+    tips = np.array([hand.tip_rotations(theta) for theta in (POSTURE, 0.7 * POSTURE)])
+    normals = rotation_from_vector([0.3, -0.8, 0.5]) @ np.eye(3)
+    expected = np.linalg.solve(tips, np.broadcast_to(normals, (2, 3, 3))[..., None])[..., 0]
+    np.testing.assert_allclose(local_normals(np.array([normals] * 2), tips), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("worst", range(3))
+def test_the_contact_nearest_to_the_rim_of_its_tip_counts(hand, worst):
+    angles = np.roll([1.3, 0.8, 0.4], worst)
+    margins = GraspWatch(hand).margins(POSTURE, leaning(hand, POSTURE, angles))
+    assert margins.hemisphere == pytest.approx(0.5 * np.pi - 1.3)
+    beyond = GraspWatch(hand).margins(POSTURE, leaning(hand, POSTURE, angles + 0.4))
+    assert beyond.hemisphere == pytest.approx(0.5 * np.pi - 1.7)
+
+
+@pytest.mark.parametrize(
+    ("moved", "travel"),
+    [([0.3, 0.1, 0.1], 9e-3), ([0.3, 0.2, 0.1], 12e-3), ([0.1, 0.1, 0.2], 1e-2)],
+)
+def test_the_longest_way_over_a_tip_counts_whatever_the_posture(hand, moved, travel):
+    """An arc of its own radius for each tip; a contact that turns with its finger goes nowhere."""
+    angles, watch = np.array([0.6, 0.3, 0.9]), GraspWatch(hand)
+    bent = POSTURE + [0.1, -0.3, 0.2, 0.0, 0.2, -0.1, 0.3, 0.1, -0.2]
+    watch.margins(POSTURE, leaning(hand, POSTURE, angles))
+    still = watch.margins(bent, leaning(hand, bent, angles)).face_travel
+    assert still == pytest.approx(0.0, abs=1e-8)
+    away = leaning(hand, bent, angles + moved)
+    assert watch.margins(bent, away).face_travel == pytest.approx(travel)
+    watch.reset()
+    assert watch.margins(bent, away).face_travel == pytest.approx(0.0, abs=1e-8)
+
+
+def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
+    theta, contacts = grasp
+    watch = GraspWatch(Hand.load("paper"))
+    watch.margins(theta, contacts)
+    bent = theta.copy()
+    bent[2] += 0.1  # turns the fingertip under its contact by 0.1 rad: 6 mm of 60
+    assert watch.margins(bent, contacts).face_travel == pytest.approx(0.006, rel=0.05)
+    # Rolling round the axis of the tip leads to an edge of the face as well.
+    axis = Hand.load("paper").tip_rotations(theta)[0][:, 0]
+    rolled = contacts.rotations.copy()
+    rolled[0] = rotation_from_vector(0.1 * axis) @ rolled[0]
+    turned = watch.margins(theta, Contacts(contacts.positions, rolled)).face_travel
+    assert turned == pytest.approx(0.006 * np.sin(np.radians(30.0)), rel=0.05)
+    gone = contacts.positions.copy()
+    gone[1] = np.nan
+    lost = watch.margins(bent, Contacts(gone, contacts.rotations))
+    assert lost.collinearity == 0.0 and np.isnan(lost.hemisphere)
+    assert watch.margins(bent, contacts).face_travel == 0.0
+
+
+def test_distance_to_the_cones():
+    np.testing.assert_allclose(cone_distances(HOLDS, MU), INSIDE, atol=1e-12)
+
+
+def test_the_worst_of_an_interval_is_told_and_a_new_one_begins(grasp):
+    contacts, watch = grasp[1], SlipWatch()
+    note(watch, 0, contacts)
+    note(watch, MS, contacts, evidence=[0.1, 0.7, 0.2], forces=0.5 * HOLDS)
+    note(watch, 2 * MS, contacts)
+    assert watch.evidence == pytest.approx(0.3)
+    assert watch.cone == pytest.approx(0.5 * INSIDE.min())
+    assert watch.time_left == REACTION
+    watch.clear()
+    assert np.isnan(watch.evidence) and np.isnan(watch.cone) and np.isnan(watch.load)
+
+
+def test_the_load_is_the_largest_net_force(hand):
+    """Squeezes cancel only where each force is turned out of its own contact frame."""
+    contacts = leaning(hand, POSTURE, np.array([0.6, 0.3, 0.9]))
+    watch, net = SlipWatch(), sum(r @ f for r, f in zip(contacts.rotations, HOLDS, strict=True))
+    for scale in (0.5, 1.0, 0.7):
+        note(watch, 0, contacts, forces=scale * HOLDS)
+    assert watch.load == pytest.approx(np.linalg.norm(net))
+    balanced = np.array(
+        [r.T @ f for r, f in zip(contacts.rotations, np.eye(3) - 1 / 3, strict=True)]
+    )
+    watch.clear()
+    note(watch, MS, contacts, forces=balanced)
+    assert watch.load == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("finger", range(3))
+def test_each_contact_is_judged_by_its_own_friction_and_evidence(grasp, finger):
+    """The two others are unknown."""
+    known = np.where(np.arange(3) == finger, STICK, LOOSE)
+    watch, evidence = SlipWatch(), np.array([0.2, 0.5, 0.9])
+    note(watch, 0, grasp[1], grip=known, evidence=evidence)
+    assert watch.cone == pytest.approx(INSIDE[finger])
+    assert watch.evidence == pytest.approx(1.0 - evidence[finger])
+    note(watch, MS, grasp[1], grip=np.where(known == Grip.STICK, int(Grip.SLIP), known))
+    assert watch.evidence == 0.0 and watch.cone == pytest.approx(INSIDE[finger])
+    note(watch, 11 * MS, grasp[1], grip=np.where(known == Grip.STICK, int(Grip.SLIP), known))
+    assert watch.time_left == pytest.approx(REACTION - 0.010)
+
+
+def test_a_slip_uses_up_the_time_to_react_even_across_intervals(grasp):
+    contacts, watch = grasp[1], SlipWatch()
+    slips = np.array([int(Grip.STICK), int(Grip.SLIP), int(Grip.STICK)])
+    for tick in range(31):
+        if tick == 10:
+            watch.clear()
+        note(watch, tick * MS, contacts, grip=slips)
+    assert watch.evidence == 0.0
+    assert watch.time_left == pytest.approx(REACTION - 0.030)
+    note(watch, 40 * MS, contacts)
+    note(watch, 41 * MS, contacts, grip=slips)
+    assert watch.time_left == pytest.approx(REACTION - 0.030)  # the longest of the interval
+    watch.clear()
+    note(watch, 46 * MS, contacts, grip=slips)
+    assert watch.time_left == pytest.approx(REACTION - 0.005)
+    watch.reset()
+    assert watch.time_left == REACTION and np.isnan(watch.load)
+    note(watch, 60 * MS, contacts, grip=slips)
+    assert watch.time_left == REACTION
+
+
+def test_unknown_is_not_well(grasp):
+    watch = SlipWatch()
+    note(watch, 0, grasp[1], grip=LOOSE)
+    assert np.isnan(watch.evidence) and np.isnan(watch.cone)

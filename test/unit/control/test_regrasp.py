@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Letting go and taking again: the fingers leave the object, come back, and hold it as before."""
+
+import numpy as np
+import pytest
+from support.grasps import contacts_at
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
+from tactile_hand_ros.errors import GraspError
+from tactile_hand_ros.hand.hand import Hand
+
+
+@pytest.fixture(scope="module")
+def story():
+    """Hold for 0.5 s, let go for 1.5 s, and hold again; weightless, so that the cube waits."""
+    changes = {
+        "targets": [],
+        "duration": 6.0,
+        "plant.object.mass": 0.2,
+        "plant.object.friction": 1.0,
+    }
+    loop = ClosedLoop(load_scenario("paper", changes))
+    hand = loop.plant.hand
+    record = Record.empty(loop.scenario.ticks, hand.finger_names, hand.joint_names)
+    for row in range(len(record)):
+        if row == 250:
+            loop.controller.release()
+        if row == 1000:
+            loop.controller.grasp()
+        loop.tick(record, row)
+    return record
+
+
+def test_every_finger_leaves_and_the_object_stays_where_it_was(story):
+    open_ = slice(900, 1000)
+    assert np.isnan(story.true_positions[open_]).all()
+    moved = story.object_position[open_] - story.object_position[240]
+    assert np.linalg.norm(moved, axis=1).max() < 0.02
+
+
+def test_it_is_held_again_with_the_squeeze_that_was_asked_for(story):
+    assert np.isfinite(story.true_positions[-500:]).all()
+    assert story.true_forces[-1, :, 1].sum() == pytest.approx(story.grasp_force[-1], rel=1e-2)
+    assert np.abs(story.rates[-1]).max() < 1e-2
+
+
+def test_the_new_grasp_is_kept_where_it_was_taken(story):
+    assert np.isfinite(story.auxiliary_position[-1]).all()
+    late = story.auxiliary_position[-500:]
+    assert np.linalg.norm(late - late[-1], axis=1).max() < 1e-3
+
+
+def test_there_must_be_a_grasp_to_let_go_of():
+    loop = ClosedLoop(load_scenario("paper"))
+    with pytest.raises(GraspError, match="let all fingers touch"):
+        loop.controller.release()
+
+
+def test_after_an_interruption_the_fingers_go_on_and_do_not_jump():
+    """Closing, then three seconds without touch: the posture is that of the last tick."""
+    loop = ClosedLoop(load_scenario("paper", {"targets": []}))
+    record = Record.empty(200, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    for row in range(200):
+        if row == 50:
+            loop.controller.release()
+        loop.tick(record, row)
+    controller = loop.controller
+    controller.grasp()
+    theta, rates = record.theta[-1], np.zeros(9)
+    nothing = Contacts(np.full((3, 3), np.nan), np.full((3, 3, 3), np.nan))
+    silent = np.full((3, 3), np.nan)
+    stamp = int(record.stamps[-1]) + 2_000_000
+    before = controller.step(stamp, theta, rates, nothing, silent, 10.0).torque
+    controller.hold(theta, rates, "no touch")
+    later = stamp + 3_000_000_000
+    after = controller.step(later, theta, rates, nothing, silent, 10.0).torque
+    np.testing.assert_allclose(after, before, atol=1e-6)
+    gap = controller.step(later + 3_000_000_000, theta, rates, nothing, silent, 10.0).torque
+    assert np.abs(gap - after).max() < 0.2  # a millimetre of stiffness 10 N m/rad
+
+
+CONFIG = RegraspConfig(opening=0.012, speed=0.02, overtravel=0.008)
+THETA = np.tile([1.047, 0.0, 1.571], 3) + np.linspace(-0.2, 0.2, 9)
+DT = 0.05  # 1 mm at that speed
+
+
+class Fingers:
+    """Fingers that touched along unsymmetric normals, followed by the posture they shall have."""
+
+    def __init__(self):
+        self.hand = Hand.load("paper")
+        self.tips = self.hand.fingertips(THETA).positions
+        normals = [[-1.0, 0.2, 0.1], [0.9, 0.3, -0.2], [0.1, -1.0, 0.3]]
+        self.grip = contacts_at(self.tips, normals)
+        self.regrasp = Regrasp(CONFIG, self.hand)
+
+    def touched_by(self, *fingers):
+        """Return contacts of the fingers that are named, and NaN of the others."""
+        there = np.isin(np.arange(3), fingers)
+        return Contacts(
+            np.where(there[:, None], self.grip.positions, np.nan),
+            np.where(there[:, None, None], self.grip.rotations, np.nan),
+        )
+
+    def depths(self, ticks, *touching):
+        """Return how far the fingers are along their normals after ticks, shape (3,), mm."""
+        for _ in range(ticks):
+            posture = self.regrasp.posture(self.touched_by(*touching), DT)
+        moves = self.hand.fingertips(posture).positions - self.tips
+        depths = (moves * self.grip.normals).sum(axis=1)
+        np.testing.assert_allclose(moves, depths[:, None] * self.grip.normals, atol=1e-5)
+        return 1e3 * depths
+
+
+@pytest.fixture
+def fingers():
+    return Fingers()
+
+
+def test_fingers_open_against_their_normals_and_close_beyond_the_contacts(fingers):
+    fingers.regrasp.leave(THETA, fingers.grip)
+    for ticks, depth in ((1, -1.0), (4, -5.0), (7, -12.0), (3, -12.0)):
+        # Whether they still touch makes no difference on the way out.
+        np.testing.assert_allclose(fingers.depths(ticks, 0, 2), depth, atol=0.01)
+    fingers.regrasp.close()
+    for ticks, depth in ((1, -11.0), (11, 0.0), (8, 8.0), (3, 8.0)):
+        np.testing.assert_allclose(fingers.depths(ticks), depth, atol=0.01)
+
+
+def test_while_closing_a_finger_that_touches_waits_for_the_others(fingers):
+    fingers.regrasp.leave(THETA, fingers.grip)
+    fingers.depths(10)
+    fingers.regrasp.close()
+    fingers.depths(2)
+    np.testing.assert_allclose(fingers.depths(5, 1), [-3.0, -8.0, -3.0], atol=0.01)
+    np.testing.assert_allclose(fingers.depths(2, 0, 1), [-3.0, -8.0, -1.0], atol=0.01)
+    np.testing.assert_allclose(fingers.depths(3, 0), [-3.0, -5.0, 2.0], atol=0.01)
+
+
+def test_to_let_go_while_closing_opens_again_from_there_along_the_same_normals(fingers):
+    fingers.regrasp.leave(THETA, fingers.grip)
+    fingers.depths(10)
+    fingers.regrasp.close()
+    fingers.depths(4, 2)
+    other = contacts_at(fingers.tips, np.roll(fingers.grip.normals, 1, axis=0))
+    fingers.regrasp.leave(THETA + 0.1, other)
+    assert fingers.regrasp.active and not fingers.regrasp.closing
+    np.testing.assert_allclose(fingers.depths(1, 0), [-7.0, -7.0, -11.0], atol=0.01)
+    np.testing.assert_allclose(fingers.depths(3), [-10.0, -10.0, -12.0], atol=0.01)
+
+
+def test_a_finger_that_did_not_touch_stays_where_it_is(fingers):
+    fingers.regrasp.leave(THETA, fingers.touched_by(0, 2))
+    np.testing.assert_allclose(fingers.depths(5), [-5.0, 0.0, -5.0], atol=0.01)
+
+
+def test_every_letting_go_begins_anew_at_its_own_posture(fingers):
+    regrasp = fingers.regrasp
+    assert not regrasp.active and not regrasp.closing
+    theta = THETA + 0.1
+    regrasp.leave(theta, fingers.grip)
+    assert regrasp.active and not regrasp.closing
+    fingers.regrasp.posture(fingers.grip, 0.2)
+    regrasp.close()
+    assert regrasp.active and regrasp.closing
+    regrasp.finish()
+    assert not regrasp.active and not regrasp.closing
+    theta[:] = THETA
+    regrasp.leave(theta, fingers.grip)
+    theta += 1.0
+    assert regrasp.active and not regrasp.closing
+    np.testing.assert_allclose(regrasp.posture(fingers.grip, 0.0), THETA, atol=1e-9)
+    np.testing.assert_allclose(fingers.depths(2), -2.0, atol=0.01)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual frame: the paper's definition, rigid motions, and more than three contacts."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from support.grasps import normals, pinch, point_sets, rotations, three_faces, vectors
+
+from tactile_hand_ros.control.virtual_frame import VirtualFrame, best_rotation, orientation_error
+from tactile_hand_ros.errors import CollinearContactsError, GraspError
+from tactile_hand_ros.rotations import rotation_from_vector
+
+
+@given(point_sets(most=3))
+def test_frame_of_three_contacts_is_the_papers(points):
+    r_x, r_y, r_z = VirtualFrame().orientation(points).T
+    a, b = points[0] - points[1], points[2] - points[1]
+    np.testing.assert_allclose(r_x, a / np.linalg.norm(a), atol=1e-9)
+    plane = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
+    assert abs(r_z @ plane) == pytest.approx(1.0)
+    assert r_z[2] >= 0.0
+    np.testing.assert_allclose(np.cross(r_z, r_x), r_y, atol=1e-9)
+
+
+@pytest.mark.parametrize("grasp", [three_faces, pinch])
+def test_the_papers_layouts_start_with_the_identity(grasp):
+    np.testing.assert_allclose(VirtualFrame().orientation(grasp().positions), np.eye(3), atol=1e-15)
+
+
+@given(point_sets(), rotations, vectors)
+def test_frame_turns_with_the_grasp_even_upside_down(points, rotation, shift):
+    """The side of r_z is chosen once: a half turn must turn the frame, not flip it."""
+    frame = VirtualFrame()
+    start = frame.orientation(points)
+    np.testing.assert_allclose(start.T @ start, np.eye(3), atol=1e-9)
+    after = frame.orientation(points @ rotation.T + shift)
+    np.testing.assert_allclose(after, rotation @ start, atol=1e-7)
+
+
+def test_reset_chooses_the_side_anew():
+    frame, points = VirtualFrame(), three_faces().positions
+    over = rotation_from_vector([np.pi, 0.0, 0.0])
+    frame.orientation(points)
+    assert frame.orientation(points @ over.T)[2, 2] == pytest.approx(-1.0)
+    frame.reset()
+    assert frame.orientation(points @ over.T)[2, 2] == pytest.approx(1.0)
+
+
+@settings(max_examples=50)
+@given(point_sets(least=4, margin=0.3), rotations, st.integers(0, 2**32 - 1))
+def test_more_contacts_give_the_best_fitting_rotation(points, rotation, seed):
+    """No rotation nearby fits the moved and disturbed contacts better."""
+    random = np.random.default_rng(seed)
+    frame = VirtualFrame()
+    start = frame.orientation(points)
+    moved = points @ rotation.T + 0.003 * random.standard_normal(points.shape)
+    best = frame.orientation(moved) @ start.T
+    before, after = points - points.mean(axis=0), moved - moved.mean(axis=0)
+
+    def misfit(turn):
+        return np.sum((after - before @ turn.T) ** 2)
+
+    for axis in np.eye(3):
+        for angle in (1e-3, -1e-3):
+            assert misfit(rotation_from_vector(angle * axis) @ best) > misfit(best)
+    assert np.linalg.det(best) == pytest.approx(1.0)
+
+
+def test_best_rotation_is_no_reflection():
+    points = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+    mirrored = points * [1.0, 1.0, -1.0]
+    np.testing.assert_allclose(best_rotation(points, mirrored), np.eye(3), atol=1e-12)
+    cube = np.vstack([points, [[0, 0, 1.0], [0.3, 0, -1.0]]])
+    cube -= cube.mean(axis=0)
+    assert np.linalg.det(best_rotation(cube, -cube)) == pytest.approx(1.0)
+
+
+def test_fingers_in_a_row_against_a_thumb_are_a_grasp():
+    """The first three contacts lie on a line, all four do not: A7 holds."""
+    points = np.array([[0.1, 0.1, 0], [0.0, 0.1, 0], [-0.1, 0.1, 0], [0.0, -0.1, 0]])
+    frame = VirtualFrame()
+    start = frame.orientation(points)
+    np.testing.assert_allclose(start, np.eye(3), atol=1e-12)
+    turn = rotation_from_vector([0.3, -0.2, 0.5])
+    np.testing.assert_allclose(frame.orientation(points @ turn.T), turn, atol=1e-12)
+
+
+def test_points_on_a_line_have_no_frame():
+    line = np.outer([0.0, 1.0, 3.0, 4.0], [0.1, 0.2, 0.3])
+    for k in (3, 4):
+        with pytest.raises(CollinearContactsError):
+            VirtualFrame().orientation(line[:k])
+    with pytest.raises(GraspError, match="at least three"):
+        VirtualFrame().orientation(line[:2])
+    frame = VirtualFrame()
+    frame.orientation(np.vstack([three_faces().positions, [[0.0, 0.0, 0.1]]]))
+    with pytest.raises(CollinearContactsError):
+        frame.orientation(line)
+
+
+@given(rotations, normals, st.floats(-3.1, 3.1))
+def test_orientation_error_is_twice_the_sine_times_the_axis(actual, axis, angle):
+    desired = Rotation.from_rotvec(angle * axis).as_matrix() @ actual
+    expected = 2.0 * np.sin(angle) * axis
+    np.testing.assert_allclose(orientation_error(actual, desired), expected, atol=1e-12)
+
+
+@given(rotations, rotations)
+def test_orientation_error_is_the_papers_sum_of_cross_products(actual, desired):
+    expected = np.cross(actual.T, desired.T).sum(axis=0)
+    np.testing.assert_allclose(orientation_error(actual, desired), expected, atol=1e-12)

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hand: the paper's geometry, Jacobians by finite differences, dynamics by first principles."""
+
+import numpy as np
+import pytest
+from support.hands import tip_rotations, write_hand
+
+from tactile_hand_ros.config.hand_config import find_hand, load_hand_config
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.errors import ConfigurationError, HandModelError
+from tactile_hand_ros.hand.hand import Hand
+
+START = np.tile([1.047, 0.0, 1.571], 3)
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    """A hand of four fingers with 2, 3, 4 and 5 joints."""
+    return Hand.load(str(write_hand(tmp_path_factory.mktemp("hand"), [2, 3, 4, 5])))
+
+
+def random_posture(hand, seed=0):
+    """Return angles and rates away from any symmetry."""
+    random = np.random.default_rng(seed)
+    return random.uniform(-1.2, 1.2, hand.joints), random.uniform(-2.0, 2.0, hand.joints)
+
+
+def orientation_of_tips(hand, theta):
+    """Return the rotations of the tip links, shape (k, 3, 3)."""
+    return tip_rotations(hand.description, [f"{name}_tip" for name in hand.finger_names], theta)
+
+
+def test_tips_of_the_paper_are_where_trigonometry_puts_them():
+    hand = Hand.load("paper")
+    reach = 0.3 * (np.cos(1.047) + np.cos(1.047 + 1.571))
+    height = 0.3 * (np.sin(1.047) + np.sin(1.047 + 1.571))
+    inward = 0.3 + reach
+    expected = [[inward, 0.0, height], [-inward, 0.0, height], [0.0, inward, height]]
+    np.testing.assert_allclose(hand.fingertips(START).positions, expected, atol=1e-12)
+    assert height == pytest.approx(0.4098, abs=5e-5)
+    assert reach == pytest.approx(-0.1099, abs=1.5e-4)
+
+
+def test_second_joint_turns_across_the_first_link():
+    """Joint 2 abducts about z of the frame that joint 1 has turned: perpendicular to link 1."""
+    hand = Hand.load("paper")
+    theta = np.zeros(9)
+    theta[:3] = [0.5, 0.3, 0.0]
+    tip = hand.fingertips(theta).positions[0] - [0.3, 0.0, 0.0]
+    along = 0.6 * np.cos(0.3)
+    np.testing.assert_allclose(
+        tip, [along * np.cos(0.5), 0.6 * np.sin(0.3), along * np.sin(0.5)], atol=1e-12
+    )
+
+
+def test_pinch_layout_moves_the_bases():
+    tips = Hand.load("paper", "pinch").fingertips(START).positions
+    inward = Hand.load("paper").fingertips(START).positions[0, 0]
+    expected = [[0.08, inward], [-0.08, inward], [0.0, -inward]]
+    np.testing.assert_allclose(tips[:, :2], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tip_jacobians_are_the_derivatives_of_the_poses(mixed, seed):
+    theta, rates = random_posture(mixed, seed)
+    tips = mixed.fingertips(theta)
+    before, after = theta - STEP * rates, theta + STEP * rates
+    linear = mixed.fingertips(after).positions - mixed.fingertips(before).positions
+    np.testing.assert_allclose(tips.linear @ rates, linear / (2 * STEP), atol=1e-8)
+    turn = (orientation_of_tips(mixed, after) - orientation_of_tips(mixed, before)) / (2 * STEP)
+    spin = turn @ orientation_of_tips(mixed, theta).transpose(0, 2, 1)
+    expected = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    np.testing.assert_allclose(tips.angular @ rates, expected, atol=1e-8)
+
+
+def test_hand_jacobian_is_the_velocity_of_the_point_of_the_tip(mixed):
+    theta, rates = random_posture(mixed)
+    tips = mixed.fingertips(theta)
+    arms = 0.02 * np.eye(3)[[0, 1, 2, 0]]
+    fixed = np.einsum("kji,kj->ki", orientation_of_tips(mixed, theta), arms)  # in the tip's frame
+
+    def points(angles):
+        turned = np.einsum("kij,kj->ki", orientation_of_tips(mixed, angles), fixed)
+        return mixed.fingertips(angles).positions + turned
+
+    velocity = (points(theta + STEP * rates) - points(theta - STEP * rates)) / (2 * STEP)
+    jacobian = hand_jacobian(tips, tips.positions + arms)
+    np.testing.assert_allclose(jacobian @ rates, velocity, atol=1e-8)
+
+
+def test_a_finger_is_moved_by_its_own_joints_only(mixed):
+    theta, _ = random_posture(mixed)
+    jacobian = mixed.fingertips(theta).linear
+    for i, name in enumerate(mixed.finger_names):
+        own = np.array([joint.startswith(f"{name}_") for joint in mixed.joint_names])
+        assert not jacobian[i][:, ~own].any()
+        assert jacobian[i][:, own].any(axis=0).all()
+    assert (mixed.fingers, mixed.joints) == (4, 14)
+
+
+def test_inertia_is_symmetric_and_gives_the_kinetic_energy(mixed):
+    theta, rates = random_posture(mixed)
+    _, inertia, _ = mixed.dynamics(theta, rates)
+    np.testing.assert_array_equal(inertia, inertia.T)
+    assert np.linalg.eigvalsh(inertia).min() > 0.0
+    assert 0.5 * rates @ inertia @ rates == pytest.approx(mixed.kinetic_energy(theta, rates))
+
+
+def test_bias_conserves_energy_with_gravity(tmp_path):
+    """d/dt (T + V) = 0 along M theta'' = -bias, whatever the motion."""
+    hand = Hand.load(str(write_hand(tmp_path, [3, 4, 5])), gravity=np.array([1.0, -2.0, -9.0]))
+    theta, rates = random_posture(hand, 4)
+    _, inertia, bias = hand.dynamics(theta, rates)
+    acceleration = np.linalg.solve(inertia, -bias)
+
+    def energy(t):
+        at = theta + t * rates + 0.5 * t * t * acceleration
+        return hand.kinetic_energy(at, rates + t * acceleration) + hand.potential_energy(at)
+
+    assert (energy(1e-5) - energy(-1e-5)) / 2e-5 == pytest.approx(0.0, abs=1e-6)
+
+
+def test_gravity_torque_is_the_slope_of_the_potential_energy():
+    hand = Hand.load("paper", gravity=np.array([0.0, 0.0, -9.81]))
+    theta, _ = random_posture(hand)
+    slope = [
+        (hand.potential_energy(theta + e) - hand.potential_energy(theta - e)) / (2 * STEP)
+        for e in STEP * np.eye(9)
+    ]
+    np.testing.assert_allclose(hand.gravity_torque(theta), slope, atol=1e-7)
+    assert not Hand.load("paper").gravity_torque(theta).any()
+
+
+def test_chain_of_a_finger_runs_from_base_to_tip():
+    hand = Hand.load("paper")
+    for chain, tip in zip(hand.joint_positions(START), hand.fingertips(START).positions):
+        np.testing.assert_allclose(chain[-1], tip, atol=1e-12)
+        np.testing.assert_allclose(chain[0][2], 0.0, atol=1e-12)
+        lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+        np.testing.assert_allclose(lengths[lengths > 1e-9], [0.3, 0.3], atol=1e-12)
+
+
+def test_limits_come_from_the_urdf_and_a_missing_effort_is_no_limit(tmp_path):
+    hand = Hand.load("paper")
+    np.testing.assert_array_equal(hand.effort_limits, np.full(9, 20.0))
+    np.testing.assert_array_equal(hand.position_limits[1][:3], [3.1416, 1.5708, 3.1416])
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(urdf.read_text().replace('effort="30"', 'effort="0"'))
+    assert np.isinf(Hand.load(str(path)).effort_limits).all()
+
+
+def edited(tmp_path, old, new, file="hand.urdf"):
+    """Write a good hand with one text replaced; return its YAML file."""
+    path = write_hand(tmp_path, [3, 3, 3])
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("hand.yaml", "tip: f2_tip", "tip: f2_nail", r"'f2'.*'f2_nail'.*f2_tip"),
+        ("hand.yaml", "tip: f2_tip", "tip: f2_base", r"'f2_base'.*not moved by any joint"),
+        ("hand.yaml", "urdf: hand.urdf", "urdf: gone.urdf", r"gone.urdf.*No such file"),
+        ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: f1_tip", r"'f1_tip'.*root"),
+        ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: wrist", r"'wrist'.*root"),
+        ("hand.urdf", "</robot>", "", r"not valid XML"),
+        ("hand.urdf", '<link name="f1_base"/>', "", r"hand.urdf.*not a usable URDF"),
+        ("hand.urdf", 'type="revolute"', 'type="continuous"', r"revolute or prismatic"),
+        ("hand.urdf", 'type="revolute"', 'type="floating"', r"revolute or prismatic"),
+    ],
+)
+def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
+    with pytest.raises(HandModelError, match=message):
+        Hand.load(edited(tmp_path, old, new, file))
+
+
+def test_a_layout_may_move_only_fixed_joints(tmp_path):
+    layouts = "urdf: hand.urdf\nlayouts: {odd: {f1_joint_1: {xyz: [0, 0, 1]}}}"
+    path = edited(tmp_path, "urdf: hand.urdf", layouts, "hand.yaml")
+    with pytest.raises(HandModelError, match=r"'f1_joint_1'.*not a fixed joint.*f1_mount"):
+        Hand.load(path, "odd")
+    assert Hand.load(path).fingers == 3
+
+
+def test_a_layout_without_an_origin_in_the_urdf_is_applied(tmp_path):
+    """A fixed joint without <origin> stands at the origin until a layout moves it."""
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text().replace('<origin xyz="0.3 0.0 0" rpy="0 0 0.0"/>', "")
+    assert text != urdf.read_text()
+    urdf.write_text(text)
+    path.write_text(path.read_text() + "layouts: {up: {f1_mount: {xyz: [0, 0, 1]}}}\n")
+    raised = Hand.load(str(path), "up").fingertips(np.zeros(9)).positions[0]
+    plain = Hand.load(str(path)).fingertips(np.zeros(9)).positions[0]
+    np.testing.assert_allclose(raised - plain, [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_unknown_names_list_the_known_ones(tmp_path):
+    with pytest.raises(HandModelError, match=r"'papr'.*paper"):
+        find_hand("papr")
+    with pytest.raises(HandModelError, match=r"gone.yaml.*does not exist"):
+        find_hand(str(tmp_path / "gone.yaml"))
+    with pytest.raises(HandModelError, match=r"'four_faces'.*three_faces, pinch"):
+        Hand.load("paper", "four_faces")
+
+
+def test_a_hand_file_is_checked(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    text = path.read_text()
+    for old, new, message in [
+        ("name: f2", "name: f1", "finger names must differ"),
+        ("radius: 0.02", "radius: -0.02", r"fingers\[0\].radius is -0.02.*> 0"),
+        ("urdf:", "default_layout: odd\nurdf:", "default_layout 'odd'"),
+        ("urdf:", "colour: red\nurdf:", "unknown key 'colour'"),
+    ]:
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ConfigurationError, match=message):
+            load_hand_config(str(path))
+
+
+def test_two_fingers_are_too_few(tmp_path):
+    with pytest.raises(ConfigurationError, match="fingers"):
+        load_hand_config(str(write_hand(tmp_path, [3, 3])))

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller hears whole ticks, joints alone after a time-out, and no tick twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.manipulation_controller.inputs import ControllerInputs, TickInputs
+from tactile_hand_ros.nodes.manipulation_controller.node import inputs as controller_inputs
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
+from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.ros.ticks.input_watch import InputWatch
+from tactile_hand_ros.rotations import rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+MS = 1_000_000
+DAY = 86_400_000 * MS
+HAND = Hand.load("paper")
+FINGERS = HAND.finger_names
+THETA, RATES = np.linspace(0.1, 0.9, 9), np.linspace(-2.0, 3.0, 9)
+POSITIONS = np.arange(9.0).reshape(3, 3)
+TURNS = np.array([[0.6, 0.0, 0.8, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
+JOINTS = JointCodec(HAND.joint_names, ("position", "velocity", "effort"))
+
+
+class Ear:
+    """A node as far as inputs need one, and the listener; brings messages and keeps what comes."""
+
+    def __init__(self, *, feels: bool = True) -> None:
+        self.now = 0
+        self.diagnostics = Diagnostics("ear")
+        self.callbacks: dict[str, Callable[[bytes], None]] = {}
+        self.heard: list[tuple[Any, ...]] = []
+        self.inputs = ControllerInputs(self, HAND, 0.5, self, feels=feels)  # type: ignore[arg-type]
+
+    def subscribe(
+        self, kind: Any, topic: str, callback: Callable[[bytes], None], **options: Any
+    ) -> None:
+        assert options["raw"]
+        self.callbacks[topic] = callback
+
+    def after_reading(self, callback: Callable[[], None]) -> None:
+        callback()
+
+    def on_tick(self, inputs: TickInputs) -> None:
+        self.heard.append(("tick", inputs))
+
+    def on_repeat(self) -> None:
+        self.heard.append(("repeat",))
+
+    def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
+        self.heard.append(("blind", stamp, theta, rates, reason))
+
+    def on_restart(self) -> None:
+        self.heard.append(("restart",))
+
+    def joints(self, stamp: int) -> None:
+        """Bring joint states, which tell their tick [ms] apart."""
+        data = JOINTS.encode(stamp * MS, THETA + stamp, RATES - stamp, 0.0 * THETA)
+        self.callbacks[interfaces.JOINT_STATES](data)
+
+    def others(self, stamp: int, *, without: str = "") -> None:
+        """Bring everything else of a tick [ms], with other numbers for each finger."""
+        at = stamp * MS
+        data = {
+            interfaces.CONTACTS: ContactsCodec(3).encode(POSITIONS + stamp, TURNS, at),
+            interfaces.GRASP_FORCE: WrenchCodec("palm").encode((7.0, 10.0 + stamp, 8.0), at),
+        }
+        for i, name in enumerate(FINGERS):
+            codec = WrenchCodec(interfaces.contact_frame(name))
+            data[interfaces.optimal_force(name)] = codec.encode((0.1, 0.2 + i, 0.3), at)
+            data[interfaces.wrench(name)] = codec.encode((1.0, 2.0, 3.0 + i), at)
+        for topic, message in data.items():
+            if topic in self.callbacks and topic != without:
+                self.callbacks[topic](message)
+
+    def kinds(self) -> list[Any]:
+        """Return what was heard since the last call, with stamps [ms] of ticks."""
+        heard, self.heard = self.heard, []
+        stamps = {"tick": lambda e: e[1].stamp // MS, "blind": lambda e: e[1] // MS}
+        return [(e[0], stamps[e[0]](e)) if e[0] in stamps else e[0] for e in heard]
+
+    def go_blind(self, first: int) -> int:
+        """Let joints come alone until they are answered; return the tick [ms] of that."""
+        self.joints(first)
+        self.now += 500 * MS
+        self.joints(first + 500)
+        assert self.kinds() == [("blind", first + 500)]
+        return first + 500
+
+    @property
+    def fault(self) -> str:
+        values = {pair.key: pair.value for pair in self.diagnostics.status().values}
+        return values.get("fault inputs", "")
+
+
+@pytest.fixture
+def ear(monkeypatch: pytest.MonkeyPatch) -> Ear:
+    """Return an ear with the clock of a test."""
+    made: list[Ear] = []
+    watch = partial(InputWatch, clock=lambda: made[0].now if made else 0)
+    monkeypatch.setattr(controller_inputs, "InputWatch", watch)
+    made.append(Ear())
+    return made[0]
+
+
+@pytest.mark.parametrize("feels", [True, False])
+@pytest.mark.parametrize("joints_first", [True, False])
+def test_a_tick_has_everything_in_its_place(feels: bool, joints_first: bool) -> None:
+    ear = Ear(feels=feels)
+    for part in (ear.joints, ear.others) if joints_first else (ear.others, ear.joints):
+        assert ear.heard == []
+        part(4)
+    [(kind, inputs)] = ear.heard
+    assert (kind, inputs.stamp) == ("tick", 4 * MS)
+    np.testing.assert_array_equal(inputs.theta, THETA + 4)
+    np.testing.assert_array_equal(inputs.rates, RATES - 4)
+    np.testing.assert_array_equal(inputs.contacts.positions, POSITIONS + 4)
+    np.testing.assert_allclose(inputs.contacts.rotations, rotation_from_quaternion(TURNS))
+    assert inputs.grasp_force == 14.0
+    np.testing.assert_array_equal(
+        inputs.optimal_forces, [[0.1, 0.2, 0.3], [0.1, 1.2, 0.3], [0.1, 2.2, 0.3]]
+    )
+    if feels:
+        np.testing.assert_array_equal(inputs.forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
+    else:
+        assert inputs.forces is None
+
+
+def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:
+    ear.joints(4)
+    ear.others(4)
+    ear.others(4)
+    assert ear.kinds() == [("tick", 4)]
+    ear.joints(4)
+    assert ear.kinds() == ["repeat"]
+
+
+def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> None:
+    """The plant sends it again and again; the answer is that of a fast machine."""
+    ear.joints(2)
+    ear.others(2)
+    for _ in range(50):
+        ear.joints(4)
+        ear.now += 100 * MS
+    assert ear.kinds() == [("tick", 2)] and ear.fault == ""
+    ear.others(4)
+    assert ear.kinds() == [("tick", 4)]
+
+
+def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(ear: Ear) -> None:
+    ear.joints(2)
+    ear.others(2)
+    assert ear.kinds() == [("tick", 2)]
+    for stamp in range(4, 504, 4):
+        ear.joints(stamp)
+        ear.others(stamp, without=interfaces.optimal_force(FINGERS[1]))
+        ear.now += 4 * MS
+    assert ear.kinds() == [] and ear.fault == ""
+    ear.others(504, without=interfaces.optimal_force(FINGERS[1]))
+    ear.joints(504)
+    [(kind, stamp, theta, rates, reason)] = ear.heard
+    assert (kind, stamp) == ("blind", 504 * MS)
+    np.testing.assert_array_equal(theta, THETA + 504)
+    np.testing.assert_array_equal(rates, RATES - 504)
+    expected = f"no optimal_force/{FINGERS[1]}; holding the hand until all inputs are back"
+    assert reason == ear.fault == expected
+    assert ear.diagnostics.status().level == ERROR
+    assert ear.kinds() == [("blind", 504)]
+    ear.joints(508)  # from now on at once
+    assert ear.kinds() == [("blind", 508)]
+
+
+def test_what_is_missing_now_is_told_and_given_as_the_reason(ear: Ear) -> None:
+    ear.inputs.report()
+    assert ear.fault == ""
+    ear.others(2, without=interfaces.GRASP_FORCE)
+    at = ear.go_blind(2)
+    for stamp in range(at + 1, at + 101):  # until the first ones are given up
+        ear.others(stamp, without=interfaces.CONTACTS)
+        ear.joints(stamp)
+    assert "no tactile/contacts, grasp_force" in ear.fault
+    ear.inputs.report()
+    assert ear.fault == "no tactile/contacts; holding the hand until all inputs are back"
+    ear.heard.clear()
+    ear.joints(at + 200)
+    assert ear.heard[0][4] == ear.fault
+
+
+def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
+    """Touch that comes late, of that tick or an older one, only ends the blindness."""
+    at = ear.go_blind(2)
+    ear.joints(at + 4)
+    ear.joints(at + 8)
+    assert ear.kinds() == [("blind", at + 4), ("blind", at + 8)]
+    ear.others(at + 4)
+    assert ear.kinds() == [] and ear.fault == ""
+    ear.others(at + 8)
+    assert ear.kinds() == []
+    ear.joints(at + 9)
+    assert ear.kinds() == []  # no longer blind: the time-out begins anew
+    ear.others(at + 9)
+    assert ear.kinds() == [("tick", at + 9)]
+
+
+def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear: Ear) -> None:
+    ear.joints(2)
+    ear.others(2)
+    assert ear.kinds() == [("tick", 2)]
+    ear.go_blind(4)
+    ear.others(0)
+    ear.joints(0)
+    assert ear.kinds() == ["restart", ("tick", 0)]
+    ear.joints(2)
+    ear.others(2)
+    assert ear.kinds() == [("tick", 2)]
+
+
+def test_a_stamp_may_be_a_day_ahead_of_the_ticks_and_not_more(ear: Ear) -> None:
+    ear.inputs.check_time(10**18)  # nobody knows yet
+    ear.joints(2)
+    ear.others(2)
+    ear.inputs.check_time(2 * MS + DAY)
+    with pytest.raises(MessageError, match="86400 s ahead of the ticks, which are at 0.002 s"):
+        ear.inputs.check_time(2 * MS + DAY + 1)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever the timer does, as many ticks come due as time has passed, and delays are counted."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.nodes.plant.pacing import Pace
+
+TICK = 1_000_000
+
+
+class Hands:
+    """The hands of a clock that a test moves."""
+
+    def __init__(self):
+        self.now = 0
+
+    def __call__(self):
+        return self.now
+
+
+def pace():
+    hands = Hands()
+    return Pace(TICK, hands), hands
+
+
+def test_a_punctual_timer_gives_one_tick_each_time():
+    made, hands = pace()
+    for n in range(1, 6):
+        hands.now = n * TICK
+        assert made.due() == 1
+    assert made.missed == 0
+
+
+@pytest.mark.parametrize(("late", "due"), [(-0.6, 0), (-0.4, 1), (0.6, 1), (1.2, 2), (3.0, 4)])
+def test_early_and_late_calls(late, due):
+    made, hands = pace()
+    hands.now = round((1 + late) * TICK)
+    assert made.due() == due
+    assert made.missed == max(0, due - 1)
+
+
+def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
+    made, hands = pace()
+    hands.now = 1001 * TICK
+    assert made.due() == 1
+    for _ in range(3):
+        hands.now += TICK
+        assert made.due() == 1
+    assert made.lost_ns == 1000 * TICK
+    assert made.missed == 0  # nobody waits for what is given up
+    hands.now += 2001 * TICK
+    assert made.due() == 1
+    assert made.lost_ns == 3000 * TICK
+    shown = {}
+    made.report(shown.__setitem__)
+    assert (shown["lost_s"], shown["missed_ticks"]) == (pytest.approx(3.0), 0)
+    assert shown["jitter_max_us"] == "0"
+
+
+@pytest.mark.parametrize(("late", "due", "lost"), [(0, 201, 0), (1, 1, 200 * TICK + 1)])
+def test_time_up_to_a_fifth_of_a_second_is_made_up_for(late, due, lost):
+    made, hands = pace()
+    hands.now = 201 * TICK + late
+    assert made.due() == due
+    assert (made.missed, made.lost_ns) == (due - 1, lost)
+
+
+@given(st.lists(st.integers(0, 20 * TICK) | st.integers(0, 900 * TICK), max_size=50))
+def test_all_time_is_ticks_or_lost_and_all_ticks_are_seen_or_missed(steps):
+    made, hands = pace()
+    total, calls = 0, 0
+    for step in steps:
+        hands.now += step
+        due = made.due()
+        total += due
+        calls += due > 0
+        assert abs(hands.now - total * TICK - made.lost_ns) <= TICK
+        assert made.missed == total - calls
+
+
+def test_a_new_start_counts_from_now():
+    made, hands = pace()
+    hands.now = 1000 * TICK
+    made.start()
+    assert made.due() == 0
+    hands.now += TICK
+    assert made.due() == 1
+    assert (made.missed, made.lost_ns) == (0, 0)
+
+
+def test_the_report_names_delays_in_microseconds():
+    made, hands = pace()
+    shown = {}
+    made.report(shown.__setitem__)
+    assert shown == {"missed_ticks": 0, "lost_s": 0.0}
+    hands.now = TICK + 300_000
+    made.due()
+    made.report(shown.__setitem__)
+    assert shown["jitter_max_us"] == "300"

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures can be drawn of every record, also of runs that went wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.recorded import random_record
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
+from tactile_hand_ros.report.scene import grasp_figure
+from tactile_hand_ros.report.style import DPI, PAGE, finger_color, law_color, save
+
+
+def lost(record: Record) -> Record:
+    """Let go of the object half-way."""
+    half = len(record) // 2
+    for array in (record.contact_positions, record.contact_quaternions, record.optimal_forces):
+        array[half:] = np.nan
+    record.auxiliary_position[half:] = record.auxiliary_quaternion[half:] = np.nan
+    return record
+
+
+RECORDS = {
+    "good": random_record(),
+    "blind": random_record(truth=False),
+    "lost": lost(random_record()),
+    "short": random_record(ticks=1),
+}
+
+
+@pytest.mark.parametrize("record", RECORDS.values(), ids=RECORDS)
+def test_every_figure_can_be_drawn(record: Record, tmp_path: Path) -> None:
+    figures = {
+        "fig2": grasp_figure(record, load_scenario("paper")),
+        "fig3": motion_figure(record),
+        "fig4": friction_figure({"one": record, "other": record}),
+        "laws": law_figure({"(8)": record, "(14)": record}),
+    }
+    for name, figure in figures.items():
+        for file in save(figure, tmp_path, name):
+            assert file.stat().st_size > 5000
+    for file in tmp_path.glob("*.png"):
+        with Image.open(file) as picture:
+            assert abs(picture.width - PAGE * DPI) <= 1
+            assert len(picture.convert("L").getcolors()) > 10  # not an empty page
+    assert len(list(tmp_path.iterdir())) == 8
+
+
+def test_lines_are_the_numbers_of_the_record() -> None:
+    record = RECORDS["good"]
+    rates, position, _, forces = motion_figure(record).axes
+    for joint, line in enumerate(rates.lines):
+        np.testing.assert_array_equal(line.get_ydata(), record.rates[:, joint])
+    for axis in range(3):
+        actual, target = position.lines[2 * axis : 2 * axis + 2]
+        np.testing.assert_array_equal(actual.get_ydata(), record.auxiliary_position[:, axis])
+        np.testing.assert_array_equal(target.get_ydata(), record.desired_position[:, axis])
+    np.testing.assert_array_equal(forces.lines[0].get_ydata(), record.forces[1:, 0, 1])
+    expected = record.grasp_force * record.optimal_forces[:, 0, 1]
+    np.testing.assert_array_equal(forces.lines[1].get_ydata(), expected)
+
+
+def test_units_stand_on_the_axes() -> None:
+    labels = [axes.get_ylabel() for axes in motion_figure(RECORDS["good"]).axes]
+    for label, unit in zip(labels, ["rad/s", "m", "rad", "N"], strict=True):
+        assert label.endswith(f"[{unit}]")
+
+
+def test_loss_of_contact_is_marked() -> None:
+    for name, marks in (("good", 0), ("lost", 4)):
+        texts = [text.get_text() for a in motion_figure(RECORDS[name]).axes for text in a.texts]
+        assert texts.count("contact lost") == marks
+
+
+def test_same_record_gives_same_files(tmp_path: Path) -> None:
+    """Figures in documentation change only when numbers do."""
+    files = [
+        save(motion_figure(RECORDS["good"]), tmp_path / folder, "fig") for folder in ("a", "b")
+    ]
+    for one, other in zip(*files, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_no_colour_means_two_things() -> None:
+    fingers = {finger_color(i) for i in range(6)}
+    assert len(fingers) == 6
+    assert len({law_color(i) for i in range(3)} | fingers) == 9

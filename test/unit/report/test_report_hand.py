@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tree of links that the page draws is the hand of the physics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report.urdf import hand_tree
+from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
+
+SLIDER = """<robot name="gripper">
+  <link name="palm"/>
+  <joint name="slide" type="prismatic"><parent link="palm"/><child link="jaw"/>
+    <origin xyz="0 0 1" rpy="0 1.5707963267948966 0"/><axis xyz="1 0 0"/></joint>
+  <link name="jaw"><visual><geometry><sphere radius="0.02"/></geometry></visual></link>
+</robot>"""
+
+
+def tips_of(tree: dict[str, Any], theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the tips by walking the tree as the page does, shape (k, 3)."""
+    places: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    for link in tree["links"]:
+        place = np.array(link["xyz"])
+        turn = rotation_from_quaternion(link["quaternion"])
+        value = theta[link["joint"]] if link.get("joint", -1) >= 0 else 0.0
+        if link.get("motion") == "turn":
+            turn = turn @ rotation_from_vector(value * np.array(link["axis"]))
+        elif link.get("motion") == "slide":
+            place = place + turn @ (value * np.array(link["axis"]))
+        if link["parent"] >= 0:
+            above, frame = places[link["parent"]]
+            place, turn = above + frame @ place, frame @ turn
+        places.append((place, turn))
+    return np.array([places[tip["link"]][0] for tip in tree["tips"]])
+
+
+@pytest.mark.parametrize("layout", ["three_faces", "pinch"])
+def test_tips_are_where_the_physics_has_them(layout: str) -> None:
+    hand = Hand.load("paper", layout)
+    tips = {f.tip: (f.name, f.radius) for f in load_hand_config("paper").fingers}
+    tree = hand_tree(hand.description, hand.joint_names, tips)
+    theta = np.random.default_rng(3).uniform(-1.0, 1.5, hand.joints)
+    np.testing.assert_allclose(tips_of(tree, theta), hand.fingertips(theta).positions, atol=1e-12)
+    assert [tip["finger"] for tip in tree["tips"]] == hand.finger_names
+    assert [tip["radius"] for tip in tree["tips"]] == hand.radii.tolist()
+
+
+def test_tips_of_an_unknown_hand_are_its_drawn_spheres() -> None:
+    tree = hand_tree(SLIDER, ["slide"], {})
+    assert tree["tips"] == [{"link": 1, "finger": "", "radius": 0.02}]
+    np.testing.assert_allclose(tips_of(tree, np.array([0.1])), [[0.0, 0.0, 0.9]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("</robot>", "", "not valid XML"),
+        ('xyz="0 0 1"', 'xyz="0 0"', "three numbers"),
+        ('radius="0.02"', 'radius="wide"', "a number"),
+        ('<parent link="palm"/>', "", "no <parent>"),
+    ],
+)
+def test_a_broken_urdf_is_refused(old: str, new: str, message: str) -> None:
+    with pytest.raises(HandModelError, match=message):
+        hand_tree(SLIDER.replace(old, new), ["slide"], {})
+
+
+def test_links_in_a_circle_end() -> None:
+    circle = SLIDER.replace(
+        "</robot>",
+        '<joint name="back" type="fixed"><parent link="jaw"/><child link="jaw"/></joint></robot>',
+    )
+    assert len(hand_tree(circle, ["slide"], {})["links"]) == 2

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays survive the way into messages and back; bad content gives one clear sentence."""
+
+import array
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.ros.messages import conversions as c
+from tactile_hand_ros.ros.messages.wire import ContactsCodec
+from tactile_hand_ros.rotations import rotation_from_quaternion
+
+NAMES = ["f1_j1", "f1_j2", "f2_j1"]
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+vectors = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3).map(np.array)
+
+
+def over_the_wire(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def contacts(count=3):
+    turns = np.random.default_rng(1).normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    return np.arange(3.0 * count).reshape(count, 3), turns
+
+
+@given(stamps)
+def test_stamps_are_exact(stamp):
+    assert c.stamp_to_ns(c.stamp_from_ns(stamp)) == stamp
+    assert c.stamp_to_ns(c.stamp_from_ns(np.int64(stamp))) == stamp
+
+
+@given(stamps, vectors, vectors)
+def test_joint_states_round_trip(stamp, position, effort):
+    order = c.JointOrder(NAMES)
+    message = over_the_wire(order.write(stamp, position=position, effort=effort))
+    assert c.stamp_to_ns(message.header.stamp) == stamp
+    np.testing.assert_array_equal(order.read(message, "position"), position)
+    np.testing.assert_array_equal(order.read(message, "effort"), effort)
+    assert len(message.velocity) == 0
+
+
+def test_joints_are_brought_into_the_order_of_the_hand():
+    message = JointState(name=["f2_j1", "f1_j1", "f1_j2"], effort=[3.0, 1.0, 2.0])
+    order = c.JointOrder(NAMES)
+    for _ in range(2):
+        np.testing.assert_array_equal(order.read(message, "effort"), [1.0, 2.0, 3.0])
+    other = JointState(name=["f1_j2", "f1_j1", "f2_j1"], effort=[2.0, 1.0, 3.0])
+    np.testing.assert_array_equal(order.read(other, "effort"), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(order.read(message, "effort"), [1.0, 2.0, 3.0])
+
+
+def test_a_joint_message_is_filled_again_in_its_own_memory():
+    order = c.JointOrder(NAMES)
+    message = order.write(1, effort=np.ones(3))
+    memory = message.effort
+    assert order.write(2, effort=np.array([4.0, 5.0, 6.0]), out=message) is message
+    assert message.effort is memory
+    assert memory == array.array("d", [4.0, 5.0, 6.0])
+    order.write(3, effort=np.ones(2), out=message)
+    assert len(message.effort) == 2
+
+
+def test_numbers_of_other_types_are_converted():
+    order = c.JointOrder(NAMES)
+    message = order.write(1, effort=np.array([1.5, 2.5, 3.5], dtype=np.float32))
+    assert list(message.effort) == [1.5, 2.5, 3.5]
+    assert c.force_to_ros(np.array([1, 2, 3]), 1, "f").wrench.force.y == 2.0
+    assert over_the_wire(c.force_to_ros(np.float32([1.5, 0, 0]), 1, "f")).wrench.force.x == 1.5
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (JointState(name=["f1_j1", "f1_j2", "f2_jl"]), "unknown joint 'f2_jl', did you mean"),
+        (JointState(name=["f1_j1", "f1_j2"]), "joint 'f2_j1' is missing"),
+        (JointState(name=[*NAMES, "f1_j1"]), "4 joints, expected each of 3 once"),
+        (JointState(name=NAMES, effort=[1.0, 2.0]), "effort has 2 values, expected 3"),
+        (JointState(name=NAMES, effort=[1.0, np.nan, 0.0]), "effort of joint 'f1_j2' is nan"),
+        (JointState(name=NAMES, effort=[1.0, 0.0, np.inf]), "effort of joint 'f2_j1' is inf"),
+    ],
+)
+def test_a_bad_joint_message_is_refused(message, words):
+    order = c.JointOrder(NAMES)
+    with pytest.raises(MessageError, match=words):
+        order.read(message, "effort")
+    good = JointState(name=NAMES, effort=[1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(order.read(good, "effort"), [1.0, 2.0, 3.0])
+
+
+def test_huge_but_finite_values_pass():
+    assert c.all_finite(np.array([1e300, -1e300]))
+    assert not c.all_finite(np.array([1e300, np.inf]))
+    assert not c.all_finite(np.array([np.nan]))
+    assert c.all_finite(np.empty(0))
+
+
+def test_contacts_round_trip_with_a_finger_in_the_air():
+    positions, turns = contacts()
+    positions[1] = np.nan
+    message = over_the_wire(c.contacts_to_ros(positions, turns, 5))
+    assert len(message.poses) == 3
+    assert message.header.frame_id == "palm"
+    got = c.contacts_from_ros(message, 3)
+    np.testing.assert_array_equal(got.positions, positions)
+    np.testing.assert_array_equal(got.quaternions[[0, 2]], turns[[0, 2]])
+    assert np.isnan(got.quaternions[1]).all()
+
+
+def test_contacts_are_filled_again_or_grown():
+    positions, turns = contacts()
+    message = c.contacts_to_ros(positions, turns, 1)
+    poses = list(message.poses)
+    assert c.contacts_to_ros(positions + 1.0, turns, 2, out=message) is message
+    assert all(a is b for a, b in zip(message.poses, poses, strict=True))
+    assert message.poses[2].position.z == 9.0
+    assert len(c.contacts_to_ros(*contacts(4), 3, out=message).poses) == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: m.poses.pop(), "2 contacts, expected 3"),
+        (lambda m: setattr(m.header, "frame_id", "world"), "frame_id is 'world', expected 'palm'"),
+        (lambda m: setattr(m.poses[1].position, "x", np.nan), r"contact 1 is at \(nan"),
+        (lambda m: setattr(m.poses[1].position, "x", np.inf), r"contact 1 is at \(inf"),
+        (lambda m: setattr(m.poses[2].orientation, "w", 9.0), "contact 2 has the quaternion"),
+        (lambda m: setattr(m.poses[2].orientation, "w", np.nan), "contact 2 has the quaternion"),
+    ],
+)
+def test_bad_contacts_are_refused(change, words):
+    message = c.contacts_to_ros(*contacts(), 1)
+    change(message)
+    with pytest.raises(MessageError, match=words):
+        c.contacts_from_ros(message, 3)
+
+
+@given(stamps, vectors)
+def test_forces_round_trip(stamp, force):
+    used = WrenchStamped()
+    message = c.force_to_ros(force, stamp, "f1_contact", out=used)
+    assert message is used
+    got = over_the_wire(message)
+    np.testing.assert_array_equal(c.force_from_ros(got, frame="f1_contact"), force)
+    assert c.stamp_to_ns(got.header.stamp) == stamp
+    assert got.wrench.torque.x == 0.0
+
+
+def test_bad_forces_are_refused():
+    message = c.force_to_ros((0.0, np.nan, 0.0), 1, "f1_contact")
+    with pytest.raises(MessageError, match=r"force is \(0.0, nan, 0.0\)"):
+        c.force_from_ros(message)
+    with pytest.raises(MessageError, match="frame_id is 'f1_contact', expected 'f2_contact'"):
+        c.force_from_ros(message, frame="f2_contact")
+    with pytest.raises(MessageError, match="force.y is nan"):
+        c.normal_force_from_ros(message)
+
+
+def test_a_normal_force_is_the_y_component():
+    message = c.normal_force_to_ros(10.0, 7)
+    assert (message.wrench.force.x, message.wrench.force.y) == (0.0, 10.0)
+    assert c.normal_force_from_ros(message) == 10.0
+
+
+def test_poses_round_trip_as_matrix_and_as_quaternion():
+    _, turns = contacts(1)
+    rotation = rotation_from_quaternion(turns[0])
+    for given_rotation in (rotation, turns[0]):
+        message = over_the_wire(c.pose_to_ros((1.0, 2.0, 3.0), given_rotation, 9))
+        pose = c.pose_from_ros(message)
+        np.testing.assert_array_equal(pose.position, (1.0, 2.0, 3.0))
+        np.testing.assert_allclose(pose.rotation, rotation, atol=1e-15)
+    used = PoseStamped()
+    assert c.pose_to_ros((1.0, 2.0, 3.0), rotation, 9, out=used) is used
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: setattr(m.pose.position, "z", np.nan), "position is"),
+        (lambda m: setattr(m.header, "frame_id", ""), "frame_id is '', expected 'palm'"),
+        (lambda m: setattr(m.pose.orientation, "w", 0.0), "expected one of length 1"),
+    ],
+)
+def test_bad_poses_are_refused(change, words):
+    message = c.pose_to_ros((1.0, 2.0, 3.0), np.eye(3), 1)
+    change(message)
+    with pytest.raises(MessageError, match=words):
+        c.pose_from_ros(message)
+
+
+@pytest.mark.parametrize(("square", "taken"), [(0.9989, 0), (0.9991, 1), (1.0009, 1), (1.0011, 0)])
+def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused(square, taken):
+    """In a pose, in contacts and in the bytes of contacts alike, longer ones as shorter ones."""
+    positions, turns = contacts()
+    rotation = rotation_from_quaternion(turns[1])
+    turns[1] *= np.sqrt(square)
+    pose = c.pose_to_ros(positions[1], turns[1], 1)
+    poses = c.contacts_to_ros(positions, turns, 1)
+    codec = ContactsCodec(3)
+    data = codec.encode(positions, turns, 1)
+    if not taken:
+        for read in (
+            lambda: c.pose_from_ros(pose),
+            lambda: c.contacts_from_ros(poses, 3),
+            lambda: codec.decode(data),
+        ):
+            with pytest.raises(MessageError, match="expected one of length 1"):
+                read()
+        return
+    # What follows must not be stretched by it.
+    np.testing.assert_allclose(c.pose_from_ros(pose).rotation, rotation, atol=1e-15)
+    for got in (c.contacts_from_ros(poses, 3), codec.decode(data)[1]):
+        np.testing.assert_array_equal(got.quaternions, turns)
+        got = Contacts.from_poses(*got)
+        np.testing.assert_allclose(got.rotations[1], rotation, atol=1e-15)
+
+
+def test_plain_numbers():
+    assert c.number_from_ros(Float64(data=2.0)) == 2.0
+    with pytest.raises(MessageError, match="k_f is inf"):
+        c.number_from_ros(float("inf"), "k_f")
+
+
+def test_rumble_is_cut_to_its_range():
+    message = over_the_wire(c.feedback_to_ros((0.5, 7.0, -1.0)))
+    assert [item.intensity for item in message.array] == [0.5, 1.0, 0.0]
+    assert [item.id for item in message.array] == [0, 1, 2]
+    assert {item.type for item in message.array} == {1}
+    assert c.feedback_to_ros((0.1, 0.2, 0.3), out=message) is message
+
+
+def test_clock():
+    message = c.clock_to_ros(1_500_000_000)
+    assert (message.clock.sec, message.clock.nanosec) == (1, 500_000_000)
+    assert c.clock_to_ros(2_000_000_000, out=message) is message
+
+
+def test_an_empty_contact_array_is_refused():
+    message = PoseArray()
+    message.header.frame_id = "palm"
+    with pytest.raises(MessageError, match="0 contacts, expected 3"):
+        c.contacts_from_ros(message, 3)

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes written in place are those that ROS reads, and bytes of others are read as ROS would."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.ros.messages import conversions as c
+from tactile_hand_ros.ros.messages.wire import (
+    ContactsCodec,
+    JointCodec,
+    PoseCodec,
+    WrenchCodec,
+    clock_bytes,
+)
+
+FIELDS = ("position", "velocity", "effort")
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+names = st.lists(st.text("abc_1é", min_size=1, max_size=9), min_size=1, max_size=9, unique=True)
+
+
+def vectors(size):
+    return arrays(np.float64, size, elements=numbers)
+
+
+def unit_quaternions(count):
+    turns = np.random.default_rng(count).normal(size=(count, 4))
+    return turns / np.linalg.norm(turns, axis=1, keepdims=True)
+
+
+def same_bits(ours, theirs):
+    """Compare to the bit, so that -0.0 is not 0.0."""
+    assert np.asarray(ours, dtype=float).tobytes() == np.asarray(theirs, dtype=float).tobytes()
+
+
+@given(stamps, vectors(3), st.text("abc_1é", max_size=20))
+def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
+    codec = WrenchCodec(frame)
+    data = codec.encode(force, stamp)
+    message = deserialize_message(data, WrenchStamped)
+    assert c.stamp_to_ns(message.header.stamp) == stamp and message.header.frame_id == frame
+    same_bits(c.force_from_ros(message), force)
+    for received in (data, serialize_message(c.force_to_ros(force, stamp, frame))):
+        found, ours = codec.decode(received)
+        assert found == stamp
+        same_bits(ours, force)
+
+
+@given(stamps, st.integers(1, 6), st.data())
+def test_contacts_are_read_by_ros_and_by_us(stamp, count, data):
+    positions = data.draw(vectors((count, 3)))
+    quaternions = unit_quaternions(count)
+    open_ = data.draw(st.lists(st.booleans(), min_size=count, max_size=count))
+    positions[open_], quaternions[open_] = np.nan, np.nan
+    codec = ContactsCodec(count)
+    ours = codec.encode(positions, quaternions, stamp)
+    theirs = serialize_message(c.contacts_to_ros(positions, quaternions, stamp))
+    read = c.contacts_from_ros(deserialize_message(ours, PoseArray), count)
+    for stamp_read, found in ((stamp, read), codec.decode(ours), codec.decode(theirs)):
+        assert stamp_read == stamp
+        np.testing.assert_array_equal(found.positions, positions)
+        np.testing.assert_array_equal(found.quaternions, quaternions)
+
+
+@given(stamps, names, st.sets(st.sampled_from(FIELDS), min_size=1), st.data())
+def test_joints_are_read_by_ros_and_by_us(stamp, joints, chosen, data):
+    fields = [field for field in FIELDS if field in chosen]
+    values = [data.draw(vectors(len(joints))) for _ in fields]
+    codec = JointCodec(joints, fields)
+    ours = codec.encode(stamp, *values)
+    message = deserialize_message(ours, JointState)
+    assert message.name == joints
+    for field in FIELDS:
+        expected = values[fields.index(field)] if field in fields else []
+        same_bits(getattr(message, field), expected)
+    given_fields = dict(zip(fields, values, strict=True))
+    theirs = serialize_message(c.JointOrder(joints).write(stamp, **given_fields))
+    for received in (ours, theirs):
+        found, arrays_read = codec.decode(received)
+        assert found == stamp
+        for read, value in zip(arrays_read, values, strict=True):
+            same_bits(read, value)
+
+
+@given(stamps, vectors(3))
+def test_pose_and_clock_are_read_by_ros(stamp, position):
+    (quaternion,) = unit_quaternions(1)
+    pose = deserialize_message(PoseCodec().encode(position, quaternion, stamp), PoseStamped)
+    same_bits(c.pose_from_ros(pose).position, position)
+    turn = pose.pose.orientation
+    same_bits([turn.x, turn.y, turn.z, turn.w], quaternion)
+    assert c.stamp_to_ns(pose.header.stamp) == stamp
+    clock = deserialize_message(clock_bytes(stamp), Clock)
+    assert c.stamp_to_ns(clock.clock) == stamp
+
+
+def test_what_was_read_does_not_change_with_the_next_message():
+    codec = WrenchCodec("a")
+    _, first = codec.decode(codec.encode((1.0, 2.0, 3.0), 1))
+    codec.decode(codec.encode((4.0, 5.0, 6.0), 2))
+    np.testing.assert_array_equal(first, [1.0, 2.0, 3.0])
+    first[0] = 9.0  # an array of its own
+
+
+def test_joints_of_a_sender_with_another_order_are_sorted():
+    codec = JointCodec(["a", "b", "c"], FIELDS, wanted=("position", "velocity"))
+    message = JointState(name=["c", "a", "b"], position=[3.0, 1.0, 2.0], velocity=[6.0, 4.0, 5.0])
+    _, (position, velocity) = codec.decode(serialize_message(message))
+    np.testing.assert_array_equal(position, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(velocity, [4.0, 5.0, 6.0])
+
+
+def test_a_field_that_is_not_wanted_may_be_nan():
+    codec = JointCodec(["a"], FIELDS, wanted=("position",))
+    _, (position,) = codec.decode(codec.encode(1, [1.0], [np.nan], [np.nan]))
+    assert position == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (JointState(name=["a", "x"], effort=[1.0, 2.0]), "unknown joint 'x'"),
+        (JointState(name=["a"], effort=[1.0]), "joint 'b' is missing"),
+        (JointState(name=["a", "b"], effort=[1.0]), "effort has 1 values"),
+        (JointState(name=["a", "b"], effort=[1.0, math.nan]), "effort of joint 'b' is nan"),
+        (JointState(name=["a", "b"]), "effort has 0 values"),
+    ],
+)
+def test_a_wrong_command_is_refused_in_words(message, words):
+    with pytest.raises(MessageError, match=words):
+        JointCodec(["a", "b"], ("effort",)).decode(serialize_message(message))
+
+
+def test_a_force_in_another_frame_is_refused_unless_the_frame_does_not_matter():
+    data = WrenchCodec("tip").encode((0.0, 7.0, 0.0), 5)
+    with pytest.raises(MessageError, match="frame_id is 'tip', expected 'palm'"):
+        WrenchCodec("palm").decode(data)
+    stamp, force = WrenchCodec("palm", any_frame=True).decode(data)
+    assert stamp == 5 and force[1] == 7.0
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_force_that_is_no_number_is_refused(wrong):
+    data = WrenchCodec("tip").encode((0.0, wrong, 0.0), 5)
+    with pytest.raises(MessageError, match="expected three finite numbers"):
+        WrenchCodec("tip").decode(data)
+
+
+def test_nan_can_be_an_answer_but_not_infinity_or_another_frame():
+    codec = WrenchCodec("tip", nan_allowed=True)
+    stamp, force = codec.decode(codec.encode((math.nan, 0.0, 0.0), 5))
+    assert stamp == 5 and np.isnan(force).all()
+    with pytest.raises(MessageError):
+        codec.decode(codec.encode((math.inf, 0.0, 0.0), 5))
+    with pytest.raises(MessageError):
+        codec.decode(WrenchCodec("other").encode((math.nan, 0.0, 0.0), 5))
+
+
+def test_wrong_contacts_are_refused():
+    positions, quaternions = np.zeros((3, 3)), unit_quaternions(3)
+    data = ContactsCodec(3).encode(positions, quaternions, 1)
+    with pytest.raises(MessageError, match="3 contacts, expected 4"):
+        ContactsCodec(4).decode(data)
+    with pytest.raises(MessageError, match="length 1"):
+        ContactsCodec(3).decode(ContactsCodec(3).encode(positions, 2.0 * quaternions, 1))
+    positions[1, 1] = np.nan
+    with pytest.raises(MessageError, match="numbers or all NaN"):
+        ContactsCodec(3).decode(ContactsCodec(3).encode(positions, quaternions, 1))
+
+
+def test_a_message_is_written_with_all_its_blocks_or_not_at_all() -> None:
+    """Fewer would leave numbers of an earlier message in the others."""
+    joints = JointCodec(["a", "b"], ("position", "velocity"))
+    with pytest.raises(ValueError, match="zip"):
+        joints.encode(0, np.zeros(2))

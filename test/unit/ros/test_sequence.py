@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lost messages are counted from sequence numbers."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.ros.sequence import SequenceTracker
+
+
+def lost(numbers: list[int], publishers: int = 1) -> int:
+    """Return the losses that the tracker finds in a stream of numbers."""
+    tracker = SequenceTracker(publishers)
+    for number in numbers:
+        tracker.see(number)
+    return tracker.lost
+
+
+@given(st.integers(1, 1000), st.sets(st.integers(1, 98), max_size=50))
+def test_one_publisher_is_counted_exactly(first: int, gaps: set[int]) -> None:
+    """Whatever is missing between the first and the last message counts, nothing else."""
+    numbers = [first + i for i in range(100) if i not in gaps]
+    assert lost(numbers) == len(gaps)
+
+
+@given(st.lists(st.sampled_from("abc"), max_size=60))
+def test_interleaved_publishers_without_loss_count_zero(order: list[str]) -> None:
+    """Several publishers on one topic, each from its first message, in any order."""
+    counts = dict.fromkeys("abc", 0)
+    numbers = []
+    for publisher in order:
+        counts[publisher] += 1
+        numbers.append(counts[publisher])
+    assert lost(numbers) == 0
+
+
+def test_restarted_publisher_is_no_loss() -> None:
+    """A new process numbers its messages from one again."""
+    assert lost([1, 2, 3, 1, 2]) == 0
+
+
+def test_loss_beside_a_second_publisher_is_found() -> None:
+    """The gap belongs to the publisher just below it."""
+    assert lost([1, 2, 1, 5, 2, 6]) == 2
+
+
+def test_publisher_that_spoke_before_the_recorder_came_is_no_loss() -> None:
+    """Its numbering starts anywhere, also above that of a publisher heard before."""
+    assert lost([1, 2, 7, 3, 8, 9, 4], publishers=2) == 0
+    assert lost([1, 2, 7, 3, 8, 10, 4], publishers=2) == 1
+    assert lost([1, 2, 7, 8]) == 4

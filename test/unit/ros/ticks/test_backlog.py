@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who has fallen behind leaves out ticks such that everybody still meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.ros.diagnostics import Diagnostics
+from tactile_hand_ros.ros.ticks.backlog import Backlog, chosen, rank
+
+MS = 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("before", "tick", "expected"),
+    [(2, 3, 0), (1, 2, 1), (6, 8, 3), (7, 9, 3), (9, 11, 1), (1023, 1025, 10), (3, 13, 3)],
+)
+def test_rank_is_the_stretch_that_a_tick_begins(before: int, tick: int, expected: int) -> None:
+    assert rank(tick * MS, before * MS) == expected
+    assert rank(tick * MS + MS // 2, before * MS + MS // 3) == expected
+    assert rank(tick * MS, None) > expected
+
+
+def test_one_tick_is_always_answered() -> None:
+    assert chosen([], None) == []
+    assert chosen([7 * MS], 5 * MS) == chosen([7 * MS], None) == [7 * MS]
+
+
+@pytest.mark.parametrize("offset", [0, 1])
+def test_what_is_followed_by_a_higher_rank_is_left_out(offset: int) -> None:
+    ticks = [(t + offset) * MS for t in (0, 2, 4, 6, 8, 10, 12)]
+    assert chosen(ticks[1:6], ticks[0]) == ticks[4:6]
+    assert chosen(ticks[4:7], ticks[3]) == [ticks[4], ticks[6]]
+
+
+@given(st.integers(1, 10**6), st.integers(1, 200), st.integers(1, 20))
+def test_the_newest_is_answered_and_few_others(first: int, count: int, period: int) -> None:
+    stamps = [(first + period * i) * MS for i in range(count)]
+    kept = chosen(stamps, stamps[0] - period * MS)
+    assert kept[-1] == stamps[-1]
+    assert kept == sorted(set(kept) & set(stamps))
+    assert len(kept) <= (period * count).bit_length() + 1
+
+
+def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
+    """Cut what comes into what a slow node finds each time it looks."""
+    out, at = [], 0
+    while at < len(stamps):
+        size = sizes[len(out) % len(sizes)]
+        out.append(stamps[at : at + size])
+        at += size
+    return out
+
+
+class SlowNode:
+    """A node that reads when a test says so."""
+
+    def __init__(self) -> None:
+        self.diagnostics = Diagnostics("slow")
+        self.rejected: list[tuple[str, str]] = []
+        self._callbacks: list[Callable[[], None]] = []
+
+    def after_reading(self, callback: Callable[[], None]) -> None:
+        self._callbacks.append(callback)
+
+    def reject(self, topic: str, error: TactileHandError) -> None:
+        self.rejected.append((topic, str(error)))
+
+    def has_read(self) -> int:
+        """Do what waits for the end of reading; return how many callbacks did."""
+        callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            callback()
+        return len(callbacks)
+
+    @property
+    def left_out(self) -> str | None:
+        values = {pair.key: pair.value for pair in self.diagnostics.status().values}
+        return values.get("ticks_left_out")
+
+
+class Answers:
+    """A backlog, and what it has answered: ticks and what was heard of them."""
+
+    def __init__(self) -> None:
+        self.node = SlowNode()
+        self.given: list[tuple[int, str]] = []
+        self.backlog: Backlog[str] = Backlog(self.node, "touch", self._answer)  # type: ignore[arg-type]
+
+    def _answer(self, stamp: int, heard: str) -> None:
+        if heard == "bad":
+            raise TactileHandError(f"no answer to {stamp}")
+        self.given.append((stamp, heard))
+
+    def to(self, *ticks: int) -> list[int]:
+        """Let ticks wait together [ms]; return which of them are answered [ms]."""
+        before = len(self.given)
+        for tick in ticks:
+            self.backlog.put(tick * MS, f"heard {tick}")
+        assert len(self.given) == before  # not before all is read
+        assert self.node.has_read() == bool(ticks)  # one visit for all
+        answered = [stamp // MS for stamp, _ in self.given[before:]]
+        assert [heard for _, heard in self.given[before:]] == [f"heard {t}" for t in answered]
+        return answered
+
+
+def grid(tick: int, before: int) -> int:
+    """Return the largest n such that a multiple of 2^n lies in (before, tick]: looks at each."""
+    return max(
+        n for n in range(tick.bit_length()) for t in range(before + 1, tick + 1) if t % 2**n == 0
+    )
+
+
+LAGS = st.lists(st.lists(st.integers(1, 9), min_size=1, max_size=12), min_size=1, max_size=8)
+
+
+@given(st.integers(0, 3000), LAGS)
+def test_left_out_is_just_what_a_rounder_tick_follows(first: int, lags: list[list[int]]) -> None:
+    """A tick is as round as the roundest millisecond since the tick before it."""
+    made, last, count = Answers(), first, 1
+    assert made.to(first) == [first]
+    for steps in lags:
+        waiting = [last + sum(steps[: i + 1]) for i in range(len(steps))]
+        roundness = [grid(t, b) for t, b in zip(waiting, [last, *waiting], strict=False)]
+        expected = [t for i, t in enumerate(waiting) if roundness[i] >= max(roundness[i:])]
+        assert made.to(*waiting) == expected
+        last, count = waiting[-1], count + len(waiting)
+    left_out = count - len(made.given)
+    assert made.node.left_out == (str(left_out) if left_out else None)
+
+
+def test_the_tick_before_those_that_wait_counts_until_ticks_begin_anew() -> None:
+    made = Answers()
+    assert made.to(16) == [16]
+    assert made.to(17, 18) == [18]  # 17 begins nothing
+    assert made.to(19, 20) == [20]
+    made.backlog.put(21 * MS, "of the past")
+    made.backlog.clear()
+    assert made.node.has_read() == 1 and made.given[-1] == (20 * MS, "heard 20")
+    assert made.to(21, 22) == [21, 22]  # the first of all has no tick before it
+    assert made.node.left_out == "2"
+
+
+def test_what_is_heard_again_of_a_waiting_tick_replaces_the_first() -> None:
+    made = Answers()
+    made.backlog.put(5 * MS, "old")
+    made.backlog.put(5 * MS, "new")
+    assert made.node.has_read() >= 1
+    assert made.given == [(5 * MS, "new")]
+
+
+def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> None:
+    made, repeated = Answers(), []
+    made.backlog.repeat(lambda: repeated.append("idle"))
+    made.backlog.put(5 * MS, "heard")
+    made.backlog.repeat(lambda: repeated.append("waiting"))
+    made.node.has_read()
+    made.backlog.repeat(lambda: repeated.append("answered"))
+    assert repeated == ["idle", "answered"]
+
+
+def test_an_answer_that_fails_is_reported_and_the_others_are_given() -> None:
+    made = Answers()
+    for tick, heard in ((16, "good"), (24, "bad"), (28, "good")):
+        made.backlog.put(tick * MS, heard)
+    made.node.has_read()
+    assert made.given == [(16 * MS, "good"), (28 * MS, "good")]
+    assert made.node.rejected == [("touch", f"no answer to {24 * MS}")]
+    assert made.to(29, 30) == [30]
+
+
+SIZES = st.lists(st.integers(1, 12), min_size=1, max_size=8)
+
+
+@given(st.integers(0, 10**5), SIZES, SIZES, st.integers(1, 10))
+def test_slow_nodes_meet_however_they_lag(
+    first: int, one: list[int], other: list[int], period: int
+) -> None:
+    stamps = [(first + period * i) * MS for i in range(500)]
+    lag = period * max(*one, *other)  # of the oldest tick that waits, and one period
+    stretch = (1 << lag.bit_length()) * MS
+    firsts = {min(t for t in stamps if t // stretch == s) for s in {t // stretch for t in stamps}}
+    for sizes in (one, other):
+        made = Answers()
+        for batch in batches(stamps, sizes):
+            made.to(*(stamp // MS for stamp in batch))
+        assert firsts <= {stamp for stamp, _ in made.given}
+
+
+@given(st.lists(st.integers(0, 10**10), unique=True, min_size=1, max_size=50).map(sorted))
+def test_stamps_of_any_clock_will_do(stamps: list[int]) -> None:
+    kept = chosen(stamps, None)
+    assert kept[0] == stamps[0]  # the first of all has the highest rank
+    assert kept[-1] == stamps[-1]

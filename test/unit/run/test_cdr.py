@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole topics at once give what a general decoder gives message by message."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import recorded
+from support.recorded import STORE
+
+from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.run.cdr import tables
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+JOINTS = "sensor_msgs/msg/JointState"
+POSES = "geometry_msgs/msg/PoseArray"
+
+names = st.text("abc_1", max_size=9)
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+
+
+def cdr(content: Any, little: bool = True) -> bytes:
+    return bytes(STORE.serialize_cdr(content, content.__msgtype__, little_endian=little))
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(st.tuples(stamps, names, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))),
+    st.booleans(),
+)
+def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> None:
+    """Whatever the frames' names: their lengths move the numbers."""
+    messages = [cdr(recorded.wrench(stamp, force, frame), little) for stamp, frame, force in given]
+    seen = 0
+    for table in tables(WRENCH, messages):
+        for i, row in enumerate(table.rows):
+            stamp, frame, force = given[row]
+            assert table.layout.texts == [frame]
+            assert table.stamps[i] == stamp
+            assert table.doubles("wrench")[i].tolist() == [*force, 0.0, 0.0, 0.0]
+            seen += 1
+    assert seen == len(messages)
+
+
+@settings(max_examples=50)
+@given(st.lists(names, max_size=4), st.booleans(), st.booleans(), st.booleans())
+def test_joint_states(joints: list[str], position: bool, velocity: bool, effort: bool) -> None:
+    """Any of the three fields may be empty."""
+    values = np.arange(1.0, len(joints) + 1.0)
+    present = {"position": position, "velocity": velocity, "effort": effort}
+    fields = {name: values * 10.0 for name, there in present.items() if there}
+    [table] = tables(JOINTS, [cdr(recorded.joints(7, joints, **fields))] * 2)
+    assert table.layout.texts == ["", *joints]
+    for name, there in present.items():
+        expected = (values * 10.0).tolist() if there else []
+        assert table.doubles(name).tolist() == [expected, expected]
+
+
+def test_messages_with_other_strings_of_the_same_length_are_kept_apart() -> None:
+    first = recorded.joints(1, ["a", "b"], position=[1.0, 2.0])
+    other = recorded.joints(2, ["b", "a"], position=[3.0, 4.0])
+    found = list(tables(JOINTS, [cdr(m) for m in (first, other, first)]))
+    assert [(t.rows.tolist(), t.layout.texts) for t in found] == [
+        ([0, 2], ["", "a", "b"]),
+        ([1], ["", "b", "a"]),
+    ]
+
+
+def test_bytes_between_the_numbers_do_not_matter() -> None:
+    """Nobody initialises the padding."""
+    message = bytearray(cdr(recorded.wrench(1, (1.0, 2.0, 3.0), "abcd")))
+    padded = bytearray(message)
+    end = 4 + 8 + 4 + len("abcd") + 1
+    start = struct.pack("<d", 1.0)
+    assert message.index(start) > end
+    padded[end : message.index(start)] = b"\xff" * (message.index(start) - end)
+    [table] = tables(WRENCH, [bytes(message), bytes(padded)])
+    assert table.doubles("wrench")[:, :3].tolist() == [[1.0, 2.0, 3.0]] * 2
+
+
+def test_arrays_of_poses_may_change_their_length() -> None:
+    point, turn = (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)
+    messages = [cdr(recorded.pose_array(0, [point] * k, [turn] * k)) for k in (0, 2, 1)]
+    found = {int(t.rows[0]): t.doubles("poses").tolist() for t in tables(POSES, messages)}
+    assert found == {0: [[]], 1: [[*point, *turn] * 2], 2: [[*point, *turn]]}
+
+
+@pytest.mark.parametrize("size", [0, 3, 8, 15, 30, -1])
+def test_truncated_message(size: int) -> None:
+    message = cdr(recorded.joints(1, ["a", "b"], position=[1.0, 2.0]))
+    with pytest.raises(BagError, match="no valid sensor_msgs/msg/JointState"):
+        list(tables(JOINTS, [message[:size]]))
+
+
+def test_length_beyond_the_end() -> None:
+    message = bytearray(cdr(recorded.joints(1, ["a"], position=[1.0])))
+    message[20:24] = struct.pack("<I", 2**32 - 1)
+    with pytest.raises(BagError, match="announced"):
+        list(tables(JOINTS, [bytes(message)]))
+
+
+def test_foreign_encoding() -> None:
+    message = b"\0\7" + cdr(recorded.wrench(1, (1.0, 2.0, 3.0)))[2:]
+    with pytest.raises(BagError, match="encoding 0007"):
+        list(tables(WRENCH, [message]))

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics of records whose numbers can be worked out by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.control.virtual_frame import orientation_error
+from tactile_hand_ros.rotations import (
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
+from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.metrics import json_ready, metrics
+
+STRAIGHT = (0.0, 0.0, 0.0, 1.0)
+SECOND = 1_000_000_000
+
+
+def still_record(ticks: int = 11) -> Record:
+    """Return 0.1 s ticks of a hand that holds an object at its target with three perfect forces."""
+    record = Record.empty(ticks, ["a", "b", "c"], ["j1", "j2", "j3"])
+    record.stamps[:] = np.arange(ticks) * SECOND // 10
+    for array in (record.rates, record.theta, record.torque, record.command):
+        array[:] = 0.0
+    record.contact_positions[:] = np.eye(3)
+    record.contact_quaternions[:] = STRAIGHT
+    record.optimal_forces[:] = [[0.0, 0.5, 0.0], [0.0, 0.3, 0.0], [0.0, 0.2, 0.0]]
+    record.grasp_force[:] = 10.0
+    record.forces[:] = 10.0 * record.optimal_forces
+    record.auxiliary_position[:] = 0.0
+    record.auxiliary_quaternion[:] = STRAIGHT
+    record.desired_position[:] = 0.0
+    record.desired_quaternion[:] = STRAIGHT
+    return record
+
+
+def turned(angle: float) -> np.ndarray:
+    return quaternion_from_rotation(rotation_from_vector([0.0, 0.0, angle]))
+
+
+def scenario(position: float = 0.01, rotation: float = 0.1) -> Scenario:
+    return Scenario(goal={"position_error": position, "rotation_error": rotation})
+
+
+def test_a_perfect_run() -> None:
+    m = metrics(still_record(), scenario())
+    assert (m.ticks, m.simulated_time_s, m.settling_time_s) == (11, 1.0, 0.0)
+    assert m.final_position_error_m == m.final_rotation_error_rad == 0.0
+    assert m.final_normal_forces_N == m.optimal_normal_forces_N == {"a": 5.0, "b": 3.0, "c": 2.0}
+    assert m.worst_normal_force_relative_error == m.normal_force_sum_relative_error == 0.0
+    assert m.normal_force_sum_N == m.final_grasp_force_N == 10.0
+    assert m.contacts_lost_ticks == 0 and math.isnan(m.first_contact_loss_s)
+    assert m.goal_reached is True
+
+
+def test_final_errors() -> None:
+    record = still_record()
+    record.auxiliary_position[-1] = (0.003, 0.0, -0.004)
+    record.auxiliary_quaternion[-1] = turned(0.2)
+    m = metrics(record)
+    assert m.final_position_error_m == pytest.approx(0.005)
+    assert m.final_rotation_error_rad == pytest.approx(2.0 * math.sin(0.2))
+    assert m.goal_reached is None
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation", "reached"),
+    [(0.006, 0.4, True), (0.004, 0.4, False), (0.006, 0.39, False)],
+)
+def test_goal(position: float, rotation: float, reached: bool) -> None:
+    record = still_record()
+    record.auxiliary_position[-1, 0] = 0.005
+    record.auxiliary_quaternion[-1] = turned(0.2)
+    assert metrics(record, scenario(position, rotation)).goal_reached is reached
+
+
+@pytest.mark.parametrize(("slid", "reached"), [(0.009, True), (0.011, False), (np.nan, True)])
+def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
+    """What nobody knows is not held against the run."""
+    record = still_record()
+    record.true_slid[:] = 0.0
+    record.true_slid[-1, 1] = slid
+    wanted = Scenario(goal={"slip_distance": 0.01})
+    m = metrics(record, wanted)
+    assert m.goal_reached is reached
+    assert m.max_slip_distance_m == pytest.approx(np.nan_to_num(slid))
+
+
+def test_settling_counts_from_the_last_command() -> None:
+    """The second command comes at 0.4 s; the error is inside from 0.7 s on, and was at 0.5 s."""
+    record = still_record()
+    record.desired_position[4:, 0] = 1.0
+    record.auxiliary_position[5:, 0] = 1.0
+    record.auxiliary_position[6, 0] = 0.5
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.3)
+
+
+def test_a_run_that_leaves_its_goal_has_not_settled() -> None:
+    record = still_record()
+    record.auxiliary_position[-1, 0] = 1.0
+    assert math.isnan(metrics(record, scenario()).settling_time_s)
+
+
+def test_without_a_command_the_grasp_shall_stay() -> None:
+    """As for the controller, the first pose is the desired one."""
+    record = still_record()
+    record.desired_position[:] = record.desired_quaternion[:] = np.nan
+    record.auxiliary_position[:] = (1.0, 2.0, 3.0)
+    record.auxiliary_position[:2] = np.nan
+    record.auxiliary_position[-1, 2] += 0.25
+    assert metrics(record).final_position_error_m == 0.25
+
+
+def test_forces() -> None:
+    record = still_record()
+    record.forces[-1, :, 1] = [5.5, 3.0, 1.9]
+    record.forces[3, 1, 1] = 50.0
+    m = metrics(record)
+    assert m.final_normal_forces_N == {"a": 5.5, "b": 3.0, "c": 1.9}
+    assert m.worst_normal_force_relative_error == pytest.approx(0.1)
+    assert m.normal_force_sum_N == pytest.approx(10.4)
+    assert m.normal_force_sum_relative_error == pytest.approx(0.04)
+    assert m.peak_normal_force_N == 50.0
+
+
+def test_friction_leaves_out_the_first_ticks() -> None:
+    record = still_record()
+    record.forces[0, 0] = (100.0, 1.0, 0.0)
+    record.forces[4, 0] = (3.0, 10.0, 4.0)
+    record.forces[-1, 0] = (0.0, 10.0, 2.0)
+    m = metrics(record)
+    assert m.max_required_friction == pytest.approx({"a": 0.5, "b": 0.0, "c": 0.0})
+    assert m.final_required_friction == pytest.approx({"a": 0.2, "b": 0.0, "c": 0.0})
+
+
+def test_lost_contacts() -> None:
+    record = still_record()
+    record.contact_positions[6:8, 1] = record.contact_positions[7, 2] = np.nan
+    record.forces[6:8, 1] = 0.0
+    m = metrics(record)
+    assert (m.contacts_lost_ticks, m.first_contact_loss_s) == (2, pytest.approx(0.6))
+    assert m.max_required_friction["b"] == 0.0
+
+
+def test_ticks_without_messages_are_no_lost_contacts() -> None:
+    record = still_record()
+    record.contact_positions[4] = record.forces[4] = np.nan
+    assert metrics(record).contacts_lost_ticks == 0
+
+
+def test_all_contacts_lost() -> None:
+    record = still_record()
+    record.contact_positions[4] = np.nan
+    record.forces[4] = 0.0
+    assert metrics(record).contacts_lost_ticks == 1
+
+
+def test_an_object_that_was_lost() -> None:
+    """Nothing is known at the end: no number is invented, the goal is not reached."""
+    record = still_record()
+    for array in (record.contact_positions, record.auxiliary_position, record.optimal_forces):
+        array[5:] = np.nan
+    record.auxiliary_quaternion[5:] = np.nan
+    record.forces[5:] = 0.0
+    m = metrics(record, scenario())
+    assert m.goal_reached is False
+    for value in (m.final_position_error_m, m.final_rotation_error_rad, m.settling_time_s):
+        assert math.isnan(value)
+    assert math.isnan(m.worst_normal_force_relative_error)
+    assert m.normal_force_sum_N == 0.0
+    plain = m.to_dict()
+    assert plain["final_position_error_m"] is None
+    assert plain["optimal_normal_forces_N"] == {"a": None, "b": None, "c": None}
+    json.dumps(plain, allow_nan=False)
+
+
+def test_peak_rate() -> None:
+    record = still_record()
+    record.rates[2, 1], record.rates[3] = -0.7, np.nan
+    assert metrics(record).peak_joint_rate_rad_per_s == 0.7
+
+
+def test_object_that_moves_with_the_grasp_does_not_move_in_it() -> None:
+    """Hand and object turn together about the palm's z axis."""
+    record = still_record()
+    for tick, angle in enumerate(np.linspace(0.0, 1.0, len(record))):
+        turn = rotation_from_vector([0.0, 0.0, angle])
+        record.auxiliary_position[tick] = turn @ (0.1, 0.0, 0.0)
+        record.auxiliary_quaternion[tick] = turned(angle)
+        record.object_position[tick] = turn @ (0.2, 0.1, 0.0)
+        record.object_quaternion[tick] = turned(angle + 0.3)
+    m = metrics(record)
+    assert m.max_object_displacement_in_grasp_m == pytest.approx(0.0, abs=1e-15)
+    assert m.max_object_rotation_in_grasp_rad == pytest.approx(0.0, abs=1e-7)
+    record.object_position[5] += (0.0, 0.0, 0.02)
+    record.object_quaternion[7] = quaternion_from_rotation(
+        rotation_from_quaternion(record.object_quaternion[7]) @ rotation_from_vector([0.4, 0, 0])
+    )
+    m = metrics(record)
+    assert m.max_object_displacement_in_grasp_m == pytest.approx(0.02)
+    assert m.max_object_rotation_in_grasp_rad == pytest.approx(0.4)
+
+
+def test_without_ground_truth_the_object_is_unknown() -> None:
+    m = metrics(still_record())
+    assert math.isnan(m.max_object_displacement_in_grasp_m)
+    assert math.isnan(m.max_object_rotation_in_grasp_rad)
+
+
+def test_contacts_that_roll_over_the_object() -> None:
+    record = still_record()
+    record.object_position[:] = np.linspace(0.0, 1.0, len(record))[:, None]
+    record.object_quaternion[:] = STRAIGHT
+    record.true_positions[:] = record.object_position[:, None] + np.eye(3)
+    record.true_positions[4, 1, 2] += 0.03
+    rolled = derived.rolling(record)
+    assert rolled[4, 1] == pytest.approx(0.03)
+    rolled[4, 1] = 0.0
+    assert rolled.max() < 1e-15
+
+
+@pytest.mark.parametrize("ticks", [0, 1])
+def test_short_records(ticks: int) -> None:
+    m = metrics(still_record(ticks), scenario())
+    assert (m.ticks, m.simulated_time_s) == (ticks, 0.0)
+    assert m.goal_reached is bool(ticks)
+
+
+def test_record_of_nothing_but_joints() -> None:
+    record = Record.empty(3, [], ["j1"])
+    m = metrics(record)
+    assert m.final_normal_forces_N == {} and m.contacts_lost_ticks == 0
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 2**32 - 1))
+def test_rotation_error_is_that_of_the_laws(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    record = still_record(2)
+    record.auxiliary_quaternion[:] = random.normal(size=(2, 4))
+    record.desired_quaternion[:] = random.normal(size=(2, 4))
+    expected = [
+        orientation_error(rotation_from_quaternion(a), rotation_from_quaternion(d))
+        for a, d in zip(record.auxiliary_quaternion, record.desired_quaternion, strict=True)
+    ]
+    np.testing.assert_allclose(derived.rotation_error(record), expected, atol=1e-14)
+
+
+def test_plain_data_for_json() -> None:
+    given = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
+    assert json_ready(given) == {
+        "a": [1.0, None, [None, 2]],
+        "b": {"c": None, "d": None, "e": True},
+    }

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recovery times, on errors made by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.run.recovery import recoveries
+
+SCENARIO = load_scenario("pull")  # events at 2 and at 5 s
+
+
+def record_of(error):
+    """Return a record of 8 s at 100 Hz with an error that depends on time."""
+    fingers = ["finger_1", "finger_2", "finger_3"]
+    record = Record.empty(800, fingers, [f"j{i}" for i in range(9)])
+    record.stamps[:] = np.arange(800) * 10_000_000
+    record.desired_position[:] = 0.0
+    record.auxiliary_position[:] = 0.0
+    record.auxiliary_position[:, 2] = [error(t) for t in record.times]
+    return record
+
+
+def test_it_counts_from_the_event_until_the_error_stays_small():
+    first, second = recoveries(
+        record_of(lambda t: 0.01 * math.exp(-(t - 2.0) / 0.2) if t >= 2.0 else 0.0), SCENARIO
+    )
+    assert (first.start, second.start) == (2.0, 5.0)
+    assert first.time == pytest.approx(0.2 * math.log(10.0), abs=0.011)
+    assert first.largest == pytest.approx(0.01) and first.last < 1e-6
+    assert second.time == 0.0
+
+
+def test_what_never_comes_back_takes_forever():
+    first, second = recoveries(record_of(lambda t: 0.002), SCENARIO)
+    assert math.isinf(first.time) and math.isinf(second.time)
+    assert second.last == pytest.approx(0.002)
+
+
+def test_an_unknown_pose_is_not_back():
+    hold = record_of(lambda t: math.nan if 2.0 <= t < 3.0 else 0.0)
+    assert recoveries(hold, SCENARIO)[0].time == pytest.approx(1.0, abs=0.011)
+
+
+def test_a_run_in_which_nothing_happens_has_nothing_to_recover_from() -> None:
+    assert recoveries(record_of(lambda t: 0.0), load_scenario("paper")) == []

@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run on disk comes back as the arrays that were recorded, and says what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import recorded
+from support.hands import write_hand
+from support.recorded import (
+    LATENCY,
+    PERIOD,
+    START,
+    RunWriter,
+    assert_same,
+    joints,
+    message,
+    pose_stamped,
+    random_record,
+    write_record,
+    write_tick,
+)
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.extras import MissingLibraryError
+from tactile_hand_ros.run.run import Run, columns
+
+STRAIGHT = (0.0, 0.0, 0.0, 1.0)
+NAMES = ["a", "b"]
+
+
+def tick_only(bag: RunWriter, stamp: int, at: int) -> None:
+    bag.write("/joint_states", joints(stamp, NAMES, position=[1.0, 2.0]), at)
+
+
+class TestRecord:
+    def test_is_what_was_recorded(self, tmp_path: Path) -> None:
+        record = random_record()
+        assert_same(Run(write_record(tmp_path / "bag", record)).record, record)
+
+    def test_of_a_real_hand_has_no_truth(self, tmp_path: Path) -> None:
+        record = random_record(truth=False)
+        run = Run(write_record(tmp_path / "bag", record))
+        assert_same(run.record, record)
+        assert np.isnan(run.metrics.max_object_displacement_in_grasp_m)
+        assert run.bag_metrics.complete
+
+    def test_in_a_namespace(self, tmp_path: Path) -> None:
+        left, right = random_record(seed=1), random_record(seed=2)
+        with RunWriter(tmp_path / "bag") as bag:
+            for row in range(len(left)):
+                write_tick(bag, left, row, START + row * PERIOD, "/left/")
+                write_tick(bag, right, row, START + row * PERIOD, "/right/")
+        right.desired_position[:] = right.desired_quaternion[:] = np.nan
+        assert_same(Run(tmp_path / "bag", namespace="right").record, right)
+        with pytest.raises(BagError, match="left, right"):
+            Run(tmp_path / "bag")
+
+    def test_lost_contacts_are_nan(self, tmp_path: Path) -> None:
+        record = random_record()
+        record.contact_positions[3:5, 1] = np.nan
+        record.contact_quaternions[3:5, 1] = np.nan
+        record.forces[3:5, 1] = 0.0
+        run = Run(write_record(tmp_path / "bag", record))
+        assert_same(run.record, record)
+        assert run.metrics.contacts_lost_ticks == 2
+
+    def test_missing_messages_are_nan(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            for tick in range(3):
+                tick_only(bag, tick, tick)
+            bag.write("/grasp_force", recorded.wrench(1, (0.0, 7.0, 0.0)), 5)
+            bag.write("/grasp_force", recorded.wrench(99, (0.0, 8.0, 0.0)), 6)
+        record = Run(tmp_path / "bag").record
+        np.testing.assert_array_equal(record.grasp_force, [np.nan, 7.0, np.nan])
+        np.testing.assert_array_equal(record.theta, [[1.0, 2.0]] * 3)
+        assert np.isnan(record.rates).all() and record.forces.shape == (3, 0, 3)
+
+    def test_repeated_ticks_count_once(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            for at, tick in enumerate([0, 2, 2, 2, 4]):
+                tick_only(bag, tick, at)
+        run = Run(tmp_path / "bag")
+        assert run.record.stamps.tolist() == [0, 2, 4]
+        assert run.bag_metrics.repeated_ticks == 2
+
+    def test_after_a_reset_only_the_last_run_counts(self, tmp_path: Path) -> None:
+        second = 10**9
+        with RunWriter(tmp_path / "bag") as bag:
+            for at, tick in enumerate([0, 2, 4, 0, 2]):
+                tick_only(bag, tick, at * second)
+                squeeze = (0.0, float(at), 0.0)
+                bag.write("/grasp_force", recorded.wrench(tick, squeeze), at * second + 1)
+        record = Run(tmp_path / "bag").record
+        assert record.stamps.tolist() == [0, 2]
+        assert record.grasp_force.tolist() == [3.0, 4.0]
+
+    def test_joints_may_be_named_in_any_order(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            tick_only(bag, 0, 0)
+            bag.write("/joint_command", joints(0, ["b", "a"], effort=[20.0, 10.0]), 1)
+            tick_only(bag, 1, 2)
+            bag.write("/joint_command", joints(1, ["b", "c"], effort=[20.0, 10.0]), 3)
+        record = Run(tmp_path / "bag").record
+        np.testing.assert_array_equal(record.command, [[10.0, 20.0], [np.nan, np.nan]])
+
+    def test_fingers_may_be_named_in_any_order(self, tmp_path: Path) -> None:
+        order = ["finger_2", "finger_1"]
+        values = {"position": [0.2, 0.1], "velocity": [0.4, 0.3], "effort": [2.0, 1.0]}
+        with RunWriter(tmp_path / "bag") as bag:
+            for tick in range(2):
+                tick_only(bag, tick, 2 * tick)
+            bag.write("/grip_state", joints(1, order, **values), 3)
+            slip = {"position": [2e-3, 1e-3], "velocity": [0.2, 0.1]}
+            bag.write("/ground_truth/slip", joints(1, order, **slip), 3)
+        record = Run(tmp_path / "bag", fingers=["finger_1", "finger_2"]).record
+        unknown = [np.nan, np.nan]
+        np.testing.assert_array_equal(record.friction, [unknown, [0.1, 0.2]])
+        np.testing.assert_array_equal(record.slip_evidence, [unknown, [0.3, 0.4]])
+        np.testing.assert_array_equal(record.grip, [unknown, [1.0, 2.0]])
+        np.testing.assert_array_equal(record.true_slid, [unknown, [1e-3, 2e-3]])
+        np.testing.assert_array_equal(record.true_sliding, [unknown, [0.1, 0.2]])
+
+    def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path: Path) -> None:
+        record = random_record()
+        with RunWriter(tmp_path / "bag") as bag:
+            write_tick(bag, record, 0, START)
+        assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
+
+    def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path: Path) -> None:
+        """Names of another hand would not do."""
+        record = random_record()
+        said = {"scenario": resolved(load_scenario("paper"))}
+        run = Run(write_record(tmp_path / "bag", record, custom_data=said))
+        assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
+        given = Run(tmp_path / "bag", fingers=["finger_3", "finger_1", "finger_2"]).record
+        np.testing.assert_array_equal(given.forces, record.forces[:, [2, 0, 1]])
+
+
+class TestDesiredPose:
+    """Ticks are 0, 10, 20, 30 and 40 ns, logged at 100, 200, 300, 400 and 500 ns."""
+
+    def in_effect(self, folder: Path, *wishes: tuple[int, int, float]) -> list[float]:
+        """Return x of the desired pose at each tick, given (log time, stamp, x)."""
+        with RunWriter(folder) as bag:
+            for row in range(5):
+                tick_only(bag, 10 * row, 100 + 100 * row)
+            for at, stamp, x in wishes:
+                bag.write("/desired_pose", pose_stamped(stamp, (x, 0.0, 0.0), STRAIGHT), at)
+        return np.nan_to_num(Run(folder).record.desired_position[:, 0], nan=-1.0).tolist()
+
+    def test_before_the_first_tick(self, tmp_path: Path) -> None:
+        assert self.in_effect(tmp_path / "a", (50, 0, 1.0)) == [1.0] * 5
+        assert self.in_effect(tmp_path / "b", (50, 20, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
+
+    def test_at_once(self, tmp_path: Path) -> None:
+        """A stamp of zero or one that is past: from the next tick on."""
+        assert self.in_effect(tmp_path / "a", (250, 0, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
+        assert self.in_effect(tmp_path / "b", (350, 10, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+
+    def test_between_ticks(self, tmp_path: Path) -> None:
+        assert self.in_effect(tmp_path / "a", (150, 25, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+
+    def test_the_last_one_wins(self, tmp_path: Path) -> None:
+        wishes = (50, 30, 3.0), (150, 0, 1.0), (160, 0, 2.0)
+        assert self.in_effect(tmp_path / "a", *wishes) == [-1.0, 2.0, 2.0, 3.0, 3.0]
+
+    def test_after_the_end(self, tmp_path: Path) -> None:
+        assert self.in_effect(tmp_path / "a", (600, 0, 1.0), (50, 90, 2.0)) == [-1.0] * 5
+
+    def test_what_the_controller_rejects_does_not_count(self, tmp_path: Path) -> None:
+        zero = (0.0, 0.0, 0.0)
+        with RunWriter(tmp_path / "bag") as bag:
+            tick_only(bag, 0, 100)
+            for wish in (
+                pose_stamped(0, zero, STRAIGHT, frame="world"),
+                pose_stamped(0, (np.nan, 0.0, 0.0), STRAIGHT),
+                pose_stamped(0, zero, (0.0, 0.0, 0.0, 2.0)),
+            ):
+                bag.write("/desired_pose", wish, 50)
+        assert np.isnan(Run(tmp_path / "bag").record.desired_position).all()
+
+
+class TestFolders:
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        write_record(tmp_path / "run" / "bag", random_record())
+        return tmp_path / "run"
+
+    def test_run_bag_and_file_are_the_same(self, folder: Path) -> None:
+        for path in (folder, folder / "bag", folder / "bag" / "bag_0.mcap", str(folder)):
+            assert len(Run(path).record) == 20
+
+    def test_link_to_the_latest(self, folder: Path) -> None:
+        (folder.parent / "latest").symlink_to(folder.name)
+        assert len(Run(folder.parent / "latest").record) == 20
+
+    def test_scenario_beside_the_bag(self, folder: Path) -> None:
+        assert Run(folder).scenario is None and Run(folder).metrics.goal_reached is None
+        (folder / "scenario.yaml").write_text(resolved(load_scenario("pinch")))
+        for path in (folder, folder / "bag"):
+            assert Run(path).scenario == load_scenario("pinch")
+        assert Run(folder).metrics.goal_reached is False
+
+    def test_scenario_in_the_bag(self, tmp_path: Path) -> None:
+        said = {"scenario": resolved(load_scenario("waypoints"))}
+        run = Run(write_record(tmp_path / "bag", random_record(), custom_data=said))
+        assert run.scenario == load_scenario("waypoints")
+
+    def test_scenario_of_another_version(self, folder: Path) -> None:
+        """What was recorded is there nevertheless."""
+        (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
+        run = Run(folder)
+        assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem
+        assert run.scenario is None and len(run.record) == 20
+        assert run.metrics.goal_reached is None
+
+    def test_hand_of_another_machine(self, folder: Path) -> None:
+        """Topics tell the fingers too."""
+        text = resolved(load_scenario("paper")).replace("hand: paper", "hand: lost/hand.yaml")
+        (folder / "scenario.yaml").write_text(text)
+        run = Run(folder)
+        assert run.scenario is not None and run.scenario_problem == ""
+        assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
+        assert run.ledger == [] and "'lost/hand.yaml' does not exist" in run.ledger_problem
+        assert run.metrics.ticks == 20
+
+    def test_hand_that_is_another_here(self, folder: Path, tmp_path: Path) -> None:
+        """A file of the same name tells of more joints than were recorded."""
+        file = write_hand(tmp_path, [3, 4, 5])
+        text = resolved(load_scenario("paper")).replace("hand: paper", f"hand: {file}")
+        (folder / "scenario.yaml").write_text(text.replace("layout: three_faces", "layout: ''"))
+        run = Run(folder)
+        assert run.ledger == [] and len(run.record) == 20
+        assert "3 fingers and 12 joints here, 3 and 9 in the bag" in run.ledger_problem
+
+    def test_ledger_of_a_hand_that_is_known(self, folder: Path) -> None:
+        assert Run(folder).ledger == [] and Run(folder).ledger_problem == ""
+        (folder / "scenario.yaml").write_text(resolved(load_scenario("paper")))
+        assert len(Run(folder).ledger) == 9 and Run(folder).ledger_problem == ""
+
+    def test_nothing_there(self, tmp_path: Path) -> None:
+        with pytest.raises(BagError, match="nowhere does not exist"):
+            Run(tmp_path / "nowhere")
+
+    def test_run_without_a_bag(self, tmp_path: Path) -> None:
+        (tmp_path / "scenario.yaml").write_text("")
+        with pytest.raises(BagError, match="has no folder bag/"):
+            Run(tmp_path)
+
+    def test_bag_cut_in_half(self, folder: Path) -> None:
+        path = folder / "bag" / "bag_0.mcap"
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        with pytest.raises(BagError, match="cut off or damaged"):
+            Run(folder)
+
+    def test_damaged_data(self, folder: Path) -> None:
+        path = folder / "bag" / "bag_0.mcap"
+        data = bytearray(path.read_bytes())
+        data[data.index(b"joint_1", 5000)] ^= 0xFF
+        path.write_bytes(data)
+        with pytest.raises(BagError, match="damaged"):
+            _ = Run(folder).record
+
+    def test_bag_without_joint_states(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            bag.write("/grasp_force", recorded.wrench(0, (0.0, 1.0, 0.0)), 0)
+        with pytest.raises(BagError, match="no topic joint_states"):
+            Run(tmp_path / "bag")
+
+    def test_bag_with_a_silent_hand(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
+        run = Run(tmp_path / "bag")
+        with pytest.raises(BagError, match="not a single tick"):
+            _ = run.record
+
+    def test_topic_of_another_type(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            tick_only(bag, 0, 0)
+            bag.write("/grasp_force", message("std_msgs/msg/Float64", data=1.0), 1)
+        with pytest.raises(BagError, match="/grasp_force has the type std_msgs/msg/Float64"):
+            Run(tmp_path / "bag")
+
+
+def test_bag_metrics(tmp_path: Path) -> None:
+    """Twenty ticks, of which one is not answered and another has no k_f."""
+    record = random_record()
+    with RunWriter(tmp_path / "bag") as bag:
+        for row in range(len(record)):
+            at = START + row * PERIOD
+            if row not in (4, 7):
+                write_tick(bag, record, row, at)
+                continue
+            values = {"position": record.theta[row]}
+            stamp = int(record.stamps[row])
+            bag.write("/joint_states", joints(stamp, record.joint_names, **values), at)
+            if row == 7:
+                effort = record.command[row]
+                answer = joints(stamp, record.joint_names, effort=effort)
+                bag.write("/joint_command", answer, at + 5 * LATENCY)
+    m = Run(tmp_path / "bag").bag_metrics
+    assert m.messages == 18 * 18 + 3
+    assert m.topics["/joint_states"].complete and not m.complete and m.absent == []
+    assert (m.topics["/joint_command"].ticks, m.topics["/grasp_force"].ticks) == (19, 18)
+    assert m.topics["/auxiliary_pose"].complete is None
+    assert m.wall_time_s == pytest.approx(19 * PERIOD * 1e-9)
+    assert m.ticks_per_second == pytest.approx(1e9 / PERIOD)
+    assert m.command_latency_median_s == pytest.approx(1e-9 * LATENCY)
+    assert m.command_latency_max_s == pytest.approx(5e-9 * LATENCY)
+    assert json.loads(json.dumps(m.to_dict()))["topics"]["/grasp_force"]["messages"] == 18
+
+
+def test_absent_topics_are_named(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "bag") as bag:
+        tick_only(bag, 0, 0)
+    m = Run(tmp_path / "bag", fingers=["thumb"]).bag_metrics
+    assert m.absent == [
+        "/joint_command",
+        "/tactile/contacts",
+        "/grasp_force",
+        "/grip_state",
+        "/tactile/thumb/wrench",
+        "/optimal_force/thumb",
+    ]
+    assert not m.complete and np.isnan(m.ticks_per_second)
+
+
+def test_diagnostics(tmp_path: Path) -> None:
+    pair = message("diagnostic_msgs/msg/KeyValue", key="ticks", value="12")
+    status = message(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=2,
+        name="plant",
+        message="late",
+        hardware_id="",
+        values=[pair],
+    )
+    content = message(
+        "diagnostic_msgs/msg/DiagnosticArray", header=recorded.header(0), status=[status] * 2
+    )
+    with RunWriter(tmp_path / "bag") as bag:
+        tick_only(bag, 0, 0)
+        bag.write("/diagnostics", content, 5)
+    found = Run(tmp_path / "bag").diagnostics
+    assert len(found) == 2 and found[0] == found[1]
+    assert (found[0].log_time, found[0].name, found[0].level) == (5, "plant", 2)
+    assert (found[0].message, found[0].values) == ("late", {"ticks": "12"})
+
+
+def test_columns_for_tables(tmp_path: Path) -> None:
+    record = random_record()
+    named = columns(record)
+    assert named["forces.finger_2.y"] is not None
+    np.testing.assert_array_equal(named["forces.finger_2.y"], record.forces[:, 1, 1])
+    np.testing.assert_array_equal(named["theta.joint_9"], record.theta[:, 8])
+    np.testing.assert_array_equal(named["desired_quaternion.w"], record.desired_quaternion[:, 3])
+    np.testing.assert_array_equal(named["stamps"], record.stamps)
+    arrays = [getattr(record, f.name) for f in fields(Record) if f.metadata]
+    assert len(named) == sum(array[0].size for array in arrays)
+
+
+def test_pandas_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    run = Run(write_record(tmp_path / "bag", random_record()))
+    with pytest.raises(MissingLibraryError, match="pip install pandas"):
+        run.to_pandas()

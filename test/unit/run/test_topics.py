@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of bags are those of the nodes; hands and fingers are found by them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.run import topics
+from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "JOINT_STATES",
+        "JOINT_COMMAND",
+        "CONTACTS",
+        "GRASP_FORCE",
+        "GRIP_STATE",
+        "DESIRED_POSE",
+        "AUXILIARY_POSE",
+        "OBJECT_POSE",
+        "TRUE_CONTACTS",
+        "TRUE_SLIP",
+        "DIAGNOSTICS",
+        "PALM_FRAME",
+    ],
+)
+def test_names_are_those_of_the_nodes(name: str) -> None:
+    assert getattr(topics, name) == getattr(interfaces, name)
+
+
+def test_names_of_a_finger_are_those_of_the_nodes() -> None:
+    assert topics.WRENCH.format("thumb") == interfaces.wrench("thumb")
+    assert topics.OPTIMAL_FORCE.format("thumb") == interfaces.optimal_force("thumb")
+    assert topics.TRUE_WRENCH.format("thumb") == interfaces.true_wrench("thumb")
+
+
+def test_the_only_hand_is_found_in_any_namespace() -> None:
+    assert find_prefix(["/joint_states", "/clock"], None, "bag") == "/"
+    assert find_prefix(["/left/joint_states", "/clock"], None, "bag") == "/left/"
+
+
+@pytest.mark.parametrize(
+    ("namespace", "prefix"), [("left", "/left/"), ("/left/", "/left/"), ("", "/"), ("/", "/")]
+)
+def test_one_of_several_hands_is_chosen(namespace: str, prefix: str) -> None:
+    given = ["/left/joint_states", "/joint_states", "/right/joint_states"]
+    assert find_prefix(given, namespace, "bag") == prefix
+
+
+def test_several_hands_need_a_choice() -> None:
+    with pytest.raises(BagError, match=r"several hands; choose a namespace: left, right\."):
+        find_prefix(["/right/joint_states", "/left/joint_states"], None, "bag")
+
+
+def test_unknown_namespace() -> None:
+    with pytest.raises(BagError, match=r"no hand in the namespace 'up', only: left\."):
+        find_prefix(["/left/joint_states"], "up", "bag")
+
+
+def test_no_hand() -> None:
+    with pytest.raises(BagError, match="no topic joint_states"):
+        find_prefix(["/joint_states_raw", "/clock"], None, "bag")
+
+
+def test_fingers_in_natural_order_and_of_this_hand_only() -> None:
+    given = [
+        "/l/tactile/f10/wrench",
+        "/l/optimal_force/f2",
+        "/l/ground_truth/f1/wrench",
+        "/r/tactile/f3/wrench",
+        "/l/tactile/contacts",
+    ]
+    assert find_fingers(given, "/l/") == ["f1", "f2", "f10"]
+
+
+def test_wrong_type() -> None:
+    hand = HandTopics("/", ["thumb"])
+    hand.check({"/clock": "rosgraph_msgs/msg/Clock"})
+    with pytest.raises(BagError, match="/optimal_force/thumb has the type std_msgs/msg/Float64"):
+        hand.check({"/optimal_force/thumb": "std_msgs/msg/Float64"})

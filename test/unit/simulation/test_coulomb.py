@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One and two contacts whose outcome is known."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.simulation.coulomb import solve_contacts
+
+EYE = np.eye(3)
+
+
+def one(free, friction, closing=0.0, delassus=EYE):
+    """Solve one contact; velocities are (x, n, z) and impulses push along +n."""
+    return solve_contacts(
+        delassus,
+        np.array(free, dtype=float),
+        np.array([closing]),
+        np.array([friction]),
+        np.zeros((1, 3)),
+    )
+
+
+def test_what_approaches_slowly_enough_sticks_to_rounding():
+    solved = one([0.3, -1.0, 0.4], friction=0.51)
+    np.testing.assert_allclose(solved.impulses, [[-0.3, 1.0, -0.4]], atol=1e-12)
+    np.testing.assert_allclose(solved.velocities, 0.0, atol=1e-12)
+
+
+def test_what_exceeds_the_cone_slides_against_friction():
+    solved = one([3.0, -1.0, 4.0], friction=0.5)
+    np.testing.assert_allclose(solved.impulses, [[-0.3, 1.0, -0.4]], atol=1e-10)
+    np.testing.assert_allclose(solved.velocities, [[2.7, 0.0, 3.6]], atol=1e-10)
+
+
+def test_the_cone_is_round():
+    """The limit is the same in all directions, not that of a pyramid."""
+    for bearing in np.linspace(0.0, 2.0 * np.pi, 13):
+        slide = [5.0 * np.cos(bearing), -1.0, 5.0 * np.sin(bearing)]
+        impulse = one(slide, friction=0.5).impulses[0]
+        assert np.hypot(impulse[0], impulse[2]) == pytest.approx(0.5, abs=1e-10)
+
+
+def test_what_separates_is_left_alone():
+    solved = one([3.0, 0.1, 4.0], friction=0.5)
+    np.testing.assert_array_equal(solved.impulses, 0.0)
+    np.testing.assert_array_equal(solved.velocities, [[3.0, 0.1, 4.0]])
+
+
+def test_a_gap_may_close_but_not_more():
+    np.testing.assert_array_equal(one([0.0, -0.9, 0.0], 0.5, closing=1.0).impulses, 0.0)
+    solved = one([0.0, -1.5, 0.0], 0.5, closing=1.0)
+    np.testing.assert_allclose(solved.impulses, [[0.0, 0.5, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(solved.velocities, [[0.0, -1.0, 0.0]], atol=1e-12)
+
+
+def test_a_penetration_is_pushed_out():
+    solved = one([0.0, 0.0, 0.0], 0.5, closing=-0.2)
+    np.testing.assert_allclose(solved.velocities, [[0.0, 0.2, 0.0]], atol=1e-12)
+
+
+def test_without_friction_nothing_resists_sliding():
+    solved = one([1.0, -1.0, 0.0], friction=0.0)
+    np.testing.assert_allclose(solved.impulses, [[0.0, 1.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(solved.velocities, [[1.0, 0.0, 0.0]], atol=1e-12)
+
+
+def test_each_contact_has_its_own_mode():
+    """Stick, slip and open in one problem whose contacts do not feel each other."""
+    free = np.array([0.1, -1.0, 0.0, 3.0, -1.0, 0.0, 0.0, 1.0, 0.0])
+    solved = solve_contacts(np.eye(9), free, np.zeros(3), np.full(3, 0.5), np.zeros((3, 3)))
+    expected = [[-0.1, 1.0, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    np.testing.assert_allclose(solved.impulses, expected, atol=1e-10)
+
+
+def test_sliding_direction_and_force_agree_when_axes_are_coupled():
+    """With unequal masses the slide turns; friction still points exactly against it."""
+    delassus = np.array([[2.0, 0.3, 0.5], [0.3, 1.0, -0.2], [0.5, -0.2, 0.7]])
+    solved = one([2.0, -1.0, 1.0], friction=0.4, delassus=delassus)
+    push, slide = solved.impulses[0, [0, 2]], solved.velocities[0, [0, 2]]
+    assert np.linalg.norm(push) == pytest.approx(0.4 * solved.impulses[0, 1])
+    np.testing.assert_allclose(
+        push / np.linalg.norm(push), -slide / np.linalg.norm(slide), atol=1e-8
+    )
+
+
+def test_two_contacts_that_cannot_tell_their_load_apart_share_it():
+    """W is singular: any split of the load is right, and one must be found."""
+    delassus = np.kron(np.ones((2, 2)), EYE)
+    free = np.tile([0.0, -1.0, 0.0], 2)
+    solved = solve_contacts(delassus, free, np.zeros(2), np.ones(2), np.zeros((2, 3)))
+    assert np.isfinite(solved.impulses).all() and (solved.impulses[:, 1] >= -1e-9).all()
+    np.testing.assert_allclose(solved.velocities, 0.0, atol=1e-8)

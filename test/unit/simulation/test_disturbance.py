@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""External wrenches over time."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.simulation.disturbance import Disturbance, external_wrench
+
+
+@pytest.mark.parametrize(
+    ("time", "factor"), [(0.0, 0.0), (0.999, 0.0), (1.0, 1.0), (1.099, 1.0), (100.0, 1.0)]
+)
+def test_a_step_stays(time, factor):
+    assert Disturbance(kind="step", start=1.0).factor(time) == factor
+
+
+@pytest.mark.parametrize(("time", "factor"), [(0.999, 0.0), (1.0, 1.0), (1.2, 1.0), (1.25, 0.0)])
+def test_a_pulse_ends(time, factor):
+    assert Disturbance(kind="pulse", start=1.0, duration=0.25).factor(time) == factor
+
+
+def test_a_sine_swings_and_ends():
+    swing = Disturbance(kind="sine", start=1.0, duration=2.0, frequency=0.5)
+    times = [0.9, 1.0, 1.5, 2.0, 2.5, 3.1]
+    np.testing.assert_allclose(
+        [swing.factor(t) for t in times], [0.0, 0.0, 1.0, 0.0, -1.0, 0.0], atol=1e-12
+    )
+
+
+def test_wrenches_add_up():
+    pushes = [
+        Disturbance(force=(1.0, 0.0, 0.0)),
+        Disturbance(start=1.0, force=(1.0, 2.0, 0.0), torque=(0.0, 0.0, 3.0)),
+    ]
+    np.testing.assert_array_equal(external_wrench(pushes, 0.5), [1.0, 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(external_wrench(pushes, 1.5), [2.0, 2.0, 0, 0, 0, 3.0])
+    np.testing.assert_array_equal(external_wrench([], 1.0), np.zeros(6))

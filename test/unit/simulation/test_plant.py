@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant without contact: free bodies, energy, limits, and what it refuses."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from support.plants import momentum, plant
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
+from tactile_hand_ros.simulation.contact_step import TOUCH
+from tactile_hand_ros.simulation.disturbance import Disturbance
+from tactile_hand_ros.simulation.plant_config import PlantConfig
+
+FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
+UNEQUAL = (0.001, 0.002, 0.004)
+NOTHING = np.zeros(9)
+
+
+def push(**values):
+    return Disturbance(kind="pulse", duration=0.1, **values)
+
+
+def run(world, seconds, torque=NOTHING):
+    for _ in range(round(seconds * world.config.rate)):
+        state = world.advance(torque)
+    return state
+
+
+def test_a_free_object_falls_as_galilei_found():
+    world = plant(gravity=(1.0, 0.0, -9.81), **FAR)
+    state = run(world, 0.5)
+    np.testing.assert_allclose(state.velocity, [0.5, 0.0, -4.905], atol=1e-12)
+    np.testing.assert_allclose(state.position, [0.125, 0.0, 9.0 - 1.22625], atol=1e-12)
+    assert not state.contacts.touching.any() and not state.forces.any()
+    assert world.time == pytest.approx(0.5)
+
+
+def test_a_push_gives_its_impulse_and_nothing_before_or_after():
+    pushes = [push(start=0.1, force=(0.3, 0.0, -0.6), torque=(0.0, 1e-3, 0.0))]
+    world = plant(disturbances=pushes, **FAR)
+    assert not run(world, 0.1).velocity.any()
+    after = run(world, 0.1)
+    linear, angular = momentum(world, after)
+    np.testing.assert_allclose(linear, [0.03, 0.0, -0.06], atol=1e-12)
+    np.testing.assert_allclose(angular, [0.0, 1e-4, 0.0], atol=1e-12)
+    later = run(world, 0.3)
+    np.testing.assert_allclose(later.velocity, after.velocity, atol=1e-12)
+    np.testing.assert_allclose(later.position - after.position, 0.3 * after.velocity, atol=1e-12)
+
+
+def spinning(step):
+    """Return an unequal body that has been spun up about all axes and is then left alone."""
+    twist = push(torque=(0.01, 0.12, 0.02), force=(0.1, 0.0, 0.0))
+    world = plant(step, disturbances=[twist], object__inertia=UNEQUAL, **FAR)
+    run(world, 0.1)
+    return world
+
+
+def drift_of_spin(step):
+    world = spinning(step)
+    energy, (_, before) = world.energy(), momentum(world, world.state)
+    state = run(world, 0.5)
+    _, after = momentum(world, state)
+    return np.abs(after - before).max() / np.linalg.norm(before), abs(world.energy() / energy - 1.0)
+
+
+def test_a_tumbling_body_keeps_angular_momentum_and_energy():
+    """Without torque both are constant while the spin itself changes, to second order."""
+    coarse, fine = np.array(drift_of_spin(0.002)), np.array(drift_of_spin(0.001))
+    assert (fine < 5e-5).all()
+    assert (fine < 0.3 * coarse).all()
+    world = spinning(0.001)
+    before = world.state.spin
+    assert np.abs(run(world, 0.2).spin - before).max() > 0.05 * np.linalg.norm(before)
+
+
+def test_rotations_stay_rotations():
+    state = run(spinning(0.002), 2.0)
+    np.testing.assert_allclose(state.rotation.T @ state.rotation, np.eye(3), atol=1e-14)
+
+
+def swing(step):
+    world = plant(step, gravity=(0.0, 0.0, -9.81), **FAR)
+    before = world.energy()
+    state = run(world, 0.2)
+    assert np.abs(state.rates).max() > 1.0
+    return abs(world.energy() - before)
+
+
+def test_a_falling_hand_keeps_its_energy():
+    """Without torque and friction the links only trade height for speed, to second order."""
+    coarse, fine = swing(0.001), swing(0.0005)
+    assert fine < 1e-3 and fine < 0.3 * coarse
+
+
+def test_energy_counts_the_object_in_motion_and_height():
+    world = plant(gravity=(0.0, 0.0, -10.0), object__inertia=UNEQUAL, **FAR)
+    links = world.energy() - 0.2 * 10.0 * 9.0
+    assert links == pytest.approx(world.hand.potential_energy(world.state.theta))
+    world = plant(disturbances=[push(force=(1.0, 0, 0), torque=(0, 0, 0.01))], **FAR)
+    state = run(world, 0.1)
+    spin = 0.0014 * state.spin[2] ** 2
+    assert world.energy() == pytest.approx(0.5 * (0.2 * state.velocity[0] ** 2 + spin))
+
+
+def test_torque_is_limited_as_by_a_motor():
+    world = plant(**FAR)
+    given = np.array([100.0, -100.0, 20.0, -20.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    state = world.advance(given)
+    np.testing.assert_array_equal(state.torque, [20.0, -20.0, 20.0, -20.0, 3.0, 0, 0, 0, 0])
+    limited = plant(**FAR).advance(np.clip(given, -20.0, 20.0))
+    np.testing.assert_array_equal(state.rates, limited.rates)
+
+
+def test_a_tick_is_made_of_steps():
+    """Two steps of 1 ms in a tick of 500 Hz are two ticks of 1 kHz."""
+    torque = np.linspace(-1.0, 1.0, 9)
+    tick = plant(rate=500.0, **FAR).advance(torque)
+    single = plant(**FAR)
+    single.advance(torque)
+    np.testing.assert_allclose(tick.theta, single.advance(torque).theta, atol=1e-14)
+
+
+def test_reset_starts_the_same_motion_again():
+    world = plant(
+        gravity=(0.0, 0.0, -1.0),
+        disturbances=[push(start=0.01, force=(1.0, 2.0, 3.0), torque=(0.01, 0, 0))],
+        object__friction=0.3,
+    )
+    torques = np.random.default_rng(0).standard_normal((60, 9))
+    first = [world.advance(torque) for torque in torques]
+    back = world.reset()
+    assert world.time == 0.0 and not back.rates.any() and not back.forces.any()
+    for torque, before in zip(torques, first, strict=True):
+        after = world.advance(torque)
+        for name in ("theta", "rates", "position", "rotation", "spin", "forces", "sliding"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+
+
+def test_a_state_is_not_changed_by_later_steps():
+    world = plant()
+    state = world.state
+    theta, position = state.theta.copy(), state.position.copy()
+    for _ in range(5):
+        world.advance(np.ones(9))
+    np.testing.assert_array_equal(state.theta, theta)
+    np.testing.assert_array_equal(state.position, position)
+
+
+@pytest.mark.parametrize("layout", ["three_faces", "pinch"])
+def test_the_paper_starts_with_all_fingers_just_touching(layout):
+    world = plant(layout=layout)
+    state = world.state
+    assert state.contacts.touching.all()
+    np.testing.assert_allclose(state.gaps, 0.0, atol=1e-12)
+    np.testing.assert_allclose(state.theta.reshape(3, 3), [[1.047, 0.0, 1.571]] * 3, atol=1e-3)
+    on_object = state.contacts.positions - [0.0, 0.0, 0.4098]
+    np.testing.assert_allclose(np.abs(on_object).max(axis=1), 0.1302, atol=1e-12)
+    assert not state.forces.any() and not state.rates.any()
+
+
+def test_small_gaps_are_closed_and_large_ones_left():
+    near = plant(object__size=(0.2570, 0.2570, 0.2570))
+    assert near.state.contacts.touching.all() and near.state.gaps.max() <= TOUCH
+    far = plant(object__size=(0.24, 0.2604, 0.2604)).state
+    np.testing.assert_array_equal(far.contacts.touching, [False, False, True])
+    np.testing.assert_allclose(far.gaps[:2], 0.0102, atol=1e-3)
+    assert np.isnan(far.contacts.positions[0]).all() and np.isnan(far.contacts.rotations[0]).all()
+
+
+def test_an_object_that_does_not_fit_is_refused():
+    with pytest.raises(ObjectModelError, match=r"finger_1 starts \d+\.\d mm inside the object"):
+        plant(object__size=(0.29, 0.2604, 0.2604))
+
+
+def test_a_turned_object_is_met_on_its_edges():
+    """At 45 degrees about z the fingers meet edges; the normals still point at the axis."""
+    edge = 0.2604 / 2.0**0.5
+    world = plant(object__rotation=(0.0, 0.0, np.pi / 4.0), object__size=(edge, edge, 0.2604))
+    state = world.state
+    assert state.contacts.touching.all()
+    expected = [[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]
+    np.testing.assert_allclose(state.contacts.normals, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("angles", [[1.0], [1.0] * 6, []])
+def test_a_wrong_number_of_initial_angles_is_refused(angles):
+    with pytest.raises(ConfigurationError, match=r"expected 9.*or 3 for every finger"):
+        plant(initial_joints=angles)
+
+
+def test_initial_angles_may_be_given_for_each_joint():
+    angles = [1.047, 0.0, 1.571, 1.047, 0.0, 1.571, 1.047, 0.001, 1.571]
+    assert plant(initial_joints=angles).state.theta[7] == pytest.approx(0.001, abs=1e-4)
+
+
+@pytest.mark.parametrize(("rate", "step"), [(300.0, 0.001), (3000.0, 0.001), (700.0, 0.002)])
+def test_a_tick_must_be_whole_steps(rate, step):
+    with pytest.raises(ConfigurationError, match="expected a whole number"):
+        PlantConfig().changed({"rate": rate, "time_step": step})
+
+
+def test_ticks_are_counted_in_nanoseconds():
+    assert PlantConfig(rate=500.0).tick == 2_000_000
+    assert PlantConfig(rate=500.0, time_step=0.001).steps_per_tick == 2
+    assert PlantConfig(rate=1000.0, time_step=0.001).steps_per_tick == 1
+
+
+def test_a_simulation_that_diverges_says_so_and_can_begin_anew():
+    """Torques that are a tenth of a second old shake the hand to pieces."""
+    loop = ClosedLoop(load_scenario("paper"))
+    late = deque([np.zeros(loop.plant.hand.joints)] * 60)
+    advance = loop.plant.advance
+
+    def advance_late(torque):
+        late.append(torque)
+        return advance(late.popleft())
+
+    loop.plant.advance = advance_late
+    with pytest.raises(DivergedError, match="has diverged at .* s.* reset the plant"):
+        loop.run()
+    loop.plant.reset()
+    assert np.isfinite(advance(np.zeros(loop.plant.hand.joints)).theta).all()

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant in contact: balance of momentum, stick, slip, lift-off, rolling, equilibrium."""
+
+import numpy as np
+import pytest
+from support.hands import tip_rotations
+from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
+
+from tactile_hand_ros.control.contact import skew
+from tactile_hand_ros.control.grasp import grasp_map
+from tactile_hand_ros.simulation.contact_step import TOUCH
+from tactile_hand_ros.simulation.disturbance import Disturbance
+
+HEAVY = {"object__mass": 0.2, "layout": "pinch"}
+
+
+def step_force(*force, start=0.0):
+    return [Disturbance(kind="step", start=start, force=force)]
+
+
+class Holder:
+    """Keeps the posture stiffly around torques that make chosen contact forces."""
+
+    def __init__(self, world, forces, stiffness=200.0, damping=4.0):
+        self.world, self.stiffness, self.damping = world, stiffness, damping
+        self.posture = world.state.theta
+        self.torque = torque_for(world, forces)
+
+    def run(self, seconds):
+        """Return the states of all ticks."""
+        states = []
+        state = self.world.state
+        for _ in range(round(seconds * self.world.config.rate)):
+            spring = self.stiffness * (self.posture - state.theta) - self.damping * state.rates
+            state = self.world.advance(self.torque + spring)
+            states.append(state)
+        return states
+
+
+def shaken(seed, ticks=200, **values):
+    """Yield a plant and its states under torques that squeeze, drag, open and close the grasp."""
+    random = np.random.default_rng(seed)
+    world = plant(gravity=(0.0, 0.0, -3.0), object__mass=0.1, **values)
+    transposed, normals = jacobian(world, world.state).T, world.state.contacts.normals
+    for tick in range(ticks):
+        if tick % 20 == 0:
+            pushes = normals * random.uniform(-0.5, 3.0, (3, 1)) + random.standard_normal((3, 3))
+        yield world, world.advance(transposed @ pushes.ravel() - 0.07 * world.state.rates)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.8, 2.0])
+@pytest.mark.parametrize("layout", ["three_faces", "pinch"])
+def test_every_state_obeys_the_contact_laws(friction, layout):
+    """Whatever the torques do: pushing only, inside the cone, on it and against it when sliding."""
+    seen = set()
+    for seed in range(3):
+        for world, state in shaken(seed, object__friction=friction, layout=layout):
+            assert world.contact_residual < 1e-8
+            push, normal = np.hypot(state.forces[:, 0], state.forces[:, 2]), state.forces[:, 1]
+            size = max(1e-3, normal.max())
+            assert normal.min() >= 0.0
+            assert (push <= friction * normal + 1e-7 * size).all()
+            # The position moves with the mean of the velocities before and after an impact.
+            assert state.gaps.min() > -5e-4
+            for i in range(3):
+                speed = np.linalg.norm(state.sliding[i])
+                if normal[i] == 0.0:
+                    seen.add("open")
+                    continue
+                assert abs(state.gaps[i]) < 5e-4 and state.contacts.touching[i]
+                if speed < 1e-7:
+                    seen.add("stick")
+                    continue
+                seen.add("slip")
+                expected = -friction * normal[i] * state.sliding[i] / speed
+                np.testing.assert_allclose(state.forces[i, [0, 2]], expected, atol=2e-3 * size)
+    assert seen == {"open", "stick", "slip"}
+
+
+@pytest.mark.parametrize(("seed", "friction"), [(1, 0.5), (2, 2.0)])
+def test_a_contact_without_force_is_seen_only_while_it_touches(seed, friction):
+    for _, state in shaken(seed, object__friction=friction, layout="pinch"):
+        apart = ~state.contacts.touching
+        assert not state.forces[apart].any() and (state.gaps[apart] > TOUCH).all()
+        assert (state.gaps[~apart] < 5e-4).all()
+        assert np.isnan(state.contacts.positions[apart]).all()
+        assert np.isfinite(state.contacts.rotations[~apart]).all()
+
+
+@pytest.mark.parametrize("friction", [0.3, 100.0])
+def test_contact_forces_balance_both_sides(friction):
+    """Newton's third law: what the tips lose, J_h^T f, the object gains, G f."""
+    step = 1e-4
+    world = plant(
+        step,
+        gravity=(0.0, 0.0, -2.0),
+        object__friction=friction,
+        object__inertia=(0.001, 0.002, 0.003),
+        disturbances=[Disturbance(force=(0.5, 0.3, -0.2), torque=(0.02, -0.01, 0.03))],
+        **HEAVY,
+    )
+    torque = torque_for(world, squeeze(world.state, 8.0)) + 0.05 * np.arange(9.0)
+    for _ in range(400):
+        before = world.state
+        after = world.advance(torque)
+    assert after.contacts.touching.all() and np.linalg.norm(after.velocity) > 1e-3
+    forces = forces_in_palm(after)
+    linear, angular = (
+        (b - a) / step for a, b in zip(momentum(world, before), momentum(world, after))
+    )
+    wrench = grasp_map(after.contacts.positions, after.position) @ forces.ravel()
+    external = np.array([0.5, 0.3, -0.2 - 0.4, 0.02, -0.01, 0.03])
+    balance = np.concatenate([linear, angular]) - wrench - external
+    assert np.abs(balance).max() < 5e-3
+    assert np.abs(wrench).max() > 0.1
+    middle = 0.5 * (before.theta + after.theta)
+    _, inertia, bias = world.hand.dynamics(middle, 0.5 * (before.rates + after.rates))
+    gained = inertia @ (after.rates - before.rates) / step
+    reaction = jacobian(world, after).T @ forces.ravel()
+    np.testing.assert_allclose(gained, torque - bias - reaction, atol=5e-3)
+    assert np.abs(reaction).max() > 1.0
+
+
+def work_and_energy(step):
+    """Return what a stuck grasp gained in energy, and the work that the joints did."""
+    world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0))
+    pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
+    torque, start, before = torque_for(world, pushes), world.state.theta, world.energy()
+    for _ in range(round(0.25 / step)):
+        state = world.advance(torque)
+    assert state.contacts.touching.all() and not (np.abs(state.sliding) > 1e-9).any()
+    assert np.linalg.norm(state.position - [0.0, 0.0, 0.4098]) > 0.005
+    return world.energy() - before, torque @ (state.theta - start)
+
+
+def test_a_stuck_grasp_neither_gains_nor_loses_energy():
+    """Sticking and rolling contacts do no work: energy is the work of the joints, less with h."""
+    errors = []
+    for step in (0.002, 0.001, 0.0005):
+        gained, work = work_and_energy(step)
+        errors.append(abs(gained - work) / abs(work))
+    assert errors[1] < 2e-3
+    assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
+
+
+def test_gap_of_a_stuck_grasp_stays_closed_to_second_order():
+    def widest(step):
+        world = plant(step, object__mass=0.2)
+        pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
+        torque = torque_for(world, pushes)
+        return max(np.abs(world.advance(torque).gaps).max() for _ in range(round(0.25 / step)))
+
+    coarse, fine = widest(0.002), widest(0.001)
+    assert fine < 2e-6 and fine < 0.3 * coarse
+
+
+def test_nothing_creeps_under_a_load_inside_the_cone():
+    """Three seconds at nine tenths of the friction that is there: not a nanometre."""
+    world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -4.5), **HEAVY)
+    forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 4.5])
+    states = Holder(world, forces).run(3.0)
+    moved = [np.abs(s.position - [0.0, 0.0, 0.4098]).max() for s in states]
+    assert max(moved) < 1e-9
+    last = states[-1]
+    used = np.hypot(last.forces[:, 0], last.forces[:, 2]) / last.forces[:, 1]
+    np.testing.assert_allclose(used, 0.45 / 0.5 * 0.5, atol=1e-6)
+    np.testing.assert_allclose(forces_in_palm(last).sum(axis=0), [0.0, 0.0, 4.5], atol=1e-8)
+
+
+def test_a_load_beyond_the_cone_slides_at_the_limit():
+    """Six newtons against a friction of five: the rest accelerates the object, tips stay put."""
+    world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -6.0), **HEAVY)
+    forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 5.0])
+    states = Holder(world, forces).run(0.1)
+    for state in states[5:]:
+        assert (state.sliding[:, 1] < 0.0).all()  # z of the frames is palm z: it slides down
+        np.testing.assert_allclose(state.forces[:, 2], 0.5 * state.forces[:, 1], rtol=1e-6)
+    last = states[-1]
+    np.testing.assert_allclose(last.velocity[2], -(6.0 - 5.0) / 0.2 * 0.1, rtol=0.02)
+    assert np.abs(last.rates).max() < 0.05 * abs(last.velocity[2])
+
+
+def test_sliding_stops_when_the_load_does():
+    loads = [
+        Disturbance(kind="pulse", duration=0.05, force=(0.0, 0.0, -8.0)),
+    ]
+    world = plant(object__friction=0.5, disturbances=loads, **HEAVY)
+    states = Holder(world, squeeze(world.state, 10.0)).run(0.3)
+    assert max(np.abs(s.sliding).max() for s in states) > 0.05
+    assert np.abs(states[-1].sliding).max() < 1e-10
+    assert states[-1].position[2] < 0.4098 - 1e-3
+
+
+def test_a_finger_lifts_off_and_comes_back():
+    world = plant(object__mass=0.2, object__friction=1.0)
+    start = world.state
+    away = np.zeros((3, 3))
+    away[2] = -0.5 * start.contacts.normals[2]
+    hold = np.array([[-4.0, 0, 0], [4.0, 0, 0], [0.0, 0.0, 0.0]])
+    opening = torque_for(world, hold + away)
+    widest = 0.0
+    for _ in range(100):
+        state = world.advance(opening - 0.5 * (world.state.rates))
+        widest = max(widest, state.gaps[2])
+    assert widest > 1e-3
+    np.testing.assert_array_equal(state.contacts.touching, [True, True, False])
+    assert np.isnan(state.contacts.positions[2]).all() and not state.forces[2].any()
+    closing, deepest = torque_for(world, hold) - 2.0 * (opening - torque_for(world, hold)), 0.0
+    for _ in range(400):
+        state = world.advance(closing - 0.5 * world.state.rates)
+        deepest = min(deepest, state.gaps[2])
+    assert state.contacts.touching.all() and state.forces[2, 1] > 0.1
+    assert deepest > -2e-4 and abs(state.gaps[2]) < 1e-5
+
+
+def test_a_landing_finger_does_not_bounce():
+    """The impact is inelastic: once down, the finger stays, and the approach speed is gone."""
+    world = plant(object__mass=20.0, object__size=(0.2604, 0.2480, 0.2604))
+    torque = torque_for(world, np.array([[0.0, 0, 0], [0.0, 0, 0], [0.0, -0.5, 0.0]]))
+    contact = [world.advance(torque).contacts.touching[2] for _ in range(200)]
+    first = contact.index(True)
+    assert first > 10 and all(contact[first:])
+
+
+def test_contacts_roll_equally_far_over_tip_and_face():
+    """(6): without slip the contact point travels the same arc over the sphere and the object."""
+    world = plant(0.0005, object__mass=0.2)
+    pushes = np.array([[-3.0, 0.5, 0.4], [3.0, 0.5, 0.4], [0.0, -0.6, 0.2]])
+    torque, names = torque_for(world, pushes), [f"finger_{i}_tip" for i in (1, 2, 3)]
+
+    def on_both(state):
+        points = state.contacts.positions
+        tips = world.hand.fingertips(state.theta).positions
+        turned = tip_rotations(world.hand.description, names, state.theta)
+        on_tip = np.einsum("kji,kj->ki", turned, points - tips)
+        return (points - state.position) @ state.rotation, on_tip
+
+    arcs = np.zeros((2, 3))
+    before = on_both(world.state)
+    for _ in range(500):
+        after = on_both(world.advance(torque))
+        arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after)]
+        before = after
+    assert arcs.max() > 0.005
+    np.testing.assert_allclose(arcs[0], arcs[1], rtol=0.01)
+
+
+def test_contact_points_of_both_bodies_move_alike():
+    """(6) itself: J_h theta' = G^T x' while the grasp moves, up to the length of a step."""
+    step = 1e-4
+    world = plant(step, object__mass=0.2)
+    pushes = np.array([[-3.0, 0.5, 0.4], [3.0, 0.5, 0.4], [0.0, -0.6, 0.2]])
+    torque = torque_for(world, pushes)
+    for _ in range(1500):
+        state = world.advance(torque)
+    arms = state.contacts.positions - state.position
+    body = state.velocity + np.einsum("kij,j->ki", -skew(arms), state.spin)
+    hand = (jacobian(world, state) @ state.rates).reshape(3, 3)
+    assert np.linalg.norm(body) > 0.05
+    np.testing.assert_allclose(hand, body, atol=1e-3 * np.linalg.norm(body))
+
+
+def test_contact_forces_carry_a_hanging_weight():
+    world = plant(
+        object__friction=1.0, gravity=(0.0, 0.0, -9.81), object__mass=0.18, layout="pinch"
+    )
+    state = Holder(world, squeeze(world.state, 10.0), stiffness=500.0, damping=10.0).run(2.0)[-1]
+    assert np.abs(state.rates).max() < 1e-5
+    forces = forces_in_palm(state)
+    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, 0.18 * 9.81], atol=1e-3)
+    moments = np.cross(state.contacts.positions - state.position, forces)
+    np.testing.assert_allclose(moments.sum(axis=0), 0.0, atol=1e-4)
+
+
+def test_the_squeeze_arrives_where_it_was_meant():
+    """At rest J_h^T f makes the contact forces f: fingers press as (2) says."""
+    world = plant(**HEAVY)
+    wanted = squeeze(world.state, 10.0)
+    state = Holder(world, wanted).run(0.2)[-1]
+    np.testing.assert_allclose(forces_in_palm(state), wanted, atol=1e-9)
+    np.testing.assert_allclose(state.forces[:, 1], [2.5, 2.5, 5.0], atol=1e-9)
+
+
+def test_friction_may_change_while_running():
+    world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -4.5), **HEAVY)
+    forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 4.5])
+    holder = Holder(world, forces)
+    assert np.abs(holder.run(0.1)[-1].sliding).max() < 1e-10
+    world.friction[:] = 0.3
+    assert np.abs(holder.run(0.05)[-1].sliding).max() > 0.01
+
+
+def test_a_grasp_far_away_turned_with_the_hand_behaves_the_same():
+    """The object's own frame is a matter of naming: corners turned back, body turned forth."""
+    turn = np.array([0.0, 0.0, np.pi / 2.0])
+    corners = 0.1302 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
+    worlds = [
+        plant(object__mass=0.2, object__inertia=(0.001, 0.002, 0.003)),
+        plant(
+            object__mass=0.2,
+            object__inertia=(0.002, 0.001, 0.003),
+            object__rotation=tuple(turn),
+            object__vertices=[float(c) for c in corners.ravel()],
+        ),
+    ]
+    torque = torque_for(worlds[0], pushes)
+    for _ in range(100):
+        first, second = (world.advance(torque) for world in worlds)
+    np.testing.assert_allclose(second.position, first.position, atol=1e-10)
+    np.testing.assert_allclose(second.forces, first.forces, atol=1e-6)

@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated skin: what is true when nothing is wrong, and each way in which it errs."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from support.grasps import HALF
+
+from tactile_hand_ros.control.contact import contact_frame
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
+
+RADII = np.array([0.06, 0.03, 0.05])
+TICK = 2_000_000
+
+
+def truth(time=0.0, missing=()):
+    """Return true contacts that move slowly, and forces that say when they were measured."""
+    points = HALF * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    positions = points + [0.0, 0.0, 0.01 * time]
+    quaternions = quaternion_from_rotation([contact_frame(-p / HALF) for p in points])
+    forces = np.array([[0.1, 5.0, -0.2]] * 3) + [0.0, time, 0.0]
+    for finger in missing:
+        positions[finger] = quaternions[finger] = np.nan
+        forces[finger] = 0.0
+    return TactileReading(positions, quaternions, forces)
+
+
+def sensor(**values):
+    return TactileSensor(TactileSensorConfig(**values), RADII)
+
+
+def readings(skin, ticks, missing=()):
+    """Return what the skin publishes at each of the ticks."""
+    return [skin.step(i * TICK, truth(1e-9 * i * TICK, missing)) for i in range(ticks)]
+
+
+def same(one, two):
+    for name in ("positions", "quaternions", "forces"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_a_perfect_skin_reports_the_truth_to_the_bit():
+    for i, reading in enumerate(readings(sensor(), 5)):
+        same(reading, truth(1e-9 * i * TICK))
+
+
+def test_what_is_published_does_not_change_with_the_truth():
+    true = truth()
+    reading = sensor().step(0, true)
+    before = reading.positions.copy()
+    true.positions[:] = 0.0
+    np.testing.assert_array_equal(reading.positions, before)
+
+
+def test_force_noise_has_the_asked_deviation_and_no_bias():
+    forces = np.array([r.forces for r in readings(sensor(force_noise=0.05, seed=3), 4000)])
+    errors = forces - [truth(0.002 * i).forces for i in range(4000)]
+    # Bounds of five standard errors of mean and deviation over 36000 draws.
+    assert abs(errors.mean()) < 5 * 0.05 / 190
+    assert errors.std() == pytest.approx(0.05, rel=5 / 268)
+    correlation = np.corrcoef(errors.reshape(4000, 9).T) - np.eye(9)
+    assert np.abs(correlation).max() < 0.1
+    assert abs(np.corrcoef(errors[:-1].ravel(), errors[1:].ravel())[0, 1]) < 0.03
+
+
+def test_location_noise_moves_the_contact_over_the_tip_only():
+    """Whatever the noise, point and normal stay those of a sphere around the true centre (A2)."""
+    normals = truth().contacts.normals
+    errors = []
+    for i, reading in enumerate(readings(sensor(location_noise=0.002), 1000)):
+        centres = truth(0.002 * i).positions - RADII[:, None] * normals
+        arms = reading.positions - centres
+        np.testing.assert_allclose(np.linalg.norm(arms, axis=1), RADII, atol=1e-12)
+        seen = reading.contacts.rotations
+        np.testing.assert_allclose(seen[:, :, 1], arms / RADII[:, None], atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(seen), 1.0)
+        along = (arms * normals).sum(axis=1)[:, None] * normals
+        errors.append(arms - along)
+    for finger, tangential in enumerate(([1, 2], [1, 2], [0, 2])):
+        spread = np.array(errors)[:, finger, tangential]
+        assert spread.std() == pytest.approx(0.002, rel=0.1)
+    np.testing.assert_array_equal(reading.forces, truth(0.002 * 999).forces)
+
+
+def test_one_seed_gives_the_same_noise_and_another_gives_other():
+    noisy = {"force_noise": 0.1, "location_noise": 0.001, "dropout": 0.3, "bias_drift": 0.1}
+    first, again, other = (readings(sensor(**noisy, seed=seed), 50) for seed in (5, 5, 6))
+    for one, two in zip(first, again, strict=True):
+        same(one, two)
+    assert np.abs(first[0].forces - other[0].forces).max() > 1e-3
+    skin = sensor(**noisy, seed=5)
+    readings(skin, 20)
+    skin.reset()
+    for one, two in zip(first, readings(skin, 50), strict=True):
+        same(one, two)
+
+
+def test_a_repeated_tick_repeats_the_reading():
+    skin = sensor(force_noise=0.1)
+    skin.step(0, truth())
+    once = skin.step(TICK, truth())
+    same(skin.step(TICK, truth()), once)
+
+
+def test_one_finger_without_contact_leaves_the_others_noise_alone():
+    whole = readings(sensor(force_noise=0.1, location_noise=0.001), 20)
+    part = readings(sensor(force_noise=0.1, location_noise=0.001), 20, missing=[1])
+    for one, two in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
+        np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
+
+
+def test_no_contact_is_nan_without_force_however_noisy():
+    noisy = {"force_noise": 0.5, "location_noise": 0.01, "location_resolution": 0.003}
+    for reading in readings(sensor(**noisy), 10, missing=[0, 2]):
+        assert np.isnan(reading.positions[[0, 2]]).all()
+        assert np.isnan(reading.quaternions[[0, 2]]).all()
+        assert not reading.forces[[0, 2]].any()
+        np.testing.assert_array_equal(reading.contacts.touching, [False, True, False])
+
+
+def test_forces_come_in_steps():
+    for reading in readings(sensor(force_noise=0.3, force_resolution=0.25), 20):
+        np.testing.assert_array_equal(reading.forces, 0.25 * np.rint(reading.forces / 0.25))
+    reading = sensor(force_resolution=0.25).step(0, truth())
+    np.testing.assert_allclose(reading.forces[0], [0.0, 5.0, -0.25])
+
+
+def test_locations_come_in_steps_no_farther_than_a_taxel():
+    skin = sensor(location_resolution=0.004)
+    seen = set()
+    for i in range(200):
+        angle = 1e-3 * i
+        normal = np.array([-np.cos(angle), -np.sin(angle), 0.0])
+        positions = RADII[:, None] * normal
+        quaternions = np.tile(quaternion_from_rotation(contact_frame(normal)), (3, 1))
+        reading = skin.step(i * TICK, TactileReading(positions, quaternions, np.zeros((3, 3))))
+        assert np.linalg.norm(reading.positions - positions, axis=1).max() < 0.004
+        seen.add(tuple(reading.positions[0].round(9)))
+    assert 3 <= len(seen) <= 12
+
+
+def test_a_reading_is_as_old_as_the_latency():
+    skin = sensor(latency=0.01)
+    for i, reading in enumerate(readings(skin, 20)):
+        expected = max(0.0, 0.002 * i - 0.01)
+        assert reading.forces[0, 1] == pytest.approx(5.0 + expected, abs=1e-12)
+
+
+def test_a_slow_skin_repeats_its_last_sample():
+    forces = [r.forces[0, 1] - 5.0 for r in readings(sensor(rate=100.0), 20)]
+    np.testing.assert_allclose(forces, 0.01 * (np.arange(20) // 5), atol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 3000.0])
+def test_a_skin_as_fast_as_the_ticks_misses_none(rate):
+    forces = [r.forces[0, 1] - 5.0 for r in readings(sensor(rate=rate), 2000)]
+    np.testing.assert_allclose(forces, 0.002 * np.arange(2000), atol=1e-9)
+
+
+def test_a_lost_sample_repeats_the_finger_s_last():
+    got = readings(sensor(dropout=0.3, seed=2), 3000)
+    new = np.array([r.forces[:, 1] for r in got]) - 5.0
+    times = 0.002 * np.arange(3000)
+    lost = ~np.isclose(new, times[:, None], atol=1e-12)
+    assert not lost[0].any()
+    # Each finger loses its own samples, three in ten of them.
+    np.testing.assert_allclose(lost.mean(axis=0), 0.3, atol=5 * (0.21 / 3000) ** 0.5)
+    assert np.abs(np.corrcoef(lost.T) - np.eye(3)).max() < 0.1
+    for tick in range(1, 3000):
+        for finger in np.flatnonzero(lost[tick]):
+            assert new[tick, finger] == new[tick - 1, finger]
+            np.testing.assert_array_equal(
+                got[tick].positions[finger], got[tick - 1].positions[finger]
+            )
+
+
+def test_with_everything_lost_the_first_sample_stays():
+    for reading in readings(sensor(dropout=1.0), 5):
+        same(reading, truth())
+
+
+def test_noise_may_change_while_running():
+    skin = sensor()
+    skin.step(0, truth())
+    skin.configure(TactileSensorConfig(force_noise=0.1))
+    assert np.abs(skin.step(TICK, truth()).forces - truth().forces).max() > 1e-3
+    skin.configure(TactileSensorConfig())
+    np.testing.assert_array_equal(skin.step(2 * TICK, truth()).forces, truth().forces)
+
+
+def test_a_lost_sample_repeats_the_one_before_it_even_while_that_is_still_on_its_way():
+    """With latency the newest sample is not yet published; it is the one to repeat all the same."""
+    lossy = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4), 200)]
+    late = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4, latency=0.01), 200)]
+    np.testing.assert_array_equal(late[5:], lossy[:-5])
+
+
+def forces_of(skin, ticks, force, sliding=None, period=1_000_000):
+    """Return what a skin at 1 kHz feels of a force that may depend on the tick, shape (n, 3, 3)."""
+    still, out = truth(), []
+    for i in range(ticks):
+        true = TactileReading(still.positions, still.quaternions, force(i))
+        out.append(skin.step(i * period, true, sliding).forces)
+    return np.array(out)
+
+
+def constant(_):
+    return np.array([[0.0, 5.0, 0.0]] * 3)
+
+
+def test_bandwidth_smooths_a_step_with_its_time_constant():
+    """40 Hz: 63 % of a step after 4 ms."""
+    skin = sensor(rate=1000.0, bandwidth=40.0)
+    felt = forces_of(skin, 60, lambda i: (0.0 if i < 20 else 1.0) * constant(i))[:, 0, 1]
+    assert (felt[:20] == 0.0).all()
+    np.testing.assert_allclose(
+        felt[20:], 5.0 * (1.0 - np.exp(-2 * np.pi * 40.0 * 1e-3 * np.arange(1, 41))), rtol=1e-9
+    )
+
+
+def test_the_first_force_of_a_skin_is_no_step_from_nothing():
+    """With a bandwidth of 40 Hz; nor is the first one after a reset."""
+    skin = sensor(rate=1000.0, bandwidth=40.0)
+    for scale in (1.0, 3.0):
+        felt = forces_of(skin, 3, lambda _, scale=scale: scale * constant(0))
+        np.testing.assert_array_equal(felt, np.broadcast_to(scale * constant(0), (3, 3, 3)))
+        skin.reset()
+
+
+def test_bandwidth_of_the_location_smooths_its_noise():
+    """A first-order filter leaves share / (2 - share) of the power of white noise."""
+    skin = sensor(rate=1000.0, location_noise=1e-4, location_bandwidth=20.0)
+    off = np.array([skin.step(i * 1_000_000, truth()).positions for i in range(1500)])
+    off = (off - truth().positions)[50:]
+    across = off[:, [0, 0, 1, 1, 2, 2], [1, 2, 1, 2, 0, 2]]  # tangential directions
+    share = 1.0 - np.exp(-2.0 * np.pi * 20.0 * 1e-3)
+    assert across.std() == pytest.approx(1e-4 * np.sqrt(share / (2.0 - share)), rel=0.1)
+
+
+def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once():
+    """Three tips of their own size, under each of which the contact jumps by 0.3 rad."""
+    here, there = truth(), np.array([[-1.0, 0.0, 0.3], [1.0, 0.3, 0.0], [0.0, -1.0, -0.3]])
+    there /= np.linalg.norm(there, axis=1)[:, None]
+    frames = quaternion_from_rotation([contact_frame(n) for n in there])
+    turned = TactileReading(here.positions, frames, here.forces)
+    skin = sensor(rate=1000.0, location_resolution=1e-10, location_bandwidth=20.0)
+
+    def shows(stamps, true):
+        return [skin.step(i * 1_000_000, true).contacts.normals for i in stamps]
+
+    def is_at(normals, expected):
+        np.testing.assert_allclose(normals, expected, atol=1e-7)
+
+    old = here.contacts.normals
+    is_at(shows(range(3), here)[-1], old)
+    for n, seen in enumerate(shows((3, 4, 7, 20), turned)):
+        left = np.exp(-2.0 * np.pi * 20.0 * 1e-3 * (1, 2, 5, 18)[n])
+        expected = there + left * (old - there)
+        is_at(seen, expected / np.linalg.norm(expected, axis=1)[:, None])
+    gone = truth(missing=[1])
+    assert np.isnan(shows([21], gone)[0][1]).all()
+    back = shows([22], here)[0]
+    is_at(back[1], old[1])  # lost meanwhile, seen at once
+    assert np.abs(back[0] - old[0]).max() > 0.1  # the others go on settling
+    skin.reset()
+    is_at(shows([0], turned)[0], there)
+
+
+def test_the_zero_drifts_as_a_random_walk():
+    """Twice as far after four times as long, and as far as is asked for."""
+    skins = [sensor(rate=1000.0, bias_drift=0.01, seed=seed) for seed in range(12)]
+    off = np.array([forces_of(skin, 1000, constant) for skin in skins]) - constant(0)
+    early, late = off[:, 249].std(), off[:, 999].std()
+    # Deviations over 108 walks: five standard errors are 34 %.
+    assert late == pytest.approx(0.01, rel=0.34) and early == pytest.approx(0.005, rel=0.34)
+
+
+def vibration(speed, ticks=4000, period=1_000_000, rate=1000.0, **values):
+    skin = sensor(rate=rate, vibration={"gain": 10.0, "limit": 0.2}, **values)
+    return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0]), period) - constant(0)
+
+
+def test_only_a_contact_that_slides_vibrates_and_the_faster_the_more():
+    at_rest, slow, fast = vibration(0.0), vibration(0.002), vibration(1.0)
+    assert not at_rest.any() and not slow[:, 1:].any()
+    assert slow[:, 0].std() == pytest.approx(0.2 * (1 - np.exp(-0.1)), rel=0.1)
+    assert fast[:, 0].std() == pytest.approx(0.2, rel=0.1)
+
+
+def test_vibration_lies_in_its_band():
+    """Less than a third of the power of the band's middle is left well below it."""
+    power = np.abs(np.fft.rfft(vibration(1.0, 8000)[:, 0, 0])) ** 2
+    per_hertz = power.reshape(-1)[: 8 * 480].reshape(-1, 8).mean(axis=1)  # bins of 1 Hz
+    assert per_hertz[1:10].mean() < per_hertz[100:300].mean() / 3.0
+
+
+def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
+    """One at 10 kHz, read every 2 ms, against the autocorrelation of band-limited noise.
+
+    White noise through first-order passes at a and b rad/s is correlated after t as
+    a exp(-a t) - b exp(-b t), so that its second difference has 6 - 8 r(t) + 2 r(2 t) of its power.
+    """
+    felt = vibration(1e3, 4000, TICK, rate=10e3)[:, 0]
+    a, b = 2.0 * np.pi * 400.0, 2.0 * np.pi * 60.0
+    once, twice = ((a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b) for t in (0.002, 0.004))
+    assert felt.std() == pytest.approx(0.2, rel=0.03)
+    ratio = np.diff(felt, n=2, axis=0).var() / felt.var()
+    assert ratio == pytest.approx(6.0 - 8.0 * once + 2.0 * twice, rel=0.05)
+
+
+def test_a_skin_too_slow_for_its_vibration_smooths_every_sample_of_it():
+    """100 Hz at 10 kHz: what its three first-order filters leave, however seldom it is read."""
+    impulse = np.eye(1, 4000)[0]
+    gains = 1.0 - np.exp(-2.0 * np.pi * np.array([400.0, 60.0, 100.0]) / 10e3)
+    first, slow = lfilter([gains[0]], [1.0, gains[0] - 1.0], impulse), 1.0 - gains[1]
+    band = first - lfilter([gains[1]], [1.0, -slow], first)
+    smooth = lfilter([gains[2]], [1.0, gains[2] - 1.0], band)
+    expected = 0.2 * np.linalg.norm(smooth) / np.linalg.norm(band)
+    for period in (TICK, 300_000):
+        felt = vibration(1e3, 4000, period, rate=10e3, bandwidth=100.0)[100:, 0]
+        assert felt.std() == pytest.approx(expected, rel=0.05)
+
+
+def test_vibration_begins_anew_with_the_same_seed():
+    skin = sensor(rate=10e3, vibration={"gain": 10.0})
+    first = forces_of(skin, 20, constant, np.ones(3), TICK)
+    skin.reset()
+    np.testing.assert_array_equal(forces_of(skin, 20, constant, np.ones(3), TICK), first)
+
+
+def test_vibration_leaves_the_other_noise_alone():
+    for period in (100_000, TICK):
+        plain = forces_of(sensor(rate=10e3, force_noise=0.1), 50, constant, period=period)
+        noisy = vibration(0.0, 50, period, rate=10e3, force_noise=0.1) + constant(0)
+        np.testing.assert_array_equal(plain, noisy)
+
+
+def test_after_a_long_silence_or_a_late_start_vibration_goes_on():
+    skin = sensor(rate=10e3, vibration={"gain": 10.0, "limit": 0.2})
+    still, speeds = truth(), np.ones(3)
+    for stamp in (10**18, 10**18 + 100_000, 10**18 + 10**15):
+        felt = skin.step(stamp, still, speeds).forces - still.forces
+        assert 0.0 < np.abs(felt).max() < 1.5

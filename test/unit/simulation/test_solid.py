@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The object's shape: faces, edges, corners, and what spans no solid."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.errors import ConfigurationError, ObjectModelError
+from tactile_hand_ros.simulation.plant_config import ObjectConfig
+from tactile_hand_ros.simulation.solid import ConvexPolyhedron, closest_point
+
+BOX = ConvexPolyhedron.box(np.array([0.2, 0.4, 0.6]))
+GOLDEN = (1.0 + 5.0**0.5) / 2.0
+
+
+def nearest(solid, point):
+    """Return normal, distance and whether a face is nearest."""
+    normal = np.empty(3)
+    distance, on_face = closest_point(solid.shape, np.asarray(point, dtype=float), normal)
+    return normal, distance, on_face
+
+
+def dodecahedron(decimals=None):
+    """Return a dodecahedron, as a user would type its corners with a few decimals."""
+    corners = [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    for a in (-1, 1):
+        for b in (-1, 1):
+            corners += [[0, a / GOLDEN, b * GOLDEN], [a / GOLDEN, b * GOLDEN, 0]]
+            corners += [[a * GOLDEN, 0, b / GOLDEN]]
+    points = 0.06 * np.array(corners)
+    return points if decimals is None else points.round(decimals)
+
+
+@pytest.mark.parametrize(
+    ("point", "normal", "distance", "on_face"),
+    [
+        ([0.15, 0.05, -0.2], [1.0, 0, 0], 0.05, True),
+        ([0.0, -0.5, 0.0], [0, -1.0, 0], 0.3, True),
+        ([0.13, 0.24, 0.1], [0.6, 0.8, 0], 0.05, False),
+        ([-0.12, -0.22, -0.31], [-2 / 3, -2 / 3, -1 / 3], 0.03, False),
+        ([0.1, 0.0, 0.0], [1.0, 0, 0], 0.0, True),
+        ([0.09, 0.1, 0.1], [1.0, 0, 0], -0.01, True),
+        ([0.1, 0.2, 0.4], [0, 0, 1.0], 0.1, None),
+    ],
+)
+def test_nearest_feature_of_a_box(point, normal, distance, on_face):
+    found, how_far, face = nearest(BOX, point)
+    np.testing.assert_allclose(found, normal, atol=1e-12)
+    assert how_far == pytest.approx(distance, abs=1e-12)
+    assert on_face is None or face == on_face
+
+
+def test_a_box_has_six_faces_twelve_edges_and_eight_corners():
+    assert (len(BOX.normals), len(BOX.edges), len(BOX.vertices)) == (6, 12, 8)
+    np.testing.assert_allclose(np.sort(BOX.offsets), [0.1, 0.1, 0.2, 0.2, 0.3, 0.3])
+    lengths = np.linalg.norm(np.diff(BOX.vertices[BOX.edges], axis=1), axis=2)
+    np.testing.assert_allclose(np.sort(lengths.ravel()), np.repeat([0.2, 0.4, 0.6], 4))
+
+
+def test_a_box_is_the_hull_of_its_corners():
+    """Its planes are written down, since looking for them would load a library."""
+    hull = ConvexPolyhedron(BOX.vertices)
+    for ours, found in zip(BOX.shape, hull.shape, strict=True):
+        np.testing.assert_allclose(ours, found, atol=1e-15)
+
+
+def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
+    for solid in (BOX, ConvexPolyhedron(dodecahedron())):
+        for normal, offset, corners in zip(
+            solid.normals, solid.offsets, solid.face_corners, strict=True
+        ):
+            at = solid.vertices[corners]
+            np.testing.assert_allclose(at @ normal, offset, atol=1e-12)
+            sides = np.roll(at, -1, axis=0) - at
+            assert (np.cross(sides, np.roll(sides, -1, axis=0)) @ normal > 0.0).all()
+
+
+def test_a_dodecahedron_has_pentagons():
+    solid = ConvexPolyhedron(dodecahedron())
+    assert [len(corners) for corners in solid.face_corners] == [5] * 12
+    assert len(solid.edges) == 30
+    np.testing.assert_allclose(np.linalg.norm(solid.normals, axis=1), 1.0)
+
+
+@pytest.mark.parametrize("decimals", [None, 8, 7, 6, 5, 4, 3])
+def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
+    """Rounding bends the faces a little; every point above one must still find it."""
+    from scipy.spatial import ConvexHull
+
+    corners = dodecahedron(decimals)
+    solid, hull = ConvexPolyhedron(corners), ConvexHull(corners)
+    random = np.random.default_rng(1)
+    for triangle, plane in zip(corners[hull.simplices], hull.equations, strict=True):
+        for _ in range(10):
+            point = random.dirichlet([1.0, 1.0, 1.0]) @ triangle + 0.05 * plane[:3]
+            normal, distance, _ = nearest(solid, point)
+            assert distance == pytest.approx(0.05, abs=1e-7)
+            np.testing.assert_allclose(normal, plane[:3], atol=1e-4)
+
+
+def test_points_inside_the_hull_are_no_corners():
+    corners = np.vstack([dodecahedron(), np.zeros((1, 3)), 0.5 * dodecahedron()[:4]])
+    assert len(ConvexPolyhedron(corners).vertices) == 20
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((8, 3)),
+        np.eye(3),
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]]),
+    ],
+)
+def test_what_spans_no_solid_is_refused(points):
+    with pytest.raises(ObjectModelError, match="do not span a solid"):
+        ConvexPolyhedron(points)
+
+
+def test_the_object_is_a_box_unless_corners_are_given():
+    assert len(ObjectConfig(size=(0.1, 0.2, 0.3)).solid().vertices) == 8
+    tetrahedron = [0.0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0]
+    assert len(ObjectConfig(vertices=tetrahedron).solid().vertices) == 4
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"size": (0.1, 0.0, 0.1)}, "all three edges must be positive"),
+        ({"inertia": (1.0, -1.0, 1.0)}, "all three values must be positive"),
+        ({"vertices": [1.0, 2.0]}, "expected x, y, z of every corner"),
+        ({"mass": 0.0}, "mass is 0.0"),
+        ({"friction": -1.0}, "friction is -1.0"),
+    ],
+)
+def test_what_is_no_body_is_refused(values, message):
+    with pytest.raises(ConfigurationError, match=message):
+        ObjectConfig().changed(values)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quaternions and matrices agree with Pinocchio and SciPy, and survive the round trip."""
+
+import numpy as np
+import pinocchio
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tactile_hand_ros.rotations import (
+    cross,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
+
+components = st.floats(-1.0, 1.0)
+quaternions = (
+    st.tuples(components, components, components, components)
+    .map(np.array)
+    .filter(lambda q: np.linalg.norm(q) > 1e-3)
+    .map(lambda q: q / np.linalg.norm(q))
+)
+
+
+@given(quaternions)
+def test_agrees_with_pinocchio_and_scipy(q):
+    rotation = rotation_from_quaternion(q)
+    np.testing.assert_allclose(rotation, pinocchio.Quaternion(q).matrix(), atol=1e-14)
+    np.testing.assert_allclose(rotation, Rotation.from_quat(q).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+    back = quaternion_from_rotation(rotation)
+    theirs = Rotation.from_matrix(rotation).as_quat()
+    assert min(np.abs(back - theirs).max(), np.abs(back + theirs).max()) < 1e-14
+
+
+@given(quaternions)
+def test_round_trip_gives_the_quaternion_with_positive_w(q):
+    back = quaternion_from_rotation(rotation_from_quaternion(q))
+    assert back[3] >= 0.0
+    assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 1e-14
+
+
+@given(quaternions, st.floats(0.01, 100.0))
+def test_the_length_does_not_matter(q, scale):
+    np.testing.assert_allclose(
+        rotation_from_quaternion(scale * q), rotation_from_quaternion(q), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_half_turn_has_a_positive_axis(axis):
+    expected = np.eye(4)[axis]
+    rotation = np.diag(2.0 * expected[:3] - 1.0)
+    np.testing.assert_array_equal(quaternion_from_rotation(rotation), expected)
+    np.testing.assert_array_equal(rotation_from_quaternion(-expected), rotation)
+
+
+def test_nan_rows_stay_nan_and_leave_others_alone():
+    q = np.array([[0.0, 0.0, 0.0, 1.0], [np.nan] * 4, [0.0, 0.0, 0.0, 0.0]])
+    rotation = rotation_from_quaternion(q)
+    np.testing.assert_array_equal(rotation[0], np.eye(3))
+    assert np.isnan(rotation[1:]).all()
+    back = quaternion_from_rotation(rotation)
+    np.testing.assert_array_equal(back[0], q[0])
+    assert np.isnan(back[1:]).all()
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (3,), (2, 5)])
+def test_shapes_are_kept(shape):
+    q = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*shape, 4))
+    rotation = rotation_from_quaternion(q)
+    assert rotation.shape == (*shape, 3, 3)
+    assert quaternion_from_rotation(rotation).shape == (*shape, 4)
+
+
+angles = st.tuples(*[st.floats(-6.0, 6.0)] * 3).map(np.array)
+
+
+@given(angles)
+def test_a_rotation_vector_gives_the_rotation_about_it(vector):
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(rotation_from_vector(vector), expected, atol=1e-14)
+    np.testing.assert_allclose(rotation_from_vector(-vector), expected.T, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-8, 2e-8, 3e-8, 1e-6])
+def test_a_small_rotation_keeps_its_full_precision(size):
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    rotation = rotation_from_vector(size * axis)
+    found = [rotation[2, 1], rotation[0, 2], rotation[1, 0]]
+    np.testing.assert_allclose(found, size * axis, rtol=1e-6, atol=0.5 * size**2 + 1e-300)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+
+
+@given(angles, angles)
+def test_cross_is_the_cross_product(a, b):
+    np.testing.assert_allclose(cross(a, b), np.cross(a, b), atol=1e-13)

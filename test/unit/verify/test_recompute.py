@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run through the controllers once more: identical, or the first tick is named."""
+
+from __future__ import annotations
+
+import copy
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.recorded import PERIOD, START, RunWriter, message, pose_stamped, write_tick
+
+from tactile_hand_ros.cli import main
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.errors import BagError, ConfigurationError
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.recompute import full_key, load_law, recompute
+
+TICKS = 250
+GRIP = {
+    "duration": 0.5,
+    "plant.rate": 500.0,
+    "user_forces": [{"time": 0.2, "force": 3.0}, {"time": 0.3, "force": 15.0}],
+    "targets": [{"time": 0.0, "position": [0.0, 0.05, 0.4]}],
+}
+
+
+@pytest.fixture(scope="module")
+def paper() -> tuple[Scenario, Record]:
+    """Return the paper's run, its first half second."""
+    scenario = load_scenario("paper", {"duration": 0.5})
+    return scenario, ClosedLoop(scenario).run(TICKS)
+
+
+@pytest.fixture(scope="module")
+def gravity() -> tuple[Scenario, Record]:
+    """Return a run with all that the controllers can do: cones, observer, reference, user."""
+    scenario = load_scenario("user_grip", GRIP)
+    return scenario, ClosedLoop(scenario).run(TICKS)
+
+
+def write(folder: Path, scenario: Scenario, record: Record, shift: int = 0) -> Run:
+    """Write a bag as the recorder would, with the user's requests some ticks off."""
+    with RunWriter(folder / "bag", {"scenario": resolved(scenario)}) as bag:
+        for wish in scenario.targets:
+            target = wish.target()
+            quaternion = quaternion_from_rotation(target.orientation)
+            pose = pose_stamped(wish.stamp, target.position, quaternion)
+            bag.write("/desired_pose", pose, START - 10**9)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD)
+        for user in scenario.user_forces:
+            row = int(np.searchsorted(record.stamps, user.stamp)) + shift
+            asked = message("std_msgs/msg/Float64", data=user.force)
+            bag.write("/user_grasp_force", asked, START + row * PERIOD + 1)
+    return Run(folder)
+
+
+@pytest.mark.parametrize("name", ["paper", "gravity"])
+def test_same_configuration_gives_the_same_bits(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Every topic at every tick."""
+    result = recompute(write(tmp_path, *request.getfixturevalue(name)))
+    assert [c for c in result.comparisons if not c.same] == []
+    assert all(c.compared == TICKS for c in result.comparisons)
+    assert result.speed > 0.0 and result.simulated == pytest.approx(0.498)
+
+
+@pytest.mark.parametrize("shift", [-15, -1, 4])
+def test_tick_of_a_request_is_found(
+    gravity: tuple[Scenario, Record], tmp_path: Path, shift: int
+) -> None:
+    """A bag says when a request was received, not at which tick it was heeded."""
+    assert recompute(write(tmp_path, *gravity, shift)).same
+
+
+def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
+    """One bit of one number."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.command[123, 4] = np.nextafter(record.command[123, 4], np.inf)
+    result = recompute(write(tmp_path, scenario, record))
+    [wrong] = [c for c in result.comparisons if not c.same]
+    assert (wrong.topic, wrong.first) == ("joint_command", int(record.stamps[123]))
+    assert (wrong.compared, wrong.identical) == (TICKS, TICKS - 1)
+    assert 0.0 < wrong.largest < 1e-12
+
+
+def test_missing_messages_leave_their_ticks_out(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Without touch the recorded hand held, and so does the recomputed one."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.forces[50] = np.nan
+    result = recompute(write(tmp_path, scenario, record))
+    grasp = next(c for c in result.comparisons if c.topic == "grasp_force")
+    assert grasp.compared == TICKS and grasp.first == int(record.stamps[50])
+
+
+def test_shadow_controllers_show_the_difference(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Another law gives other torques from the same squeeze; other weights another f*."""
+    run = write(tmp_path, *paper)
+    by_topic = {c.topic: c for c in recompute(run, {"law.name": "contact"}).comparisons}
+    assert by_topic["grasp_force"].same and by_topic["optimal_force"].same
+    assert by_topic["joint_command"].identical == 0 and by_topic["joint_command"].largest > 0.01
+    by_topic = {c.topic: c for c in recompute(run, {"weights": [1.0, 1.0, 1.0]}).comparisons}
+    assert by_topic["grasp_force"].same and not by_topic["optimal_force"].same
+
+
+def test_shadow_of_a_run_with_requests_heeds_them_where_the_run_did(
+    gravity: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Only what the change causes differs."""
+    result = recompute(write(tmp_path, *gravity, 4), {"law.damping": 0.123})
+    differing = {c.topic for c in result.comparisons if not c.same}
+    assert differing == {"joint_command"}
+
+
+def test_law_of_the_user(
+    paper: tuple[Scenario, Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A class in a file of the working directory takes the place of (14)."""
+    (tmp_path / "my_laws.py").write_text(
+        "from tactile_hand_ros.control.laws import OptimalLaw\n"
+        "class Mine(OptimalLaw):\n"
+        "    def squeeze(self):\n        return 2.0 * super().squeeze()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    try:
+        law = load_law("my_laws:Mine")
+    finally:
+        sys.modules.pop("my_laws", None)
+    result = recompute(write(tmp_path, *paper), law=law)
+    assert {c.topic for c in result.comparisons if not c.same} == {"joint_command"}
+    for name in ("my_laws:Other", "nowhere:Law", "nothing", "numpy:array"):
+        with pytest.raises(ConfigurationError, match="--law"):
+            load_law(name)
+
+
+def test_keys_of_controllers_may_be_short() -> None:
+    """A name that only one controller has says enough."""
+    assert full_key("law.k_p") == "manipulation_controller.law.k_p"
+    assert full_key("weights") == "force_optimizer.weights"
+    assert full_key("plant.rate") == "plant.rate"
+
+
+def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
+    """Nothing is guessed."""
+    with RunWriter(tmp_path / "bag") as bag:
+        write_tick(bag, paper[1], 0, START)
+    with pytest.raises(BagError, match="configuration of .* is needed"):
+        recompute(Run(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["paper", "gravity"])
+@pytest.mark.parametrize("law", ["optimal", "contact", "kawamura"])
+def test_audit_agrees_with_what_the_controllers_do(name: str, law: str, tmp_path: Path) -> None:
+    """Other formulas, other solver, same numbers."""
+    changes: dict[str, Any] = {"manipulation_controller.law.name": law}
+    changes |= GRIP if name == "gravity" else {"duration": 0.5}
+    scenario = load_scenario("user_grip" if name == "gravity" else name, changes)
+    checks = audit(write(tmp_path, scenario, ClosedLoop(scenario).run(TICKS)))
+    assert [c for c in checks if not c.ok] == []
+    assert sum(c.ticks for c in checks if "torque" in c.name) > TICKS // 2
+    assert sum(c.ticks for c in checks if "optimality" in c.name) > TICKS // 2
+
+
+@pytest.mark.parametrize(
+    ("array", "index", "name"),
+    [
+        ("optimal_forces", (77, 1, 1), "optimality"),
+        ("command", (77, 3), "torque"),
+        ("auxiliary_position", (77, 0), "centroid"),
+        ("auxiliary_quaternion", (77, 1), "virtual frame"),
+    ],
+)
+def test_audit_names_the_first_wrong_tick(
+    paper: tuple[Scenario, Record],
+    tmp_path: Path,
+    array: str,
+    index: tuple[int, ...],
+    name: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A hundred-thousandth is seen, and the command fails."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    getattr(record, array)[index] += 1e-5
+    checks = audit(write(tmp_path, scenario, record))
+    stamp = int(record.stamps[77])
+    assert stamp in [c.first for c in checks if name in c.name]
+    assert all(c.first in (None, stamp) for c in checks)
+    assert main(["audit", str(tmp_path)]) == 1
+    told = capsys.readouterr().err
+    assert f"first at tick {stamp} ns" in told
+    assert "a service call (enable, grasp, reset) or a live parameter" in told
+
+
+def test_audit_knows_an_f_that_is_feasible_but_not_optimal(tmp_path: Path) -> None:
+    """Weights other than those of the scenario give balanced forces that are not the optimum."""
+    scenario = load_scenario("paper", {"duration": 0.5})
+    other = load_scenario("paper", {"duration": 0.5, "force_optimizer.weights": [9.0, 1.0, 10.0]})
+    checks = audit(write(tmp_path, scenario, ClosedLoop(other).run(20)))
+    by_name = {c.name: c for c in checks}
+    assert by_name["(13), duality gap per cost"].wrong == 20
+    assert by_name["torque of law (14)"].ok
+
+
+@pytest.mark.parametrize("said", [-0.001, 0.2])
+def test_audit_drops_poses_out_of_reach(tmp_path: Path, said: float) -> None:
+    """A pose that the hand refused, when it was said or when it was due, is no target."""
+    targets = [
+        {"time": 0.0, "position": [0.0, 0.05, 0.4]},
+        {"time": 0.3, "position": [0.0, 0.5, 0.4]},
+    ]
+    scenario = load_scenario("paper", {"duration": 0.5, "targets": targets[:1]})
+    record = ClosedLoop(scenario).run(TICKS)
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
+        for wish in targets:
+            stamp = round(1e9 * wish["time"])
+            at = START + (round(said / 0.002) * PERIOD if stamp else -(10**9))
+            bag.write("/desired_pose", pose_stamped(stamp, wish["position"], (0, 0, 0, 1)), at)
+        for row in range(len(record)):
+            write_tick(bag, record, row, START + row * PERIOD)
+    run = Run(tmp_path)
+    assert recompute(run).same
+    assert [c for c in audit(run) if not c.ok] == []
+
+
+@pytest.mark.parametrize("lost", ["contact", "line"])
+def test_audit_knows_an_f_without_a_grasp(
+    paper: tuple[Scenario, Record], tmp_path: Path, lost: str
+) -> None:
+    """An old f* at a tick at which (13) cannot have an answer."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    if lost == "contact":
+        record.contact_positions[40, 1] = record.contact_quaternions[40, 1] = np.nan
+    else:
+        record.contact_positions[40] = np.outer([0.0, 0.1, 0.2], [1.0, 0.0, 0.0])
+    record.auxiliary_position[40] = np.nan
+    record.auxiliary_quaternion[40] = np.nan
+    checks = audit(write(tmp_path / "stale", scenario, record))
+    [check] = [c for c in checks if c.name == "no f* where there is no grasp"]
+    assert (check.ticks, check.wrong, check.first) == (1, 1, int(record.stamps[40]))
+    record.optimal_forces[40] = np.nan
+    checks = audit(write(tmp_path / "none", scenario, record))
+    [check] = [c for c in checks if c.name == "no f* where there is no grasp"]
+    assert check.ok and check.ticks == 1
+
+
+def test_audit_knows_an_optimizer_that_ignores_its_cones(tmp_path: Path) -> None:
+    """The optimum of (13) is none where it leaves a cone."""
+    changes = GRIP | {"force_optimizer.cone_share": 0.2}
+    scenario = load_scenario("user_grip", changes | {"force_optimizer.cones": True})
+    plain = load_scenario("user_grip", changes | {"force_optimizer.cones": False})
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, ClosedLoop(plain).run(TICKS)))}
+    assert checks["(13), optimality conditions"].ok
+    assert checks["cones that did not shape f*"].wrong > 100
+
+
+def test_audit_of_an_f_that_no_load_explains_is_a_table(tmp_path: Path) -> None:
+    """Where the squeeze is too small for cones, f* must be the optimum without."""
+    scenario = load_scenario("user_grip", GRIP | {"force_optimizer.cones": True})
+    record = ClosedLoop(scenario).run(TICKS)
+    record.forces[70] *= 1e-3
+    record.optimal_forces[70, 0, 0] += 0.1
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, record))}
+    assert checks["(13), optimality conditions"].first == int(record.stamps[70])
+
+
+def test_audit_of_nothing_is_an_error(
+    paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hand that never touched with all fingers proves nothing."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.contact_positions[:, 0] = record.contact_quaternions[:, 0] = np.nan
+    with pytest.raises(BagError, match="no tick at which all fingers touch"):
+        audit(write(tmp_path, scenario, record))
+    assert main(["audit", str(tmp_path)]) == 2
+    assert "no tick" in capsys.readouterr().err
+
+
+def test_audit_says_where_no_torque_was_checked(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """A hand that held all the time has torques, but none of a law."""
+    scenario, record = paper
+    record = copy.deepcopy(record)
+    record.auxiliary_position[:] = np.nan
+    record.auxiliary_quaternion[:] = np.nan
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, record))}
+    assert checks["torque of law (14)"].ticks == 0
+
+
+def test_commands_tell_by_their_exit_code(
+    paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 where all is identical or a change was asked for, 1 where the run is not reproduced."""
+    scenario, record = paper
+    run = str(write(tmp_path / "good", scenario, record).path)
+    assert main(["replay", run, "--recompute"]) == 0
+    assert "times real time" in capsys.readouterr().out
+    assert main(["replay", run, "--recompute", "--set", "law.name=kawamura"]) == 0
+    assert main(["audit", run]) == 0
+    record = copy.deepcopy(record)
+    record.grasp_force[9] += 1.0
+    assert main(["replay", str(write(tmp_path / "bad", scenario, record).path), "--recompute"]) == 1
+    assert "The same configuration gave other answers" in capsys.readouterr().err
+    assert main(["replay", run, "--recompute", "--set", "law.nam=x"]) == 2
