@@ -15,8 +15,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.ros.executor import spin
-from tactile_hand_ros.ros.interfaces import tick_publisher_qos, tick_qos
 from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.qos import tick_publisher_qos, tick_qos
 
 LEAN, ORDINARY, SOCKET = "lean", "ordinary", "socket"
 

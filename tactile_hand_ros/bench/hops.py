@@ -19,7 +19,7 @@ from tactile_hand_ros.bench.echo import LEAN, ORDINARY, SOCKET, connect
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.ros.executor import make_executor
-from tactile_hand_ros.ros.interfaces import tick_qos
+from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,

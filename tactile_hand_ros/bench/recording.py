@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.ros.interfaces import tick_publisher_qos
 from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.qos import tick_publisher_qos
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,

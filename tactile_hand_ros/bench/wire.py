@@ -25,11 +25,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import SCENARIO, Workload
 from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
-from tactile_hand_ros.orchestrator.topology import PLANT, Link, links
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.names import PLANT
+from tactile_hand_ros.orchestrator.topology import Link, links
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.testing import (
@@ -41,7 +43,7 @@ from tactile_hand_ros.ros.testing import (
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
-_NOT_EVERY_TICK = (interfaces.ROBOT_DESCRIPTION, interfaces.HAPTIC_FEEDBACK)
+_NOT_EVERY_TICK = (names.ROBOT_DESCRIPTION, names.HAPTIC_FEEDBACK)
 _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s
@@ -111,10 +113,10 @@ class Role:
             self.node.create_timer(_NUDGE, self._nudge)
 
     def _publisher(self, topic: str) -> Publisher:
-        return self.node.create_publisher(WrenchStamped, topic, interfaces.tick_publisher_qos())
+        return self.node.create_publisher(WrenchStamped, topic, qos.tick_publisher_qos())
 
     def _subscribe(self, topic: str) -> None:
-        hear, profile = partial(self._hear, topic), interfaces.tick_qos()
+        hear, profile = partial(self._hear, topic), qos.tick_qos()
         self.node.create_subscription(WrenchStamped, topic, hear, profile, raw=True)
 
     def _send(self, tick: int) -> None:

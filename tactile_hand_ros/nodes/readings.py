@@ -8,7 +8,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseArray, WrenchStamped
 
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros import names
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.simulation.skin import TactileReading
@@ -34,7 +34,7 @@ class ReadingPublisher:
         """
         self._contacts = ContactsCodec(len(fingers))
         self._contacts_publisher = node.tick_publisher(PoseArray, contacts_topic)
-        self._wrenches = [WrenchCodec(interfaces.contact_frame(name)) for name in fingers]
+        self._wrenches = [WrenchCodec(names.contact_frame(name)) for name in fingers]
         self._wrench_publishers = [
             node.tick_publisher(WrenchStamped, wrench_topic(name)) for name in fingers
         ]

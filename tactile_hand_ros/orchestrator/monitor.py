@@ -16,10 +16,10 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.orchestrator.topology import PLANT
+from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.wiring import Peers
-from tactile_hand_ros.ros import interfaces as names
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.executor import take_latest
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns

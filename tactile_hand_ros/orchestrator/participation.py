@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.topology import ORCHESTRATOR
+from tactile_hand_ros.names import ORCHESTRATOR
 from tactile_hand_ros.ros.middleware import use_sockets
 
 

@@ -16,13 +16,7 @@ from rclpy.node import Node
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.orchestrator.monitor import Monitor
-from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
-from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
-from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
-from tactile_hand_ros.orchestrator.topology import (
+from tactile_hand_ros.names import (
     COMPOSED,
     CONTROLLER,
     OPTIMIZER,
@@ -31,6 +25,12 @@ from tactile_hand_ros.orchestrator.topology import (
     REGULATOR,
     SENSOR,
 )
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.orchestrator.monitor import Monitor
+from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
+from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
 from tactile_hand_ros.ros.scheduling import Scheduling

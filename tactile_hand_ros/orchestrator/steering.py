@@ -15,10 +15,10 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator.wiring import Peers
-from tactile_hand_ros.ros import interfaces as names
 from tactile_hand_ros.ros.messages.conversions import pose_to_ros
 
 _SLICE = 0.02  # s

@@ -12,11 +12,11 @@ from rich.table import Table
 
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Outcome, Plan
 from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.report.tables import recovery_rows
-from tactile_hand_ros.ros.interfaces import JOINT_COMMAND
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 

@@ -5,18 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.ros import interfaces as names
-
-PLANT = "plant"
-SENSOR = "tactile_sensor"
-REGULATOR = "slip_regulator"
-OPTIMIZER = "force_optimizer"
-CONTROLLER = "manipulation_controller"
-RECORDER = "recorder"
-COMPOSED = "composed"  # all nodes but the recorder in one process
-ORCHESTRATOR = "orchestrator"
 
 
 @dataclass(frozen=True)
@@ -35,31 +26,31 @@ def links(scenario: Scenario) -> list[Link]:
     """
     fingers = load_hand_config(scenario.hand).finger_names
     observer = scenario.manipulation_controller.law.observer
-    shaping = (OPTIMIZER,) if scenario.force_optimizer.cones else ()
-    feeling = (REGULATOR, *shaping, *((CONTROLLER,) if observer.time > 0.0 else ()))
+    shaping = (names.OPTIMIZER,) if scenario.force_optimizer.cones else ()
+    feeling = (names.REGULATOR, *shaping, *((names.CONTROLLER,) if observer.time > 0.0 else ()))
     per_finger = [
         link
         for finger in fingers
         for link in (
-            Link(names.true_wrench(finger), PLANT, (SENSOR,)),
-            Link(names.wrench(finger), SENSOR, feeling),
-            Link(names.optimal_force(finger), OPTIMIZER, (CONTROLLER,)),
+            Link(names.true_wrench(finger), names.PLANT, (names.SENSOR,)),
+            Link(names.wrench(finger), names.SENSOR, feeling),
+            Link(names.optimal_force(finger), names.OPTIMIZER, (names.CONTROLLER,)),
         )
     ]
     return [
-        Link(names.JOINT_STATES, PLANT, (CONTROLLER,)),
-        Link(names.TRUE_CONTACTS, PLANT, (SENSOR,)),
-        Link(names.TRUE_SLIP, PLANT, (SENSOR,)),
-        Link(names.OBJECT_POSE, PLANT),
-        Link(names.ROBOT_DESCRIPTION, PLANT),
-        Link(names.CLOCK, PLANT),
-        Link(names.CONTACTS, SENSOR, (OPTIMIZER, CONTROLLER)),
-        Link(names.GRASP_FORCE, REGULATOR, (CONTROLLER,)),
-        Link(names.GRIP_STATE, REGULATOR, shaping),
-        Link(names.HAPTIC_FEEDBACK, REGULATOR),
-        Link(names.JOINT_COMMAND, CONTROLLER, (PLANT,)),
-        Link(names.AUXILIARY_POSE, CONTROLLER),
-        Link(names.DESIRED_POSE, ORCHESTRATOR, (CONTROLLER,)),
-        Link(names.USER_GRASP_FORCE, ORCHESTRATOR, (REGULATOR,)),
+        Link(names.JOINT_STATES, names.PLANT, (names.CONTROLLER,)),
+        Link(names.TRUE_CONTACTS, names.PLANT, (names.SENSOR,)),
+        Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
+        Link(names.OBJECT_POSE, names.PLANT),
+        Link(names.ROBOT_DESCRIPTION, names.PLANT),
+        Link(names.CLOCK, names.PLANT),
+        Link(names.CONTACTS, names.SENSOR, (names.OPTIMIZER, names.CONTROLLER)),
+        Link(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
+        Link(names.GRIP_STATE, names.REGULATOR, shaping),
+        Link(names.HAPTIC_FEEDBACK, names.REGULATOR),
+        Link(names.JOINT_COMMAND, names.CONTROLLER, (names.PLANT,)),
+        Link(names.AUXILIARY_POSE, names.CONTROLLER),
+        Link(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
+        Link(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
         *per_finger,
     ]

@@ -12,14 +12,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.orchestrator.topology import (
-    CONTROLLER,
-    PLANT,
-    RECORDER,
-    REGULATOR,
-    Link,
-    links,
-)
+from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER, REGULATOR
+from tactile_hand_ros.orchestrator.topology import Link, links
 
 
 class DuplicateNodeError(TactileHandError):

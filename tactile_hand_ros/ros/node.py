@@ -17,9 +17,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.parameters import ConfigParameters
@@ -76,7 +77,7 @@ class TactileNode(Node, Generic[C]):
             raise
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
         self._diagnostics_publisher = self.create_publisher(
-            DiagnosticArray, interfaces.DIAGNOSTICS, interfaces.user_qos()
+            DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
         )
         # Health must be reported also while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -133,7 +134,7 @@ class TactileNode(Node, Generic[C]):
 
     def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
         """Create a publisher for something that carries a tick."""
-        return self.create_publisher(message_type, topic, interfaces.tick_publisher_qos())
+        return self.create_publisher(message_type, topic, qos.tick_publisher_qos())
 
     def subscribe(
         self,
@@ -141,7 +142,7 @@ class TactileNode(Node, Generic[C]):
         topic: str,
         callback: Callable[[Any], None],
         *,
-        qos: QoSProfile | None = None,
+        profile: QoSProfile | None = None,
         sensor: bool = False,
         raw: bool = False,
     ) -> Subscription:
@@ -151,18 +152,19 @@ class TactileNode(Node, Generic[C]):
             message_type: Message class.
             topic: Relative topic name.
             callback: Takes the message, bytes if raw; may raise TactileHandError to reject it.
-            qos: Quality of service, by default that of ticks.
+            profile: Quality of service, by default that of ticks.
             sensor: Let the user override history, depth and reliability by parameters
                 ``qos_overrides.<full topic>.subscription.reliability`` and so on.
             raw: Receive serialized bytes.
         """
         options = QoSOverridingOptions.with_default_policies() if sensor else None
-        profile = copy.copy(qos) if qos is not None else interfaces.tick_qos()
+        # A copy: rclpy writes QoS overrides into the profile that it is given.
+        own = copy.copy(profile) if profile is not None else qos.tick_qos()
         return self.create_subscription(
             message_type,
             topic,
             self._guarded(topic, callback),
-            profile,
+            own,
             qos_overriding_options=options,
             raw=raw,
         )

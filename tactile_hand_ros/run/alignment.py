@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run import topics as names
 from tactile_hand_ros.run.series import Series
 from tactile_hand_ros.run.topics import HandTopics
 
@@ -67,9 +67,9 @@ class _Alignment:
         self._write_grip(record)
         self._write_contacts(names.CONTACTS, record.contact_positions, record.contact_quaternions)
         self._write_contacts(names.TRUE_CONTACTS, record.true_positions, record.true_quaternions)
-        self._write_forces(names.WRENCH, record.forces)
-        self._write_forces(names.OPTIMAL_FORCE, record.optimal_forces)
-        self._write_forces(names.TRUE_WRENCH, record.true_forces)
+        self._write_forces(names.wrench, record.forces)
+        self._write_forces(names.optimal_force, record.optimal_forces)
+        self._write_forces(names.true_wrench, record.true_forces)
         squeeze = self._named(names.GRASP_FORCE)
         record.grasp_force[:] = self._placed(squeeze, squeeze.rows("wrench", 6))[:, 1]
         self._write_pose(
@@ -115,9 +115,9 @@ class _Alignment:
         poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact has no frame either
         positions[:], quaternions[:] = poses[:, :, :3], poses[:, :, 3:]
 
-    def _write_forces(self, pattern: str, forces: Array) -> None:
+    def _write_forces(self, topic: Callable[[str], str], forces: Array) -> None:
         for i, finger in enumerate(self._topics.fingers):
-            series = self._named(pattern.format(finger))
+            series = self._named(topic(finger))
             forces[:, i] = self._placed(series, series.rows("wrench", 6))[:, :3]
 
     def _write_pose(self, name: str, position: Array, quaternion: Array) -> None:

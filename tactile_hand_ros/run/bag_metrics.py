@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.run import topics as names
+from tactile_hand_ros import names
 from tactile_hand_ros.run.alignment import first_ticks
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.series import Series

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.record import Record
@@ -21,7 +22,6 @@ from tactile_hand_ros.config.model import parse_yaml, read_yaml, validate
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run import topics as names
 from tactile_hand_ros.run.alignment import align
 from tactile_hand_ros.run.bag_metrics import BagMetrics, bag_metrics, latencies
 from tactile_hand_ros.run.events import Event, events

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a bag belong to one hand, and how they are called.
-
-Bags are analysed on machines without ROS too, so the names are written down here again; a test
-compares them with those of the nodes.
-"""
+"""Which topics of a bag belong to one hand, and how they are called."""
 
 from __future__ import annotations
 
@@ -11,36 +7,21 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from tactile_hand_ros import names
 from tactile_hand_ros.errors import BagError
 
-JOINT_STATES = "joint_states"
-JOINT_COMMAND = "joint_command"
-CONTACTS = "tactile/contacts"
-GRASP_FORCE = "grasp_force"
-GRIP_STATE = "grip_state"
-DESIRED_POSE = "desired_pose"
-AUXILIARY_POSE = "auxiliary_pose"
-OBJECT_POSE = "ground_truth/object_pose"
-TRUE_CONTACTS = "ground_truth/contacts"
-TRUE_SLIP = "ground_truth/slip"
-WRENCH = "tactile/{}/wrench"
-OPTIMAL_FORCE = "optimal_force/{}"
-TRUE_WRENCH = "ground_truth/{}/wrench"
-DIAGNOSTICS = "/diagnostics"
-PALM_FRAME = "palm"
-
-_OF_FINGER = (WRENCH, OPTIMAL_FORCE, TRUE_WRENCH)
+_OF_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
 _TYPES = {
-    JOINT_STATES: "sensor_msgs/msg/JointState",
-    JOINT_COMMAND: "sensor_msgs/msg/JointState",
-    CONTACTS: "geometry_msgs/msg/PoseArray",
-    GRASP_FORCE: "geometry_msgs/msg/WrenchStamped",
-    GRIP_STATE: "sensor_msgs/msg/JointState",
-    DESIRED_POSE: "geometry_msgs/msg/PoseStamped",
-    AUXILIARY_POSE: "geometry_msgs/msg/PoseStamped",
-    OBJECT_POSE: "geometry_msgs/msg/PoseStamped",
-    TRUE_CONTACTS: "geometry_msgs/msg/PoseArray",
-    TRUE_SLIP: "sensor_msgs/msg/JointState",
+    names.JOINT_STATES: "sensor_msgs/msg/JointState",
+    names.JOINT_COMMAND: "sensor_msgs/msg/JointState",
+    names.CONTACTS: "geometry_msgs/msg/PoseArray",
+    names.GRASP_FORCE: "geometry_msgs/msg/WrenchStamped",
+    names.GRIP_STATE: "sensor_msgs/msg/JointState",
+    names.DESIRED_POSE: "geometry_msgs/msg/PoseStamped",
+    names.AUXILIARY_POSE: "geometry_msgs/msg/PoseStamped",
+    names.OBJECT_POSE: "geometry_msgs/msg/PoseStamped",
+    names.TRUE_CONTACTS: "geometry_msgs/msg/PoseArray",
+    names.TRUE_SLIP: "sensor_msgs/msg/JointState",
 }
 
 
@@ -66,7 +47,7 @@ class HandTopics:
         found = {self.full(name): type_name for name, type_name in _TYPES.items()}
         for pattern in _OF_FINGER:
             for finger in self.fingers:
-                found[self.full(pattern.format(finger))] = "geometry_msgs/msg/WrenchStamped"
+                found[self.full(pattern(finger))] = "geometry_msgs/msg/WrenchStamped"
         return found
 
     def check(self, types: Mapping[str, str]) -> None:
@@ -97,26 +78,28 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     Raises:
         BagError: If there is no such hand, or more than one to choose from.
     """
-    known = sorted(t.removesuffix(JOINT_STATES) for t in topics if t.endswith("/" + JOINT_STATES))
-    names = ", ".join(prefix.strip("/") or "/" for prefix in known)
+    known = sorted(
+        t.removesuffix(names.JOINT_STATES) for t in topics if t.endswith("/" + names.JOINT_STATES)
+    )
+    hands = ", ".join(prefix.strip("/") or "/" for prefix in known)
     if not known:
         raise BagError(
-            f"The bag {bag} has no topic {JOINT_STATES}, without which there are no ticks; record "
-            "it along with the others."
+            f"The bag {bag} has no topic {names.JOINT_STATES}, without which there are no ticks; "
+            "record it along with the others."
         )
     if namespace is None:
         if len(known) > 1:
-            raise BagError(f"The bag {bag} holds several hands; choose a namespace: {names}.")
+            raise BagError(f"The bag {bag} holds several hands; choose a namespace: {hands}.")
         return known[0]
     prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
     if prefix not in known:
-        raise BagError(f"The bag {bag} has no hand in the namespace '{namespace}', only: {names}.")
+        raise BagError(f"The bag {bag} has no hand in the namespace '{namespace}', only: {hands}.")
     return prefix
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
     """Return the fingers that topics tell of, in natural order (finger_2 before finger_10)."""
-    patterns = [re.escape(prefix) + p.format("([^/]+)") for p in _OF_FINGER]
+    patterns = [re.escape(prefix) + p("([^/]+)") for p in _OF_FINGER]
     found = {
         match.group(1)
         for topic in topics

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.run import topics as names
 from tactile_hand_ros.run.alignment import first_ticks, usable_poses
 from tactile_hand_ros.run.run import Run
 

@@ -26,16 +26,16 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.scenario import Scenario, changed
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.interfaces import tick_publisher_qos, tick_qos, user_qos
 from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.qos import tick_publisher_qos, tick_qos, user_qos
 from tactile_hand_ros.ros.testing import isolated_domain, private_context, start_executable
 from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.run import topics as names
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import (
     CONTROLLERS,
@@ -78,9 +78,9 @@ def ask_nodes(
     scenario = changed(scenario_of(run), values)
     inputs = heeded_inputs(run)
     fingers = run.topics.fingers
-    sensors = [names.JOINT_STATES, names.CONTACTS, *(names.WRENCH.format(f) for f in fingers)]
+    sensors = [names.JOINT_STATES, names.CONTACTS, *(names.wrench(f) for f in fingers)]
     answers = [names.GRASP_FORCE, names.GRIP_STATE, names.AUXILIARY_POSE]
-    answers += [*(names.OPTIMAL_FORCE.format(f) for f in fingers), names.JOINT_COMMAND]
+    answers += [*(names.optimal_force(f) for f in fingers), names.JOINT_COMMAND]
     recorded = _payloads(run, [*sensors, *answers])
     stamps = [int(s) for s in inputs.record.stamps if int(s) in recorded[names.JOINT_COMMAND]]
     with _nodes(scenario), _Feeder(sensors, answers) as feeder:

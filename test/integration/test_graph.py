@@ -13,29 +13,29 @@ import pytest
 from std_srvs.srv import SetBool
 from support.graph import Graph
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.slip.detector import Grip
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.testing import isolated_domain, start_executable
 from tactile_hand_ros.run.run import Run
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
-PER_FINGER = (interfaces.wrench, interfaces.optimal_force, interfaces.true_wrench)
+PER_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
 TICK_TOPICS = [
-    interfaces.JOINT_STATES,
-    interfaces.JOINT_COMMAND,
-    interfaces.CONTACTS,
-    interfaces.GRASP_FORCE,
-    interfaces.GRIP_STATE,
-    interfaces.AUXILIARY_POSE,
-    interfaces.OBJECT_POSE,
-    interfaces.TRUE_CONTACTS,
-    interfaces.TRUE_SLIP,
-    interfaces.CLOCK,
+    names.JOINT_STATES,
+    names.JOINT_COMMAND,
+    names.CONTACTS,
+    names.GRASP_FORCE,
+    names.GRIP_STATE,
+    names.AUXILIARY_POSE,
+    names.OBJECT_POSE,
+    names.TRUE_CONTACTS,
+    names.TRUE_SLIP,
+    names.CLOCK,
     *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
 ]
 RECORDED = [
@@ -75,7 +75,7 @@ def noisy(amount: dict[str, float]) -> Scenario:
 
 def record(graph: Graph, output: Path) -> Path:
     """Run from the start to the end with a recorder."""
-    wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, interfaces.DESIRED_POSE]]
+    wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, names.DESIRED_POSE]]
     options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
     flags = [word for option in options for word in ("-p", option)]
     graph.wait_for_readers()
@@ -199,7 +199,7 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> No
         for graph in (one, other):
             assert graph.finish().message == f"finished at {graph.scenario.duration:g} s"
             expected = ClosedLoop(graph.scenario).run()
-            joints = graph.newest(interfaces.JOINT_STATES)
+            joints = graph.newest(names.JOINT_STATES)
             np.testing.assert_array_equal(joints.position, expected.theta[-1])
             assert graph.node.count_publishers(graph.full("clock")) == 1
         assert one.node.count_publishers("/clock") == 0
@@ -218,5 +218,5 @@ def test_real_time_runs_at_the_pace_of_the_wall_clock(tmp_path: Path) -> None:
         assert int(values["ticks"]) <= scenario.ticks
         assert int(values["ticks"]) + int(values["missed_ticks"]) >= scenario.ticks
         assert int(values["late_commands"]) <= int(values["ticks"])
-        assert np.any(graph.newest(interfaces.JOINT_STATES).effort)  # some command has acted
+        assert np.any(graph.newest(names.JOINT_STATES).effort)  # some command has acted
         assert set(graph.end(signal.SIGINT).values()) == {0}

@@ -18,12 +18,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.controller import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.messages.conversions import (
     contacts_to_ros,
@@ -129,16 +129,16 @@ def without(finger: int) -> Array:
 def test_who_has_fallen_behind_answers_the_newest_tick(meet: Callable[..., Peer]) -> None:
     """Forty ticks wait for a node that was busy: it answers the newest and the roundest."""
     peer = meet(ForceOptimizerNode)
-    topic = interfaces.optimal_force(FINGERS[-1])
+    topic = names.optimal_force(FINGERS[-1])
     peer.listen(WrenchStamped, topic)
-    peer.speak(PoseArray, interfaces.CONTACTS)
+    peer.speak(PoseArray, names.CONTACTS)
     peer.connect()
     for tick in range(41):
-        peer.send(interfaces.CONTACTS, contacts(1000 * TICK + tick * TICK))
-    peer.all_have_arrived(interfaces.CONTACTS)
+        peer.send(names.CONTACTS, contacts(1000 * TICK + tick * TICK))
+    peer.all_have_arrived(names.CONTACTS)
     with spinning(peer.under_test, peer.node):
         peer.answer(topic, 1040 * TICK)
-        peer.send(interfaces.CONTACTS, contacts(1041 * TICK))
+        peer.send(names.CONTACTS, contacts(1041 * TICK))
         peer.answer(topic, 1041 * TICK)
     answered = [stamp_to_ns(m.header.stamp) // TICK for m in peer.heard[topic]]
     assert answered == [1000, 1024, 1040, 1041]  # the first of all, of 2048 ms, and the newest
@@ -148,9 +148,9 @@ def test_who_has_fallen_behind_answers_the_newest_tick(meet: Callable[..., Peer]
 
 def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) -> None:
     peer = meet(ForceOptimizerNode)
-    topics = [interfaces.optimal_force(name) for name in FINGERS]
+    topics = [names.optimal_force(name) for name in FINGERS]
     peer.listen(WrenchStamped, *topics)
-    peer.speak(PoseArray, interfaces.CONTACTS)
+    peer.speak(PoseArray, names.CONTACTS)
 
     def forces(stamp: int) -> Array:
         answers = [peer.answer(topic, stamp).wrench.force for topic in topics]
@@ -163,15 +163,15 @@ def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) 
             (0, without(1), "no contact at finger 2"),
             (TICK, on_a_line, "one line"),
         ):
-            peer.send(interfaces.CONTACTS, contacts(stamp, positions))
+            peer.send(names.CONTACTS, contacts(stamp, positions))
             assert np.isnan(forces(stamp)).all()
             peer.says(ERROR, reason)
-        peer.send(interfaces.CONTACTS, contacts(2 * TICK))
+        peer.send(names.CONTACTS, contacts(2 * TICK))
         assert forces(2 * TICK)[:, 1].sum() == pytest.approx(1.0)
         peer.health.clear()
         peer.says(OK)
         assert peer.answer(topics[0], 2 * TICK).header.frame_id == "finger_1_contact"
-        peer.send(interfaces.CONTACTS, contacts(2 * TICK))  # asked again: the same answer again
+        peer.send(names.CONTACTS, contacts(2 * TICK))  # asked again: the same answer again
         wait_until(lambda: len(peer.heard[topics[0]]) == 4)
         assert peer.heard[topics[0]][-1] == peer.heard[topics[0]][-2]
 
@@ -198,28 +198,28 @@ def test_an_optimizer_refuses_a_least_share_of_more_than_the_whole(
 
 def test_the_regulator_is_silent_at_ticks_without_a_finger(meet: Callable[..., Peer]) -> None:
     peer = meet(SlipRegulatorNode)
-    wrenches = [interfaces.wrench(name) for name in FINGERS]
-    peer.listen(WrenchStamped, interfaces.GRASP_FORCE)
-    peer.speak(PoseArray, interfaces.CONTACTS)
+    wrenches = [names.wrench(name) for name in FINGERS]
+    peer.listen(WrenchStamped, names.GRASP_FORCE)
+    peer.speak(PoseArray, names.CONTACTS)
     peer.speak(WrenchStamped, *wrenches)
 
     def feel(stamp: int, *forces: Any) -> None:
-        peer.send(interfaces.CONTACTS, contacts(stamp))
+        peer.send(names.CONTACTS, contacts(stamp))
         for topic, name, force in zip(wrenches, FINGERS, forces, strict=True):
             if force is not None:
-                frame = interfaces.contact_frame(name)
+                frame = names.contact_frame(name)
                 peer.send(topic, force_to_ros(force, stamp, frame))
 
     push = (0.0, 3.0, 0.0)
     with spinning(peer.under_test, peer.node):
         peer.connect()
         feel(0, push, push, push)
-        assert peer.answer(interfaces.GRASP_FORCE, 0).wrench.force.y == 10.0
+        assert peer.answer(names.GRASP_FORCE, 0).wrench.force.y == 10.0
         feel(TICK, push, None, push)
         feel(2 * TICK, push, push, (0.0, np.nan, 0.0))
         feel(3 * TICK, push, push, push)
-        assert peer.answer(interfaces.GRASP_FORCE, 3 * TICK).wrench.force.y == 10.0
-    given = [stamp_to_ns(m.header.stamp) for m in peer.heard[interfaces.GRASP_FORCE]]
+        assert peer.answer(names.GRASP_FORCE, 3 * TICK).wrench.force.y == 10.0
+    given = [stamp_to_ns(m.header.stamp) for m in peer.heard[names.GRASP_FORCE]]
     assert given == [0, 3 * TICK]
 
 
@@ -228,28 +228,28 @@ class ControllersWorld:
 
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
-        self._optimal = [interfaces.optimal_force(name) for name in FINGERS]
+        self._optimal = [names.optimal_force(name) for name in FINGERS]
         state, names = PLANT.state, PLANT.hand.joint_names
         self._codec = JointCodec(names, ("position", "velocity", "effort"))
         self._joints = (state.theta, state.rates, state.torque)
-        peer.listen(JointState, interfaces.JOINT_COMMAND)
-        peer.listen(PoseStamped, interfaces.AUXILIARY_POSE)
-        peer.speak(PoseArray, interfaces.CONTACTS)
-        peer.speak(PoseStamped, interfaces.DESIRED_POSE)
-        peer.speak(WrenchStamped, interfaces.GRASP_FORCE, *self._optimal)
-        peer.speak(JointState, interfaces.JOINT_STATES)
+        peer.listen(JointState, names.JOINT_COMMAND)
+        peer.listen(PoseStamped, names.AUXILIARY_POSE)
+        peer.speak(PoseArray, names.CONTACTS)
+        peer.speak(PoseStamped, names.DESIRED_POSE)
+        peer.speak(WrenchStamped, names.GRASP_FORCE, *self._optimal)
+        peer.speak(JointState, names.JOINT_STATES)
 
     def tick(self, stamp: int, share: float) -> JointState:
         """Let a tick pass, with a normal share f* at each finger, and return the command."""
         peer = self.peer
-        peer.heard[interfaces.JOINT_COMMAND].clear()
-        peer.send(interfaces.JOINT_STATES, self._codec.encode(stamp, *self._joints))
-        peer.send(interfaces.CONTACTS, contacts(stamp))
-        peer.send(interfaces.GRASP_FORCE, force_to_ros((0.0, 10.0, 0.0), stamp, "palm"))
+        peer.heard[names.JOINT_COMMAND].clear()
+        peer.send(names.JOINT_STATES, self._codec.encode(stamp, *self._joints))
+        peer.send(names.CONTACTS, contacts(stamp))
+        peer.send(names.GRASP_FORCE, force_to_ros((0.0, 10.0, 0.0), stamp, "palm"))
         for topic, name in zip(self._optimal, FINGERS, strict=True):
-            frame = interfaces.contact_frame(name)
+            frame = names.contact_frame(name)
             peer.send(topic, force_to_ros((0.0, share, 0.0), stamp, frame))
-        return peer.answer(interfaces.JOINT_COMMAND, stamp)
+        return peer.answer(names.JOINT_COMMAND, stamp)
 
 
 @pytest.mark.parametrize(("law", "drives"), [("kawamura", True), ("optimal", False)])
@@ -277,9 +277,9 @@ def test_ticks_that_begin_anew_forget_all_poses_but_those_sent_meanwhile(
 
     def desire(position: Array) -> None:
         """Command a pose and wait until it was handled: a wrong one behind it was rejected."""
-        peer.send(interfaces.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0))
+        peer.send(names.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0))
         peer.health.clear()
-        peer.send(interfaces.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0, frame="world"))
+        peer.send(names.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0, frame="world"))
         peer.says(WARN, "frame_id is 'world'")
 
     with spinning(peer.under_test, peer.node):
@@ -307,8 +307,8 @@ def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_t
     with spinning(peer.under_test, peer.node):
         peer.connect()
         for stamp in (DAY + 1, DAY + 5 * TICK, DAY + 5 * TICK + 1, 7 * TICK):
-            peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), stamp))
-        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), 0, frame="world"))
+            peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), stamp))
+        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), 0, frame="world"))
         peer.says(WARN, "frame_id is 'world'")  # so all are handled
         world.tick(5 * TICK, 1.0 / 3.0)
         peer.says(WARN, "is 86400 s ahead of the ticks, which are at 0.010 s")
@@ -316,8 +316,8 @@ def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_t
         still = list(world.tick(6 * TICK, 1.0 / 3.0).effort)
         assert list(world.tick(7 * TICK, 1.0 / 3.0).effort) != still
         peer.health.clear()
-        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK))
-        peer.send(interfaces.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK + 1))
+        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK))
+        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK + 1))
         wait_until(lambda: peer.values["rejected desired_pose"] == "3")
         kept = [DAY + 1, DAY + 5 * TICK, DAY + 7 * TICK]
         assert peer.under_test._controller.forget_after(0) == kept

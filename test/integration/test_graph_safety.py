@@ -17,8 +17,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.testing import isolated_domain
 
@@ -51,7 +51,7 @@ def moving(graph: Graph) -> None:
 
 def distance(graph: Graph) -> float:
     """Return how far the hand believes to be from p_d [m]."""
-    return float(np.linalg.norm(graph.position(interfaces.AUXILIARY_POSE) - P_D))
+    return float(np.linalg.norm(graph.position(names.AUXILIARY_POSE) - P_D))
 
 
 def pass_time(graph: Graph, seconds: float) -> None:
@@ -97,7 +97,7 @@ def stranger(graph: Graph, kind: Any, topic: str) -> Publisher:
 
 def effort(graph: Graph, **changes: Any) -> JointState:
     """Return a command for the newest tick, as wrong as asked for."""
-    state = graph.newest(interfaces.JOINT_STATES)
+    state = graph.newest(names.JOINT_STATES)
     message = JointState(name=list(state.name), effort=[1.0] * len(state.name))
     message.header.stamp = state.header.stamp
     for field, value in changes.items():
@@ -106,11 +106,11 @@ def effort(graph: Graph, **changes: Any) -> JointState:
 
 
 def wrong_commands(graph: Graph) -> list[JointState]:
-    names = list(graph.newest(interfaces.JOINT_STATES).name)
+    joints = list(graph.newest(names.JOINT_STATES).name)
     return [
-        effort(graph, name=[*names[:-1], "thumb_9"]),
-        effort(graph, name=names[:-1], effort=[1.0] * (len(names) - 1)),
-        effort(graph, effort=[math.nan] * len(names)),
+        effort(graph, name=[*joints[:-1], "thumb_9"]),
+        effort(graph, name=joints[:-1], effort=[1.0] * (len(joints) - 1)),
+        effort(graph, effort=[math.nan] * len(joints)),
         effort(graph, effort=[1.0]),
     ]
 
@@ -132,7 +132,7 @@ def test_wrong_desired_poses_are_counted_and_the_old_one_is_kept(graph: Graph) -
 
 def test_wrong_commands_are_counted_beside_good_ones(graph: Graph) -> None:
     before = graph.rejected("plant", "joint_command")
-    publisher = stranger(graph, JointState, interfaces.JOINT_COMMAND)
+    publisher = stranger(graph, JointState, names.JOINT_COMMAND)
     for message in wrong_commands(graph):
         publisher.publish(message)
     graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 4, "four rejections")
@@ -143,13 +143,13 @@ def test_wrong_commands_are_counted_beside_good_ones(graph: Graph) -> None:
 
 def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
     nodes = ("force_optimizer", "slip_regulator", "manipulation_controller")
-    force = interfaces.wrench("finger_1")
-    before = {name: graph.rejected(name, interfaces.CONTACTS) for name in nodes}
+    force = names.wrench("finger_1")
+    before = {name: graph.rejected(name, names.CONTACTS) for name in nodes}
     felt = graph.rejected("slip_regulator", force)
-    contacts = stranger(graph, PoseArray, interfaces.CONTACTS)
+    contacts = stranger(graph, PoseArray, names.CONTACTS)
     wrench = stranger(graph, WrenchStamped, force)
-    broken = graph.newest(interfaces.TRUE_CONTACTS)
-    broken.header.stamp = graph.newest(interfaces.JOINT_STATES).header.stamp
+    broken = graph.newest(names.TRUE_CONTACTS)
+    broken.header.stamp = graph.newest(names.JOINT_STATES).header.stamp
     broken.poses[1].position.y = math.nan
     contacts.publish(broken)
     numb = WrenchStamped()
@@ -158,7 +158,7 @@ def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
     wrench.publish(numb)
     for name in nodes:
         graph.wait(
-            lambda n=name: graph.rejected(n, interfaces.CONTACTS) == before[n] + 1,
+            lambda n=name: graph.rejected(n, names.CONTACTS) == before[n] + 1,
             f"a rejection by {name}",
         )
     graph.wait(lambda: graph.rejected("slip_regulator", force) == felt + 1, "a rejected force")
@@ -216,7 +216,7 @@ def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph)
     """Commands that cannot be used do not count as a controller."""
     graph.kill("manipulation_controller")
     at = graph.position()
-    publisher = stranger(graph, JointState, interfaces.JOINT_COMMAND)
+    publisher = stranger(graph, JointState, names.JOINT_COMMAND)
     before = graph.rejected("plant", "joint_command")
     graph.wait(lambda: says(graph, "plant", ERROR, "no usable joint_command"), "the plant's word")
     assert graph.says("plant", "mode", "holding")
@@ -274,7 +274,7 @@ def test_a_disabled_controller_only_damps_and_says_so(graph: Graph) -> None:
     graph.wait(
         lambda: says(graph, "manipulation_controller", WARN, "disabled by the user"), "its word"
     )
-    state = graph.newest(interfaces.JOINT_STATES)
+    state = graph.newest(names.JOINT_STATES)
     damping = graph.scenario.manipulation_controller.law.damping
     np.testing.assert_allclose(state.effort, -damping * np.array(state.velocity), atol=0.01)
     assert graph.call(SetBool, "manipulation_controller/enable", SetBool.Request(data=True)).success

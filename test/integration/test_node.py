@@ -12,9 +12,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import number_from_ros
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.testing import (
@@ -77,12 +78,12 @@ def user(context):
 def test_a_bad_message_is_counted_reported_and_survived(node, user):
     reports = []
     user.create_subscription(
-        DiagnosticArray, interfaces.DIAGNOSTICS, lambda m: reports.append(m.status[0]), 10
+        DiagnosticArray, names.DIAGNOSTICS, lambda m: reports.append(m.status[0]), 10
     )
     publisher = user.create_publisher(Float64, "/left/x", 10)
     with spinning(node, user):
         wait_until(lambda: publisher.get_subscription_count() == 1)
-        wait_until(lambda: user.count_publishers(interfaces.DIAGNOSTICS) == 1)
+        wait_until(lambda: user.count_publishers(names.DIAGNOSTICS) == 1)
         publisher.publish(Float64(data=float("nan")))
         publisher.publish(Float64(data=2.0))
         wait_until(lambda: node.got == [2.0], message="the good message after the bad one")
@@ -127,7 +128,7 @@ def test_a_sensor_subscription_may_be_made_best_effort(domain):
             wait_until(lambda: publisher.get_subscription_count() == 1)
             publisher.publish(Float64(data=1.0))
             wait_until(lambda: node.got == [1.0])
-        assert interfaces.tick_qos().reliability == ReliabilityPolicy.RELIABLE
+        assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
         node.destroy_node()
 
 

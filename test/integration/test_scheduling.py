@@ -13,7 +13,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros import names
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     find_executable,
@@ -47,7 +47,7 @@ def reports() -> Iterator[list[DiagnosticStatus]]:
     with isolated_domain() as domain, private_context(domain) as context:
         node = rclpy.create_node("listener", context=context)
         node.create_subscription(
-            DiagnosticArray, interfaces.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
+            DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
         )
         with spinning(node):
             yield heard

@@ -22,9 +22,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import (
     Array,
     contacts_from_ros,
@@ -131,17 +132,17 @@ class Graph:
         return f"{self.namespace}/{name}"
 
     def _talk(self) -> None:
-        make, qos = self.node.create_publisher, interfaces.user_qos()
-        self.poses = make(PoseStamped, interfaces.DESIRED_POSE, qos)
-        self.grasp_forces = make(Float64, interfaces.USER_GRASP_FORCE, qos)
+        make, profile = self.node.create_publisher, qos.user_qos()
+        self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
+        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
-        self._watch(JointState, interfaces.JOINT_STATES)
-        self._watch(PoseStamped, interfaces.OBJECT_POSE)
-        self._watch(PoseStamped, interfaces.AUXILIARY_POSE)
-        self._watch(WrenchStamped, interfaces.GRASP_FORCE)
-        self._watch(PoseArray, interfaces.TRUE_CONTACTS)
+        self._watch(JointState, names.JOINT_STATES)
+        self._watch(PoseStamped, names.OBJECT_POSE)
+        self._watch(PoseStamped, names.AUXILIARY_POSE)
+        self._watch(WrenchStamped, names.GRASP_FORCE)
+        self._watch(PoseArray, names.TRUE_CONTACTS)
         for name in self.fingers:
-            self._watch(WrenchStamped, interfaces.true_wrench(name))
+            self._watch(WrenchStamped, names.true_wrench(name))
 
     def _watch(self, kind: Any, topic: str) -> None:
         """Keep the newest message; raw, so that watching costs the graph next to nothing."""
@@ -150,7 +151,7 @@ class Graph:
         def keep(data: bytes) -> None:
             self._newest[topic] = data
 
-        self.node.create_subscription(kind, topic, keep, interfaces.tick_qos(), raw=True)
+        self.node.create_subscription(kind, topic, keep, qos.tick_qos(), raw=True)
 
     def _on_health(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -175,7 +176,7 @@ class Graph:
 
     def _readers(self) -> dict[str, dict[str, int]]:
         """Return how many readers each topic of each node has, this test's among them."""
-        t, fingers = interfaces, self.fingers
+        t, fingers = names, self.fingers
         shapes = int(self.scenario.force_optimizer.cones)
         observes = int(self.scenario.manipulation_controller.law.observer.time > 0.0)
         return {
@@ -223,9 +224,9 @@ class Graph:
     @property
     def time(self) -> float:
         """Simulated time of the newest tick [s]."""
-        return 1e-9 * stamp_to_ns(self.newest(interfaces.JOINT_STATES).header.stamp)
+        return 1e-9 * stamp_to_ns(self.newest(names.JOINT_STATES).header.stamp)
 
-    def position(self, topic: str = interfaces.OBJECT_POSE) -> Array:
+    def position(self, topic: str = names.OBJECT_POSE) -> Array:
         """Return the position in the newest pose on a topic, shape (3,), m."""
         point = self.newest(topic).pose.position
         return np.array([point.x, point.y, point.z])
@@ -233,18 +234,18 @@ class Graph:
     @property
     def contacts(self) -> Array:
         """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
-        return contacts_from_ros(self.newest(interfaces.TRUE_CONTACTS), len(self.fingers)).positions
+        return contacts_from_ros(self.newest(names.TRUE_CONTACTS), len(self.fingers)).positions
 
     @property
     def forces(self) -> Array:
         """True contact forces, shape (k, 3), N."""
-        topics = [interfaces.true_wrench(name) for name in self.fingers]
+        topics = [names.true_wrench(name) for name in self.fingers]
         return np.array([force_from_ros(self.newest(topic)) for topic in topics])
 
     @property
     def grasp_force(self) -> float:
         """The newest k_f [N]."""
-        return float(self.newest(interfaces.GRASP_FORCE).wrench.force.y)
+        return float(self.newest(names.GRASP_FORCE).wrench.force.y)
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of the hand and return its response."""

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
@@ -29,7 +30,6 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.messages.wire import WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -66,9 +66,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._optimizer = ForceOptimizer(self.config, self._fingers)
         self._report = OptimizerReport(self.diagnostics)
         self._sent: list[bytes] = []
-        self._codecs = [WrenchCodec(interfaces.contact_frame(name)) for name in fingers]
+        self._codecs = [WrenchCodec(names.contact_frame(name)) for name in fingers]
         self._publishers = [
-            self.tick_publisher(WrenchStamped, interfaces.optimal_force(name)) for name in fingers
+            self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
         self._cone_watch = ConeWatch(self.config.load_time)
         shapes = self.config.cones

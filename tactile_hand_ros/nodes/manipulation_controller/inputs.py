@@ -12,10 +12,10 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.backlog import Backlog
@@ -97,20 +97,20 @@ class ControllerInputs:
             hand.joint_names, ("position", "velocity", "effort"), wanted=("position", "velocity")
         )
         self._contacts = ContactsCodec(hand.fingers)
-        codecs = {interfaces.GRASP_FORCE: WrenchCodec(interfaces.PALM_FRAME, any_frame=True)}
+        codecs = {names.GRASP_FORCE: WrenchCodec(names.PALM_FRAME, any_frame=True)}
         for name in hand.finger_names:
-            frame = interfaces.contact_frame(name)
-            codecs[interfaces.optimal_force(name)] = WrenchCodec(frame, nan_allowed=True)
+            frame = names.contact_frame(name)
+            codecs[names.optimal_force(name)] = WrenchCodec(frame, nan_allowed=True)
         self._k = hand.fingers
         for name in hand.finger_names if feels else ():
-            codecs[interfaces.wrench(name)] = WrenchCodec(interfaces.contact_frame(name))
-        keys = (interfaces.JOINT_STATES, interfaces.CONTACTS, *codecs)
-        self._backlog: Backlog[TickInputs] = Backlog(node, interfaces.JOINT_STATES, self._answer)
+            codecs[names.wrench(name)] = WrenchCodec(names.contact_frame(name))
+        keys = (names.JOINT_STATES, names.CONTACTS, *codecs)
+        self._backlog: Backlog[TickInputs] = Backlog(node, names.JOINT_STATES, self._answer)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
         subscribe = partial(node.subscribe, raw=True)
-        subscribe(JointState, interfaces.JOINT_STATES, self._on_joints, sensor=True)
-        subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts, sensor=True)
-        touch = {interfaces.wrench(name) for name in hand.finger_names}
+        subscribe(JointState, names.JOINT_STATES, self._on_joints, sensor=True)
+        subscribe(PoseArray, names.CONTACTS, self._on_contacts, sensor=True)
+        touch = {names.wrench(name) for name in hand.finger_names}
         for topic, codec in codecs.items():
             take = partial(self._on_force, topic, codec)
             subscribe(WrenchStamped, topic, take, sensor=topic in touch)
@@ -143,7 +143,7 @@ class ControllerInputs:
 
     def _on_joints(self, data: bytes) -> None:
         stamp, joints = self._joints.decode(data)
-        matched = self._matcher.put(interfaces.JOINT_STATES, stamp, joints)
+        matched = self._matcher.put(names.JOINT_STATES, stamp, joints)
         if matched is REPEAT:
             self._backlog.repeat(self._listener.on_repeat)
         elif matched is not None:
@@ -161,7 +161,7 @@ class ControllerInputs:
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, poses = self._contacts.decode(data)
-        self._take(interfaces.CONTACTS, stamp, Contacts.from_poses(*poses))
+        self._take(names.CONTACTS, stamp, Contacts.from_poses(*poses))
 
     def _on_force(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
         stamp, force = codec.decode(data)

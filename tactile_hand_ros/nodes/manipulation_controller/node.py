@@ -21,6 +21,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import (
     MOST_WAITING,
     Command,
@@ -39,7 +40,7 @@ from tactile_hand_ros.nodes.manipulation_controller.inputs import (
 )
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
@@ -89,12 +90,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._sent = b""
         hand = self._controller.hand
         self._commands = JointCodec(hand.joint_names, ("effort",))
-        self._command_publisher = self.tick_publisher(JointState, interfaces.JOINT_COMMAND)
+        self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
         self._poses = PoseCodec()
-        self._pose_publisher = self.tick_publisher(PoseStamped, interfaces.AUXILIARY_POSE)
+        self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
         # First, so that of a pose and a tick that wait together the pose is handled first.
-        qos = interfaces.user_qos()
-        self.subscribe(PoseStamped, interfaces.DESIRED_POSE, self._on_desired, qos=qos)
+        self.subscribe(PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos())
         timeout, self._feels = self.config.input_timeout, self.config.law.observer.time > 0.0
         self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
         self._requests = ControllerServices(self, self._controller, self._on_reset)
@@ -136,7 +136,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._fresh.append((target, stamp))
         if self._controller.dropped > dropped:
             text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
-            self.reject(interfaces.DESIRED_POSE, text)
+            self.reject(names.DESIRED_POSE, text)
             self.diagnostics.value("dropped_poses", self._controller.dropped)
 
     def on_tick(self, inputs: TickInputs) -> None:
@@ -153,7 +153,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _check_fresh(self, tick: int) -> None:
         """Refuse poses of another clock that came when the time of the ticks was not known yet."""
         for stamp in self._controller.forget_after(tick + DAY_NS):
-            self.reject(interfaces.DESIRED_POSE, far_ahead(stamp, tick))
+            self.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
     def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspWatch
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import TactileNode
 
@@ -52,7 +52,7 @@ class ControllerReport:
         else:
             diagnostics.clear("hold")
             if command.reason:  # a pose for later whose time has come
-                self._node.reject(interfaces.DESIRED_POSE, command.reason)
+                self._node.reject(names.DESIRED_POSE, command.reason)
 
     def report(self, target: Target | None) -> None:
         """Put mode, distance to the target and the margins of the grasp into the diagnostics."""

@@ -8,9 +8,9 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.errors import GraspError
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.node import TactileNode
 
 
@@ -29,9 +29,9 @@ class ControllerServices:
         """
         self._controller = controller
         self._reset = on_reset
-        node.create_service(Trigger, interfaces.RESET, self._on_reset)
-        node.create_service(SetBool, interfaces.ENABLE, self._on_enable)
-        node.create_service(SetBool, interfaces.GRASP, self._on_grasp)
+        node.create_service(Trigger, names.RESET, self._on_reset)
+        node.create_service(SetBool, names.ENABLE, self._on_enable)
+        node.create_service(SetBool, names.GRASP, self._on_grasp)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset()

@@ -20,9 +20,9 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import PlantDriver
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -61,9 +61,9 @@ class PlantNode(TactileNode[PlantConfig]):
         hand = self._run.plant.hand
         self._joints = JointCodec(hand.joint_names, ("effort",))
         self._driver = PlantDriver(self, self._run)
-        self.subscribe(JointState, interfaces.JOINT_COMMAND, self._on_command, raw=True)
-        self.create_service(Trigger, interfaces.RESET, self._on_reset)
-        self.create_service(SetBool, interfaces.RUN, self._on_run)
+        self.subscribe(JointState, names.JOINT_COMMAND, self._on_command, raw=True)
+        self.create_service(Trigger, names.RESET, self._on_reset)
+        self.create_service(SetBool, names.RUN, self._on_run)
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:

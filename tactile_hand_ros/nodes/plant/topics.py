@@ -10,9 +10,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from tactile_hand_ros import names
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.readings import ReadingPublisher
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, SlipCodec, clock_bytes
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -26,18 +27,18 @@ class PlantTopics:
     def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
         """Create the publishers and describe the hand."""
         self._truth = ReadingPublisher(
-            node, hand.finger_names, interfaces.TRUE_CONTACTS, interfaces.true_wrench
+            node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
         )
         self._slip = SlipCodec(hand.finger_names)
-        self._slip_publisher = node.tick_publisher(JointState, interfaces.TRUE_SLIP)
+        self._slip_publisher = node.tick_publisher(JointState, names.TRUE_SLIP)
         self._joints = JointCodec(hand.joint_names, ("position", "velocity", "effort"))
-        self._joints_publisher = node.tick_publisher(JointState, interfaces.JOINT_STATES)
+        self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES)
         self._pose = PoseCodec()
-        self._pose_publisher = node.tick_publisher(PoseStamped, interfaces.OBJECT_POSE)
-        self._clock_publisher = node.tick_publisher(Clock, interfaces.CLOCK)
+        self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE)
+        self._clock_publisher = node.tick_publisher(Clock, names.CLOCK)
         self._joints_sent = self._slip_sent = b""
-        latched = interfaces.latched_qos()
-        self._description = node.create_publisher(String, interfaces.ROBOT_DESCRIPTION, latched)
+        latched = qos.latched_qos()
+        self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
         self._description.publish(String(data=hand.description))
 
     def publish(self, state: PlantState, stamp_ns: int) -> None:

@@ -22,11 +22,12 @@ from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
 from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
@@ -72,19 +73,18 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._rehearse(len(fingers))
         self._grips = GripCodec(fingers)
-        self._grip_publisher = self.tick_publisher(JointState, interfaces.GRIP_STATE)
-        self._codec = WrenchCodec(interfaces.PALM_FRAME)
-        self._publisher = self.tick_publisher(WrenchStamped, interfaces.GRASP_FORCE)
+        self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE)
+        self._codec = WrenchCodec(names.PALM_FRAME)
+        self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE)
         self._haptic_publisher = self.create_publisher(
-            JoyFeedbackArray, interfaces.HAPTIC_FEEDBACK, interfaces.user_qos()
+            JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
         )
         self._haptic = feedback_to_ros((0.0, 0.0))
         self._sent = self._grip_sent = b""
         self._felt, self._strongest = -1, 0.0
-        qos = interfaces.user_qos()
-        self.subscribe(Float64, interfaces.USER_GRASP_FORCE, self._on_user_force, qos=qos)
+        self.subscribe(Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos())
         self._inputs = TouchInputs(self, fingers, self, forces=True)
-        self.create_service(Trigger, interfaces.RESET, self._on_reset)
+        self.create_service(Trigger, names.RESET, self._on_reset)
 
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator

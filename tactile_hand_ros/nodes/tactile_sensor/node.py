@@ -19,10 +19,10 @@ import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.nodes.readings import ReadingPublisher
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, SlipCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -59,17 +59,17 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         fingers = hand.finger_names
         self._sensor = TactileSensor(self.config, np.array(hand.radii))
         self._rehearse(len(fingers))
-        self._publisher = ReadingPublisher(self, fingers, interfaces.CONTACTS, interfaces.wrench)
+        self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
         self._contacts = ContactsCodec(len(fingers))
-        topics = [interfaces.true_wrench(name) for name in fingers]
-        keys = (interfaces.TRUE_CONTACTS, interfaces.TRUE_SLIP, *topics)
-        self._backlog = Backlog(self, interfaces.TRUE_CONTACTS, self._on_tick)
+        topics = [names.true_wrench(name) for name in fingers]
+        keys = (names.TRUE_CONTACTS, names.TRUE_SLIP, *topics)
+        self._backlog = Backlog(self, names.TRUE_CONTACTS, self._on_tick)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
         self._slip = SlipCodec(fingers)
-        self.subscribe(PoseArray, interfaces.TRUE_CONTACTS, self._on_contacts, raw=True)
-        self.subscribe(JointState, interfaces.TRUE_SLIP, self._on_slip, raw=True)
+        self.subscribe(PoseArray, names.TRUE_CONTACTS, self._on_contacts, raw=True)
+        self.subscribe(JointState, names.TRUE_SLIP, self._on_slip, raw=True)
         for name, topic in zip(fingers, topics, strict=True):
-            codec = WrenchCodec(interfaces.contact_frame(name))
+            codec = WrenchCodec(names.contact_frame(name))
             self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
 
     def _rehearse(self, fingers: int) -> None:
@@ -85,11 +85,11 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, contacts = self._contacts.decode(data)
-        self._take(interfaces.TRUE_CONTACTS, stamp, contacts)
+        self._take(names.TRUE_CONTACTS, stamp, contacts)
 
     def _on_slip(self, data: bytes) -> None:
         stamp, (_, speeds) = self._slip.decode(data)
-        self._take(interfaces.TRUE_SLIP, stamp, speeds)
+        self._take(names.TRUE_SLIP, stamp, speeds)
 
     def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
         stamp, force = codec.decode(data)

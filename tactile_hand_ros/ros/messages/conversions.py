@@ -23,7 +23,7 @@ from std_msgs.msg import Float64
 
 from tactile_hand_ros.config.model import did_you_mean
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.ros.interfaces import PALM_FRAME
+from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 Array = NDArray[np.float64]

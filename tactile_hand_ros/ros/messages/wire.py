@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.ros.interfaces import PALM_FRAME
+from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.ros.messages import conversions
 from tactile_hand_ros.ros.messages.conversions import Contacts, JointOrder, all_finite, stamp_to_ns
 

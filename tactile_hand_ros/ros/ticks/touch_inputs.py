@@ -12,8 +12,8 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, GripCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.backlog import Backlog
@@ -77,17 +77,17 @@ class TouchInputs:
         self._contacts = ContactsCodec(len(fingers))
         self._grips = GripCodec(fingers)
         self._has_friction = friction
-        felt = {interfaces.wrench(name): name for name in fingers} if forces else {}
-        grip = (interfaces.GRIP_STATE,) if friction else ()
-        keys = (interfaces.CONTACTS, *grip, *felt)
-        self._backlog: Backlog[Touch] = Backlog(node, interfaces.CONTACTS, listener.on_tick)
+        felt = {names.wrench(name): name for name in fingers} if forces else {}
+        grip = (names.GRIP_STATE,) if friction else ()
+        keys = (names.CONTACTS, *grip, *felt)
+        self._backlog: Backlog[Touch] = Backlog(node, names.CONTACTS, listener.on_tick)
         self._matcher = StampMatcher(keys, on_restart=self._restart)
         subscribe = partial(node.subscribe, sensor=True, raw=True)
-        subscribe(PoseArray, interfaces.CONTACTS, self._on_contacts)
+        subscribe(PoseArray, names.CONTACTS, self._on_contacts)
         if friction:
-            node.subscribe(JointState, interfaces.GRIP_STATE, self._on_grip, raw=True)
+            node.subscribe(JointState, names.GRIP_STATE, self._on_grip, raw=True)
         for topic, name in felt.items():
-            codec = WrenchCodec(interfaces.contact_frame(name))
+            codec = WrenchCodec(names.contact_frame(name))
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec))
 
     def _restart(self) -> None:
@@ -96,11 +96,11 @@ class TouchInputs:
 
     def _on_contacts(self, data: bytes) -> None:
         stamp, poses = self._contacts.decode(data)
-        self._take(interfaces.CONTACTS, stamp, Contacts.from_poses(*poses))
+        self._take(names.CONTACTS, stamp, Contacts.from_poses(*poses))
 
     def _on_grip(self, data: bytes) -> None:
         stamp, (friction, _, _) = self._grips.decode(data)
-        self._take(interfaces.GRIP_STATE, stamp, friction)
+        self._take(names.GRIP_STATE, stamp, friction)
 
     def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
         stamp, force = codec.decode(data)

@@ -1,41 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of bags are those of the nodes; hands and fingers are found by them."""
+"""Hands and fingers are found in a bag by their topics."""
 
 from __future__ import annotations
 
 import pytest
 
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.ros import interfaces
-from tactile_hand_ros.run import topics
 from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "JOINT_STATES",
-        "JOINT_COMMAND",
-        "CONTACTS",
-        "GRASP_FORCE",
-        "GRIP_STATE",
-        "DESIRED_POSE",
-        "AUXILIARY_POSE",
-        "OBJECT_POSE",
-        "TRUE_CONTACTS",
-        "TRUE_SLIP",
-        "DIAGNOSTICS",
-        "PALM_FRAME",
-    ],
-)
-def test_names_are_those_of_the_nodes(name: str) -> None:
-    assert getattr(topics, name) == getattr(interfaces, name)
-
-
-def test_names_of_a_finger_are_those_of_the_nodes() -> None:
-    assert topics.WRENCH.format("thumb") == interfaces.wrench("thumb")
-    assert topics.OPTIMAL_FORCE.format("thumb") == interfaces.optimal_force("thumb")
-    assert topics.TRUE_WRENCH.format("thumb") == interfaces.true_wrench("thumb")
 
 
 def test_the_only_hand_is_found_in_any_namespace() -> None:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.manipulation_controller.inputs import ControllerInputs, TickInputs
 from tactile_hand_ros.nodes.manipulation_controller.node import inputs as controller_inputs
-from tactile_hand_ros.ros import interfaces
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
@@ -67,19 +67,19 @@ class Ear:
     def joints(self, stamp: int) -> None:
         """Bring joint states, which tell their tick [ms] apart."""
         data = JOINTS.encode(stamp * MS, THETA + stamp, RATES - stamp, 0.0 * THETA)
-        self.callbacks[interfaces.JOINT_STATES](data)
+        self.callbacks[names.JOINT_STATES](data)
 
     def others(self, stamp: int, *, without: str = "") -> None:
         """Bring everything else of a tick [ms], with other numbers for each finger."""
         at = stamp * MS
         data = {
-            interfaces.CONTACTS: ContactsCodec(3).encode(POSITIONS + stamp, TURNS, at),
-            interfaces.GRASP_FORCE: WrenchCodec("palm").encode((7.0, 10.0 + stamp, 8.0), at),
+            names.CONTACTS: ContactsCodec(3).encode(POSITIONS + stamp, TURNS, at),
+            names.GRASP_FORCE: WrenchCodec("palm").encode((7.0, 10.0 + stamp, 8.0), at),
         }
         for i, name in enumerate(FINGERS):
-            codec = WrenchCodec(interfaces.contact_frame(name))
-            data[interfaces.optimal_force(name)] = codec.encode((0.1, 0.2 + i, 0.3), at)
-            data[interfaces.wrench(name)] = codec.encode((1.0, 2.0, 3.0 + i), at)
+            codec = WrenchCodec(names.contact_frame(name))
+            data[names.optimal_force(name)] = codec.encode((0.1, 0.2 + i, 0.3), at)
+            data[names.wrench(name)] = codec.encode((1.0, 2.0, 3.0 + i), at)
         for topic, message in data.items():
             if topic in self.callbacks and topic != without:
                 self.callbacks[topic](message)
@@ -164,10 +164,10 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
     assert ear.kinds() == [("tick", 2)]
     for stamp in range(4, 504, 4):
         ear.joints(stamp)
-        ear.others(stamp, without=interfaces.optimal_force(FINGERS[1]))
+        ear.others(stamp, without=names.optimal_force(FINGERS[1]))
         ear.now += 4 * MS
     assert ear.kinds() == [] and ear.fault == ""
-    ear.others(504, without=interfaces.optimal_force(FINGERS[1]))
+    ear.others(504, without=names.optimal_force(FINGERS[1]))
     ear.joints(504)
     [(kind, stamp, theta, rates, reason)] = ear.heard
     assert (kind, stamp) == ("blind", 504 * MS)
@@ -184,10 +184,10 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
 def test_what_is_missing_now_is_told_and_given_as_the_reason(ear: Ear) -> None:
     ear.inputs.report()
     assert ear.fault == ""
-    ear.others(2, without=interfaces.GRASP_FORCE)
+    ear.others(2, without=names.GRASP_FORCE)
     at = ear.go_blind(2)
     for stamp in range(at + 1, at + 101):  # until the first ones are given up
-        ear.others(stamp, without=interfaces.CONTACTS)
+        ear.others(stamp, without=names.CONTACTS)
         ear.joints(stamp)
     assert "no tactile/contacts, grasp_force" in ear.fault
     ear.inputs.report()

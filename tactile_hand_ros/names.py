@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topic names and quality of service: the wiring between the nodes.
+"""Names of topics, services, frames and nodes, as plain strings: written here and nowhere else.
 
 All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand. That includes the
 clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
@@ -17,13 +17,6 @@ the tick as stamp, since ROS has no message for numbers by finger:
 """
 
 from __future__ import annotations
-
-from rclpy.qos import (
-    QoSDurabilityPolicy,
-    QoSHistoryPolicy,
-    QoSProfile,
-    QoSReliabilityPolicy,
-)
 
 JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
@@ -50,12 +43,14 @@ RUN = "~/run"
 PALM_FRAME = "palm"
 OBJECT_FRAME = "object"
 
-TICK_DEPTH = 100
-"""Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
-
-PUBLISHED_DEPTH = 3000
-"""Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
-In lockstep everybody waits for everybody else, but nobody waits for the recorder."""
+PLANT = "plant"
+SENSOR = "tactile_sensor"
+REGULATOR = "slip_regulator"
+OPTIMIZER = "force_optimizer"
+CONTROLLER = "manipulation_controller"
+RECORDER = "recorder"
+COMPOSED = "composed"  # all nodes but the recorder in one process
+ORCHESTRATOR = "orchestrator"
 
 
 def wrench(finger: str) -> str:
@@ -76,43 +71,3 @@ def true_wrench(finger: str) -> str:
 def contact_frame(finger: str) -> str:
     """Return the name of the contact frame C_i of a finger."""
     return f"{finger}_contact"
-
-
-def tick_qos() -> QoSProfile:
-    """Return the profile of everything that carries a tick: reliable, deep, volatile.
-
-    A new object each time, because rclpy writes QoS overrides into the profile it is given.
-    """
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=TICK_DEPTH,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.VOLATILE,
-    )
-
-
-def tick_publisher_qos() -> QoSProfile:
-    """Return the profile with which ticks are published: as `tick_qos`, with a longer memory."""
-    profile = tick_qos()
-    profile.depth = PUBLISHED_DEPTH
-    return profile
-
-
-def latched_qos() -> QoSProfile:
-    """Return the profile of values that late subscribers must get: transient local, depth 1."""
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=1,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
-    )
-
-
-def user_qos() -> QoSProfile:
-    """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=100,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.VOLATILE,
-    )

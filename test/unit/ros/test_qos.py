@@ -6,13 +6,14 @@ from __future__ import annotations
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from tactile_hand_ros.ros import interfaces
+from tactile_hand_ros import names
+from tactile_hand_ros.ros import qos
 
 PROFILES = {
-    "tick": (interfaces.tick_qos, 100, DurabilityPolicy.VOLATILE),
-    "tick publisher": (interfaces.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
-    "latched": (interfaces.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
-    "user": (interfaces.user_qos, 100, DurabilityPolicy.VOLATILE),
+    "tick": (qos.tick_qos, 100, DurabilityPolicy.VOLATILE),
+    "tick publisher": (qos.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
+    "latched": (qos.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
+    "user": (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
 }
 
 
@@ -33,8 +34,8 @@ def test_profiles_are_new_each_time_since_rclpy_writes_into_them(kind: str) -> N
 
 
 def test_topics_of_fingers_are_told_apart() -> None:
-    names = ("wrench", "optimal_force", "true_wrench", "contact_frame")
-    made = [getattr(interfaces, name)(finger) for name in names for finger in ("one", "two")]
+    patterns = (names.wrench, names.optimal_force, names.true_wrench, names.contact_frame)
+    made = [pattern(finger) for pattern in patterns for finger in ("one", "two")]
     assert made == [
         "tactile/one/wrench",
         "tactile/two/wrench",

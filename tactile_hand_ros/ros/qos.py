@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service of ticks, of latched values and of what users send."""
+
+from __future__ import annotations
+
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+
+TICK_DEPTH = 100
+"""Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
+
+PUBLISHED_DEPTH = 3000
+"""Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
+In lockstep everybody waits for everybody else, but nobody waits for the recorder."""
+
+
+def tick_qos() -> QoSProfile:
+    """Return the profile of everything that carries a tick: reliable, deep, volatile.
+
+    A new object each time, because rclpy writes QoS overrides into the profile it is given.
+    """
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=TICK_DEPTH,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def tick_publisher_qos() -> QoSProfile:
+    """Return the profile with which ticks are published: as `tick_qos`, with a longer memory."""
+    profile = tick_qos()
+    profile.depth = PUBLISHED_DEPTH
+    return profile
+
+
+def latched_qos() -> QoSProfile:
+    """Return the profile of values that late subscribers must get: transient local, depth 1."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def user_qos() -> QoSProfile:
+    """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=100,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
