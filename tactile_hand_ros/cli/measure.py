@@ -38,7 +38,8 @@ def reproduce(
     formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims beside what was measured."""
-    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.studies.paper import tables
     from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.studies.paper.reproduce import draw, write
     from tactile_hand_ros.studies.paper.reproduce import reproduce as run
@@ -57,7 +58,7 @@ def reproduce(
     for result in results:
         print_table(tables.claim_table(f"layout {result.layout}", result.claims))
         title = f"what the laws do, layout {result.layout}"
-        print_table(tables.rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
+        print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
     print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
 
 

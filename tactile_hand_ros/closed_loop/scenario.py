@@ -26,7 +26,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerCon
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
-from tactile_hand_ros.simulation.plant_config import PlantConfig
+from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
 
 Vector = tuple[float, float, float]
@@ -180,6 +180,19 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     for key, value in changes.items():
         _put(data, key.split("."), value)
     return validate(Scenario, data, "the changed scenario")
+
+
+def object_config(data: Any, source: str) -> ObjectConfig:
+    """Read the object alone, for those who draw a scenario that they may not be able to run.
+
+    Args:
+        data: Content of the key ``plant.object``.
+        source: Where it came from, for the error text.
+
+    Raises:
+        ConfigurationError: If a key or value is wrong.
+    """
+    return validate(ObjectConfig, data, source)
 
 
 def scenario_names() -> list[str]:

@@ -6,14 +6,13 @@ from __future__ import annotations
 from typing import Any
 
 from tactile_hand_ros.bag.reader import read_messages
+from tactile_hand_ros.closed_loop.scenario import object_config
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.facts import loose_scenario
 from tactile_hand_ros.report.urdf import hand_tree
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 DESCRIPTION = "robot_description"
 
@@ -60,7 +59,7 @@ def solid(run: Run) -> dict[str, Any] | None:
     if not isinstance(plant, dict) or "object" not in plant:
         return None
     try:
-        shape = validate(ObjectConfig, plant["object"], "scenario").solid()
+        shape = object_config(plant["object"], "scenario").solid()
     except TactileHandError:
         return None
     return {

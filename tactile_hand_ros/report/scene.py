@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from tactile_hand_ros.report.style import (
 )
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +52,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     hand = Hand.load(scenario.hand, scenario.layout)
     solid = scenario.plant.object.solid()
     rows = (min(1, len(record) - 1), len(record) - 1)
-    scenes = [_Scene(record, row, hand, solid) for row in rows]
+    scenes = [_Scene(record, row, hand, solid.vertices, solid.face_corners) for row in rows]
     view = _View(_azimuth(scenes[0].chains))
     with look():
         figure = new_figure(PAGE, 3.1, layout="none")
@@ -137,13 +137,15 @@ def _azimuth(chains: list[Array]) -> float:
 class _Scene:
     """What is to be seen at one tick."""
 
-    def __init__(self, record: Record, row: int, hand: Hand, solid: ConvexPolyhedron) -> None:
+    def __init__(
+        self, record: Record, row: int, hand: Hand, vertices: Array, faces: Sequence[Any]
+    ) -> None:
         self.record, self.row = record, row
         self.chains = [np.array(chain) for chain in hand.joint_positions(record.theta[row])]
         self.radii = hand.radii
         rotation = rotation_from_quaternion(record.object_quaternion[row])
-        self.corners = solid.vertices @ rotation.T + record.object_position[row]
-        self.faces = solid.face_corners
+        self.corners = vertices @ rotation.T + record.object_position[row]
+        self.faces = faces
 
     @property
     def points(self) -> list[Array]:

@@ -12,60 +12,11 @@ from tactile_hand_ros.run.bag_metrics import BagMetrics
 from tactile_hand_ros.run.ledger import Assumption
 from tactile_hand_ros.run.metrics import Metrics
 from tactile_hand_ros.run.recovery import Recovery
-from tactile_hand_ros.studies.paper.claims import Claim, LawResult, Verdict
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 Rows = Sequence[Sequence[str]]
-
-CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
-LAW_COLUMNS = (
-    "law",
-    "position error",
-    "|r_d|",
-    "contact lost",
-    "peak joint rate",
-    "sum of f_n",
-    "worst beta",
-    "rolling",
-    "stiffness",
-)
-_COLORS = {Verdict.HOLDS: "green", Verdict.PARTLY: "yellow", Verdict.FAILS: "red"}
-
-
-def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
-    """Return claims as text, columns as in `CLAIM_COLUMNS`."""
-    return [[c.source, c.statement, c.measured, c.verdict.value] for c in claims]
-
-
-def law_rows(laws: Sequence[LawResult]) -> list[list[str]]:
-    """Return the comparison of laws as text, columns as in `LAW_COLUMNS`."""
-    return [
-        [
-            law.law,
-            number(1e3 * law.final_position_error_m, "mm"),
-            number(law.final_rotation_error_rad, "rad"),
-            "never"
-            if math.isnan(law.first_contact_loss_s)
-            else f"{law.first_contact_loss_s:.2f} s",
-            number(law.peak_joint_rate_rad_per_s, "rad/s"),
-            number(law.normal_force_sum_N, "N"),
-            number(law.worst_required_friction),
-            number(1e3 * law.largest_rolling_m, "mm"),
-            number(law.stiffness_N_per_m, "N/m"),
-        ]
-        for law in laws
-    ]
-
-
-def claim_table(title: str, claims: Sequence[Claim]) -> Table:
-    """Return claims as a table for the terminal."""
-    table = rich_table(title, CLAIM_COLUMNS)
-    for claim, row in zip(claims, claim_rows(claims), strict=True):
-        color = _COLORS[claim.verdict]
-        table.add_row(*map(_plain, row[:-1]), f"[{color}]{row[-1]}[/{color}]", end_section=True)
-    return table
 
 
 def recovery_rows(recoveries: Sequence[Recovery]) -> list[list[str]]:
@@ -179,7 +130,7 @@ def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
     for column in columns:
         table.add_column(column, no_wrap=column == "verdict")
     for row in rows:
-        table.add_row(*map(_plain, row))
+        table.add_row(*map(plain, row))
     return table
 
 
@@ -208,6 +159,6 @@ def _with_error(value: float, error: float) -> str:
     return ("unknown" if math.isnan(value) else f"{value:.6g} N") + off
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Keep rich from taking square brackets for markup."""
     return text.replace("[", "\\[")

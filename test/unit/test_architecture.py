@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layers keep apart: the core knows no ROS, the controllers know no truth."""
+"""The layers keep apart: control knows no ROS and no simulation, recordings need no rclpy."""
 
 from __future__ import annotations
 
@@ -14,22 +14,45 @@ SOURCES = sorted((ROOT / PACKAGE).rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.is_file())
 
-# Who may import whom; data flows core <- ros <- bag <- analysis, nodes <- orchestrator <- cli.
+# What may be imported from everywhere.
+BASE = {"", "config", "errors", "extras", "jit", "names", "rotations"}
+RUNS = {"hand", "control", "closed_loop", "bag", "run"}
+# Who may import whom, besides itself. Data flows down this list.
 LAYERS = {
-    "core": {"core"},
-    "ros": {"core", "ros"},
-    "bag": {"core", "ros", "bag"},
-    "analysis": {"core", "ros", "bag", "analysis"},
-    "nodes": {"core", "ros", "bag", "nodes"},
-    "orchestrator": {"core", "ros", "bag", "analysis", "orchestrator"},
-    "bench": {"core", "ros", "bag", "analysis", "bench"},
+    "errors": set(),
+    "extras": {"errors"},
+    "names": set(),
+    "config": {"errors"},
+    "jit": {"config", "errors"},
+    "rotations": {"jit"},
+    "hand": BASE,
+    "control": BASE | {"hand"},
+    "simulation": BASE | {"hand", "control"},
+    "closed_loop": BASE | {"hand", "control", "simulation"},
+    "ros": BASE | {"control"},
+    "bag": BASE,
+    "nodes": BASE | {"hand", "control", "simulation", "ros", "bag"},
+    "run": BASE | RUNS,
+    "verify": BASE | RUNS | {"ros"},
+    "report": BASE | RUNS,
+    "orchestrator": BASE | RUNS | {"report", "ros", "nodes"},
+    "studies": BASE | RUNS | {"report", "simulation"},
+    "bench": BASE | RUNS | {"report", "verify", "simulation", "ros", "orchestrator"},
 }
 CLOCKS = {"time", "datetime"}
-# Only these may see what a real hand could not measure; composed starts them with the others.
-SEEING = {"__init__", "plant", "tactile_sensor", "recorder", "composed"}
-BLIND = sorted(path for path in (ROOT / PACKAGE / "nodes").glob("*.py") if path.stem not in SEEING)
-# The object, as the simulation knows it; scenario and closed_loop join it with the controllers.
-TRUTH = {"plant", "solid", "truth", "scenario", "closed_loop"}
+# What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.
+BLIND = ("hand", "control")
+PLAIN = ("errors", "extras", "names", "rotations", "config", "jit", "simulation", "closed_loop")
+SEEING_NODES = {"plant", "tactile_sensor", "readings", "composed", "recorder", "replay"}
+BLIND_NODES = sorted(
+    path
+    for path in (ROOT / PACKAGE / "nodes").rglob("*.py")
+    if path.relative_to(ROOT / PACKAGE / "nodes").parts[0].removesuffix(".py") not in SEEING_NODES
+)
+# The one file that replays a bag through real nodes.
+WITH_RCLPY = {f"{PACKAGE}/verify/replay_through_nodes.py"}
+MOST_MODULES = 16
+"""In one folder, without its __init__."""
 
 
 def label(path: Path) -> str:
@@ -57,12 +80,23 @@ def imports(path: Path) -> set[str]:
 
 
 def layer(name: str) -> str:
-    """Return the layer of a dotted name of this package, empty for the package itself."""
+    """Return the layer of a dotted name: a folder or file of the package, empty for itself."""
     parts = name.split(".")
     return parts[1] if len(parts) > 1 else ""
 
 
-GRAPH = {module_name(path): imports(path) for path in SOURCES}
+MODULES = {module_name(path) for path in SOURCES}
+
+
+def modules_used(path: Path) -> set[str]:
+    """Return what a file imports, without the folder where it takes a module out of one."""
+    found = imports(path)
+    taken = {name.rpartition(".")[0] for name in found & MODULES}
+    names = {name.rpartition(".")[0] for name in found - MODULES}
+    return {name for name in found if name not in taken - names}
+
+
+GRAPH = {module_name(path): modules_used(path) for path in SOURCES}
 
 
 def reachable(start: str) -> set[str]:
@@ -77,33 +111,89 @@ def reachable(start: str) -> set[str]:
     return found
 
 
+def own_imports(path: Path) -> set[str]:
+    """Return the modules of this package that a file imports, without those of its own layer."""
+    mine = layer(module_name(path))
+    used = {name for name in imports(path) if name == PACKAGE or name.startswith(f"{PACKAGE}.")}
+    return {name for name in used & set(GRAPH) if layer(name) != mine}
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=label)
-def test_layer_imports_only_what_lies_below(path: Path) -> None:
-    own = layer(module_name(path))
-    used = {layer(name) for name in imports(path) if name.startswith(f"{PACKAGE}.")}
-    used = {name for name in used if name in LAYERS or name == "cli"}
-    assert used <= LAYERS.get(own, {*LAYERS, "cli"})
+def test_a_layer_imports_only_what_lies_below(path: Path) -> None:
+    allowed = LAYERS.get(layer(module_name(path)))
+    if allowed is not None:  # cli and the front door may import everything
+        assert {layer(name) for name in own_imports(path)} - {""} <= allowed
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / PACKAGE / "core").rglob("*.py")), ids=label)
-def test_core_knows_neither_ros_nor_a_clock(path: Path) -> None:
+def test_every_folder_has_its_rule() -> None:
+    folders = {layer(module_name(path)) for path in SOURCES}
+    assert folders == {*LAYERS, "cli", ""}
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    for start in GRAPH:
+        direct = {name for name in GRAPH[start] if name in GRAPH and name != start}
+        assert not any(start in reachable(name) for name in direct), start
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if layer(module_name(p)) in {*BLIND, *PLAIN}], ids=label
+)
+def test_plain_code_knows_neither_ros_nor_a_clock(path: Path) -> None:
     top = {name.split(".")[0] for name in imports(path)}
     ros = {name for name in top if name.startswith("rcl") or name.endswith(("_msgs", "_srvs"))}
     assert not ros | (top & {"builtin_interfaces", "ament_index_python"}) | (top & CLOCKS)
 
 
-@pytest.mark.parametrize("path", BLIND, ids=label)
+@pytest.mark.parametrize(
+    "path",
+    [p for p in SOURCES if layer(module_name(p)) in {"bag", "run", "verify", "report"}],
+    ids=label,
+)
+def test_recordings_are_read_without_rclpy(path: Path) -> None:
+    """Bags are analysed on machines without ROS."""
+    if label(path) not in WITH_RCLPY:
+        loaded = {name for module in reachable(module_name(path)) for name in GRAPH[module]}
+        assert not {name for name in loaded if name.split(".")[0] == "rclpy"}
+
+
+@pytest.mark.parametrize("layer_name", BLIND)
+def test_the_blind_layers_reach_nothing_of_the_simulation(layer_name: str) -> None:
+    for module in [name for name in GRAPH if layer(name) == layer_name]:
+        reached = {layer(name) for name in reachable(module)}
+        assert not reached & {"simulation", "closed_loop", "ros", "nodes"}, module
+
+
+@pytest.mark.parametrize("path", BLIND_NODES, ids=label)
 def test_controllers_do_not_see_the_truth(path: Path) -> None:
     text = path.read_text().lower().replace("_", " ")
     assert "ground truth" not in text and "groundtruth" not in text
-    loaded = reachable(module_name(path))
-    seen = {name for name in loaded if name.startswith(f"{PACKAGE}.core.")}
-    assert not {name for name in seen if TRUTH & set(name.split("."))}
+    assert "simulation" not in {layer(name) for name in reachable(module_name(path))}
 
 
 def test_the_three_blind_nodes_are_there() -> None:
-    names = {path.stem for path in BLIND}
+    names = {path.parent.name for path in BLIND_NODES}
     assert {"force_optimizer", "manipulation_controller", "slip_regulator"} <= names
+
+
+def test_only_those_who_simulate_import_the_simulation() -> None:
+    users = {
+        module.split(".")[1]
+        if module.split(".")[1] != "nodes"
+        else ".".join(module.split(".")[1:3])
+        for module, used in GRAPH.items()
+        if any(layer(name) == "simulation" for name in used)
+    }
+    nodes = {"nodes.plant", "nodes.tactile_sensor", "nodes.readings"}
+    assert users <= {"simulation", "closed_loop", "studies", "bench", *nodes}
+
+
+@pytest.mark.parametrize(
+    "folder", sorted({path.parent for path in SOURCES}), ids=lambda path: label(path)
+)
+def test_a_folder_can_be_taken_in_at_a_glance(folder: Path) -> None:
+    modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+    assert len(modules) <= MOST_MODULES
 
 
 @pytest.mark.parametrize("path", [*SOURCES, *TESTS, *SCRIPTS], ids=label)

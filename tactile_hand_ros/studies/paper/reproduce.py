@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
+from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.studies.paper import tables
 from tactile_hand_ros.studies.paper.claims import Claim, LawResult, compare_laws, judge
 from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, Outcome, run_all
 
@@ -136,8 +137,8 @@ _FIGURES = {
 
 def _section(result: Reproduction, picture: str) -> str:
     pictures = [f"![{text}]({name}_{result.layout}.{picture})\n" for name, text in _FIGURES.items()]
-    claims = tables.markdown(tables.CLAIM_COLUMNS, tables.claim_rows(result.claims))
-    laws = tables.markdown(tables.LAW_COLUMNS, tables.law_rows(result.laws))
+    claims = markdown(tables.CLAIM_COLUMNS, tables.claim_rows(result.claims))
+    laws = markdown(tables.LAW_COLUMNS, tables.law_rows(result.laws))
     return "\n".join(
         [
             f"## Layout {result.layout}\n",
