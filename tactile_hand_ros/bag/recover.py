@@ -39,7 +39,7 @@ _COMPRESSED = (".zstd", ".lz4")  # what rosbag2 adds to the names of compressed 
 
 
 @dataclass(frozen=True)
-class Recovery:
+class RecoveredBag:
     """What came of a recovery.
 
     Attributes:
@@ -77,7 +77,9 @@ class Recovery:
         )
 
 
-def recover(bag: Path | str, out: Path | str | None = None, *, in_place: bool = False) -> Recovery:
+def recover(
+    bag: Path | str, out: Path | str | None = None, *, in_place: bool = False
+) -> RecoveredBag:
     """Make a whole bag of one that was cut off or damaged, whoever wrote it.
 
     Args:
@@ -137,7 +139,7 @@ def is_whole(bag: Path) -> bool:
             return False
         tallies = [_walk(file) for file in files]
     count = sum(tally.messages for tally in tallies)
-    return all(tally.whole for tally in tallies) and told.get("message_count", count) == count
+    return all(tally.intact for tally in tallies) and told.get("message_count", count) == count
 
 
 def _walk(file: Path) -> Tally:
@@ -162,7 +164,7 @@ def _names_all(told: Mapping[str, Any], files: Sequence[Path]) -> bool:
     return names == {file.name for file in files}
 
 
-def repair(folder: Path) -> Recovery:
+def repair(folder: Path) -> RecoveredBag:
     """Make the files in a bag folder whole, and its metadata anew.
 
     At every moment there is a file under each name, the broken or the whole one.
@@ -183,7 +185,7 @@ def repair(folder: Path) -> Recovery:
                         f"The file {file} has changed meanwhile, so somebody still writes it; "
                         "stop the recorder and try again."
                     )
-                if not copy.tally.whole:
+                if not copy.tally.intact:
                     kept.append(_keep(file))
                     draft.replace(file)
             finally:
@@ -198,7 +200,7 @@ def _state(file: Path) -> tuple[int, int]:
     return file.stat().st_size, file.stat().st_mtime_ns
 
 
-def continue_bag(folder: Path) -> Recovery | None:
+def continue_bag(folder: Path) -> RecoveredBag | None:
     """Repair a broken bag that a recorder of this package left, so that it can be continued.
 
     Args:
@@ -422,7 +424,7 @@ def _bag_metadata(
 
 def _finish(
     source: Path, target: Path, copies: Sequence[_Copy], kept: tuple[Path, ...] = ()
-) -> Recovery:
+) -> RecoveredBag:
     """Write the metadata of all files."""
     left = sum(copy.tally.left for copy in copies)
     metadata = _bag_metadata(
@@ -432,7 +434,7 @@ def _finish(
         {"recovered_bytes_left": str(left)},
     )
     write_whole(target / FILE_NAME, metadata.file_text())
-    return Recovery(source, target, metadata, left, kept)
+    return RecoveredBag(source, target, metadata, left, kept)
 
 
 def _renamed(file: FileMetadata) -> FileMetadata:

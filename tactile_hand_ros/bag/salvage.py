@@ -54,7 +54,7 @@ class Tally:
     by_topic: dict[str, int] = field(default_factory=dict)
 
     @property
-    def whole(self) -> bool:
+    def intact(self) -> bool:
         """Whether nothing is missing."""
         return self.complete and not self.left
 

@@ -30,7 +30,7 @@ _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIO
 
 
 @dataclass(frozen=True)
-class Case:
+class LoadCase:
     """One way to run in real time.
 
     Attributes:
@@ -72,16 +72,16 @@ class RealtimeRun:
         run: Ages, jitter, memory and processor time.
     """
 
-    case: Case
+    case: LoadCase
     ticks: int
     missed: float
     run: GraphRun
 
 
-def cases() -> list[Case]:
+def cases() -> list[LoadCase]:
     """Return all cases that this machine permits."""
     conditions = CONDITIONS if may_go_first() else CONDITIONS[:-1]
-    return [Case(*each) for each in product(RATES, (False, True), conditions)]
+    return [LoadCase(*each) for each in product(RATES, (False, True), conditions)]
 
 
 def may_go_first() -> bool:
@@ -90,7 +90,7 @@ def may_go_first() -> bool:
 
 
 def run_cases(
-    chosen: Sequence[Case], seconds: float, progress: Callable[[str], None] = lambda _: None
+    chosen: Sequence[LoadCase], seconds: float, progress: Callable[[str], None] = lambda _: None
 ) -> Iterator[RealtimeRun]:
     """Run cases one after the other.
 
@@ -100,11 +100,11 @@ def run_cases(
         progress: Called with the name of each that is done.
     """
     for case in chosen:
-        yield run_case(case, seconds)
+        yield run_load_case(case, seconds)
         progress(str(case))
 
 
-def run_case(case: Case, seconds: float) -> RealtimeRun:
+def run_load_case(case: LoadCase, seconds: float) -> RealtimeRun:
     """Run one case.
 
     Raises:
@@ -117,7 +117,7 @@ def run_case(case: Case, seconds: float) -> RealtimeRun:
     return summed_up(case, seconds, run)
 
 
-def summed_up(case: Case, seconds: float, run: GraphRun) -> RealtimeRun:
+def summed_up(case: LoadCase, seconds: float, run: GraphRun) -> RealtimeRun:
     """Judge a run by what its plant counted; what it did not tell is NaN."""
     ticks = round(seconds * case.rate)
 
@@ -137,7 +137,7 @@ def results(runs: Sequence[RealtimeRun]) -> list[Result]:
 
 
 def _results_of(run: RealtimeRun) -> list[Result]:
-    name, asked = f"real time, {run.case}", run.case == Case(RATES[0], run.case.composed)
+    name, asked = f"real time, {run.case}", run.case == LoadCase(RATES[0], run.case.composed)
     age = (Goal("median", at_most=1000.0), Goal("p99", at_most=2000.0)) if asked else ()
     few = (Goal("largest", at_most=0.1),) if asked else ()
     return [
@@ -151,5 +151,5 @@ def _results_of(run: RealtimeRun) -> list[Result]:
 
 def measure_realtime(work: Workload) -> list[Result]:
     """Run at 500 Hz without load, in six processes and composed, as long as the scenario takes."""
-    chosen = [Case(RATES[0], composed) for composed in (False, True)]
+    chosen = [LoadCase(RATES[0], composed) for composed in (False, True)]
     return results(list(run_cases(chosen, float(work.record.times[-1]))))

@@ -31,7 +31,7 @@ from tactile_hand_ros.ros.testing import (
     wait_until,
 )
 from tactile_hand_ros.verify.recompute import ShadowLoop
-from tactile_hand_ros.verify.recorded_inputs import Inputs, Wish
+from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand
 
 TOPICS = 12
 RATE = 5000.0  # messages/s on all topics
@@ -59,7 +59,7 @@ def measure_recompute(work: Workload) -> list[Result]:
     """Ask the controllers once more, from the sensor topics of a run."""
     record = work.record
     felt = np.isfinite(record.forces).all(axis=(1, 2))
-    poses = [Wish(wish.target(), wish.stamp, 0, 0, 0) for wish in work.scenario.targets]
+    poses = [UserCommand(wish.target(), wish.stamp, 0, 0, 0) for wish in work.scenario.targets]
     inputs = Inputs(record, list(work.grasps), np.asarray(felt), poses, [])
     speeds = []
     for _ in range(work.repeats):

@@ -15,7 +15,7 @@ from tactile_hand_ros.cli.output import NamespaceOption
 from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.nodes.replay.options import Progress, ReplayOptions
+    from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
     from tactile_hand_ros.nodes.replay.replay import Replay
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify.recompute import Comparison
@@ -231,7 +231,7 @@ def _line(player: Replay) -> Iterator[Any]:
     bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
     task = bar.add_task("replay", total=player.progress.duration, state="")
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: ReplayProgress) -> None:
         state = "paused, space goes on" if progress.paused else f"{progress.messages} messages"
         bar.update(task, completed=progress.position, state=state)
 

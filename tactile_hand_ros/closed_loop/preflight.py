@@ -29,7 +29,7 @@ def check_scenario(scenario: Scenario) -> None:
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
     contacts = state.contacts
-    if not contacts.whole:
+    if not contacts.all_touching:
         i = int(np.flatnonzero(~contacts.touching)[0])
         raise GraspError(
             f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; all "

@@ -10,14 +10,14 @@ from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.margins import SlipWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
-from tactile_hand_ros.jit.compiled import is_complete, note_complete
+from tactile_hand_ros.jit.compiled import is_complete, mark_complete
 
 
 def warm_up() -> None:
     """Compile everything, unless that was done for these sources and kept."""
     if not is_complete():
         run_every_block()
-        note_complete()
+        mark_complete()
 
 
 def run_every_block() -> None:

@@ -42,7 +42,7 @@ class Contacts:
         return _touching(self.positions, self.rotations)
 
     @cached_property
-    def whole(self) -> bool:
+    def all_touching(self) -> bool:
         """Whether all fingers touch."""
         return all(self.touching.tolist())
 

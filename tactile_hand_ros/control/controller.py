@@ -273,7 +273,7 @@ class Controller:
 
     def _regrasped(self, contacts: Contacts) -> bool:
         """Return whether closing fingers have all touched; then a new grasp begins."""
-        if not (self._regrasp.closing and contacts.whole):
+        if not (self._regrasp.closing and contacts.all_touching):
             return False
         self._regrasp.finish()
         self._open_stamp = None
@@ -302,7 +302,7 @@ class Controller:
         return max(0.0, 1e-9 * (stamp - self._last_stamp))
 
     def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
-        if not contacts.whole:
+        if not contacts.all_touching:
             names = [
                 name
                 for name, touching in zip(self.hand.finger_names, contacts.touching, strict=True)

@@ -100,7 +100,7 @@ class GraspWatch:
             theta: Joint angles, shape (m,), rad.
             contacts: Contacts by touch.
         """
-        if not contacts.whole:
+        if not contacts.all_touching:
             self._first = None
             return UNKNOWN_MARGINS
         tips = self._hand.fingertips(theta)

@@ -64,7 +64,7 @@ def _jit(function: F) -> F:
     return made
 
 
-def interpret() -> None:
+def run_interpreted() -> None:
     """Run as plain Python what is imported from now on: for a process that calls it hardly.
 
     Numba takes half a second to load, more than such a process could ever save.
@@ -73,7 +73,7 @@ def interpret() -> None:
     _interpreted = True
 
 
-def keeping_directory() -> Path | None:
+def cache_directory() -> Path | None:
     """Return where what is compiled is kept, None without Numba, which need not be loaded."""
     if os.environ.get(DISABLE) or importlib.util.find_spec("numba") is None:
         return None
@@ -82,15 +82,15 @@ def keeping_directory() -> Path | None:
 
 def is_complete() -> bool:
     """Return whether everything is compiled and kept, or nothing is to be compiled."""
-    kept = keeping_directory()
+    kept = cache_directory()
     with contextlib.suppress(OSError):
         return kept is None or (kept / _COMPLETE).read_text(encoding="utf-8") == _sources()
     return False
 
 
-def note_complete() -> None:
+def mark_complete() -> None:
     """Note that everything is compiled, where it is kept at all."""
-    kept = keeping_directory()
+    kept = cache_directory()
     if kept is not None and kept.is_dir():
         (kept / _COMPLETE).write_text(_sources(), encoding="utf-8")
 
@@ -107,7 +107,7 @@ def _numeric_sources() -> list[Path]:
     return sorted([*package.glob("*.py"), *found])
 
 
-def have_completed() -> None:
+def ensure_compiled() -> None:
     """Let another process compile what is not compiled yet: this one need not load Numba."""
     if is_complete():
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tactile_hand_ros.jit.compiled import interpret
+from tactile_hand_ros.jit.compiled import run_interpreted
 from tactile_hand_ros.orchestrator.signals import Signals
 
 
@@ -17,7 +17,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     signals = Signals()
     signals.install()
-    interpret()  # the nodes do the work; the few steps of the check are no reason to load Numba
+    run_interpreted()  # the few steps of the check do not justify loading Numba
     # Loading takes a second; a Ctrl-C in that time must not tear an import apart.
     from tactile_hand_ros.orchestrator.command import run
 

@@ -19,7 +19,7 @@ from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.compiled import have_completed
+from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
 from tactile_hand_ros.orchestrator.processes import Launcher
@@ -109,7 +109,7 @@ def _checked(name: str, changes: dict[str, Any]) -> Scenario:
     scenario = load_scenario(name, changes)
     check_scenario(scenario)
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
-    have_completed()
+    ensure_compiled()
     return scenario
 
 

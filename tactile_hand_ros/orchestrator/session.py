@@ -91,7 +91,7 @@ class Plan:
 
 
 @dataclass
-class Outcome:
+class RunOutcome:
     """What became of a run, as far as the orchestrator itself saw it.
 
     Attributes:
@@ -150,11 +150,11 @@ class Session:
         self.plan = plan
         self.directory = directory
         self.signals = signals
-        self.outcome = Outcome()
+        self.outcome = RunOutcome()
         self.outcome.done("checked")
         self._processes = Processes(launcher, lambda: signals.count > 1, held)
 
-    def run(self, joining: AbstractContextManager[Node], view: View) -> Outcome:
+    def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; nothing is left running.
 
         Args:

@@ -14,7 +14,7 @@ from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Outcome, Plan
+from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.report.tables import recovery_rows
 from tactile_hand_ros.run.metrics import json_ready
@@ -108,7 +108,7 @@ def incomplete(plan: Plan, recording: dict[str, Any], ticks: int) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GoalVerdict:
     """How a run is judged.
 
     Attributes:
@@ -122,7 +122,7 @@ class Verdict:
     exit_code: int
 
 
-def judge(plan: Plan, outcome: Outcome, results: Results, signal_code: int) -> Verdict:
+def judge(plan: Plan, outcome: RunOutcome, results: Results, signal_code: int) -> GoalVerdict:
     """Judge a run.
 
     Args:
@@ -133,20 +133,20 @@ def judge(plan: Plan, outcome: Outcome, results: Results, signal_code: int) -> V
     """
     troubles = [*results.problems, *outcome.complaints]
     if outcome.failure:
-        return Verdict("failed", [outcome.failure, *troubles], 1)
+        return GoalVerdict("failed", [outcome.failure, *troubles], 1)
     if outcome.interrupted and plan.interactive and signal_code == _CTRL_C:
-        return Verdict("finished", troubles, 1 if troubles else 0)
+        return GoalVerdict("finished", troubles, 1 if troubles else 0)
     if outcome.interrupted:
-        return Verdict("interrupted", troubles, signal_code)
+        return GoalVerdict("interrupted", troubles, signal_code)
     missed = _missed(plan, outcome, results)
     verdict = "goal not reached" if missed else "goal reached"
-    return Verdict(verdict, [*missed, *troubles], 1 if missed or troubles else 0)
+    return GoalVerdict(verdict, [*missed, *troubles], 1 if missed or troubles else 0)
 
 
 _CTRL_C = 130
 
 
-def _missed(plan: Plan, outcome: Outcome, results: Results) -> list[str]:
+def _missed(plan: Plan, outcome: RunOutcome, results: Results) -> list[str]:
     """Say by how much the goal was missed; without a bag, by the last pose that was seen."""
     goal, metrics = plan.scenario.goal, results.metrics
     position = metrics.get("final_position_error_m") if metrics else outcome.position_error
@@ -165,7 +165,7 @@ def _missed(plan: Plan, outcome: Outcome, results: Results) -> list[str]:
 
 
 def write_summary(
-    plan: Plan, directory: RunDirectory, outcome: Outcome, results: Results, verdict: Verdict
+    plan: Plan, directory: RunDirectory, outcome: RunOutcome, results: Results, verdict: GoalVerdict
 ) -> None:
     """Write ``summary.json`` whole or not at all."""
     scenario = plan.scenario
@@ -210,7 +210,7 @@ def report_line(results: Results) -> str:
         return f"the report was not written: {error or type(error).__name__}"
 
 
-def table(plan: Plan, outcome: Outcome, results: Results) -> Table:
+def table(plan: Plan, outcome: RunOutcome, results: Results) -> Table:
     """Return the results as a table for the terminal."""
     out = Table()
     out.add_column("result")
@@ -221,7 +221,7 @@ def table(plan: Plan, outcome: Outcome, results: Results) -> Table:
     return out
 
 
-def _rows(plan: Plan, outcome: Outcome, results: Results) -> list[tuple[str, str, str]]:
+def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[tuple[str, str, str]]:
     goal, m, r = plan.scenario.goal, results.metrics, results.recording
     recovered = recovery_rows(results.run.recoveries) if results.run is not None else []
     position, rotation = m["final_position_error_m"], m["final_rotation_error_rad"]

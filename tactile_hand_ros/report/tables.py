@@ -11,7 +11,7 @@ from tactile_hand_ros.extras import optional
 from tactile_hand_ros.run.bag_metrics import BagMetrics
 from tactile_hand_ros.run.ledger import Assumption
 from tactile_hand_ros.run.metrics import Metrics
-from tactile_hand_ros.run.recovery import Recovery
+from tactile_hand_ros.run.settling import Settling
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Rows = Sequence[Sequence[str]]
 
 
-def recovery_rows(recoveries: Sequence[Recovery]) -> list[list[str]]:
+def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
     """Return a row for each disturbance: when, how far the object went, and when it was back."""
     return [
         [

@@ -24,7 +24,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.parameters import ConfigParameters
-from tactile_hand_ros.ros.poll_backoff import Attention
+from tactile_hand_ros.ros.poll_backoff import PollBackoff
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
@@ -83,7 +83,7 @@ class TactileNode(Node, Generic[C]):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
         self._peers: dict[str, str] = {}
-        self._attention = Attention(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
+        self._attention = PollBackoff(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
         self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
     @property

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 
-class Attention:
+class PollBackoff:
     """Says how long to wait until the next look: short after a change, long when it is calm."""
 
     def __init__(

@@ -66,7 +66,7 @@ class Scheduling:
             os.sched_setaffinity(thread, self.cpus)
 
 
-def let_others_go_first() -> None:
+def use_batch_scheduling() -> None:
     """Ask for SCHED_BATCH: the same share of the time, but nobody is interrupted for this process.
 
     For one that nobody waits for. Where the kernel has no such policy nothing changes.

@@ -27,8 +27,8 @@ from tactile_hand_ros.run.bag_metrics import BagMetrics, bag_metrics, latencies
 from tactile_hand_ros.run.events import Event, events
 from tactile_hand_ros.run.ledger import Assumption, ledger
 from tactile_hand_ros.run.metrics import Metrics, metrics
-from tactile_hand_ros.run.recovery import Recovery, recoveries
 from tactile_hand_ros.run.series import Series, read_series
+from tactile_hand_ros.run.settling import Settling, recoveries
 from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
 
 BAG = "bag"
@@ -192,7 +192,7 @@ class Run:
         return ledger(self.record, hand), ""
 
     @cached_property
-    def recoveries(self) -> list[Recovery]:
+    def recoveries(self) -> list[Settling]:
         """How long each disturbance kept the object away; empty without a scenario."""
         return recoveries(self.record, self.scenario) if self.scenario is not None else []
 

@@ -31,7 +31,7 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify import optimum
 from tactile_hand_ros.verify.recompute import heeded_inputs, scenario_of
-from tactile_hand_ros.verify.recorded_inputs import Inputs, Wish, read_inputs
+from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand, read_inputs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -373,7 +373,7 @@ def _wrenches(
     target: Target | None = None
     grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
     unsaid = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
-    queue: list[Wish] = []
+    queue: list[UserCommand] = []
     turns = _turns(inputs)[rows]
     for i, row in enumerate(rows):
         follows = i > 0 and turns[i - 1] == turns[i] - 1

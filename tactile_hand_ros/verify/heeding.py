@@ -7,7 +7,7 @@ import copy
 from collections.abc import Callable
 from typing import Any
 
-from tactile_hand_ros.verify.recorded_inputs import Wish
+from tactile_hand_ros.verify.recorded_inputs import UserCommand
 
 Act = Callable[[int], None]
 
@@ -24,8 +24,8 @@ class Heeding:
     def __init__(
         self,
         block: Any,
-        wishes: list[Wish],
-        heed: Callable[[Any, Wish], None],
+        wishes: list[UserCommand],
+        heed: Callable[[Any, UserCommand], None],
         agrees: Callable[[int], bool],
     ) -> None:
         """Start before the first tick.
@@ -83,7 +83,7 @@ class Heeding:
         """Take the likely tick, though it does not explain the answers."""
         self._found(min(self._copies, key=lambda row: abs(row - self._wishes[0].guess)))
 
-    def _again(self, start: int, wish: Wish | None, *, insist: bool) -> bool:
+    def _again(self, start: int, wish: UserCommand | None, *, insist: bool) -> bool:
         """Answer the ticks from a row on once more; stop at the first that does not agree."""
         self.block = self._copy(self._copies[start])
         if wish is not None:

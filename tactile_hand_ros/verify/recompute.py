@@ -37,7 +37,7 @@ from tactile_hand_ros.errors import BagError, ConfigurationError, MessageError, 
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.heeding import Heeding
-from tactile_hand_ros.verify.recorded_inputs import Inputs, Wish, read_inputs
+from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand, read_inputs
 
 Array = NDArray[np.float64]
 
@@ -353,12 +353,12 @@ class ShadowLoop:
         self._out.command[row] = held.torque
 
 
-def _request(regulator: SlipRegulator, wish: Wish) -> None:
+def _request(regulator: SlipRegulator, wish: UserCommand) -> None:
     with contextlib.suppress(MessageError):  # the node dropped it too
         regulator.request(wish.value)
 
 
-def _command(controller: Controller, wish: Wish) -> None:
+def _command(controller: Controller, wish: UserCommand) -> None:
     with contextlib.suppress(PoseError):  # the node dropped it too
         controller.command(wish.value, wish.stamp)
 

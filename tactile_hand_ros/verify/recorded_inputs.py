@@ -27,7 +27,7 @@ _LATER = 100  # ticks that a busy node may take to heed a message
 
 
 @dataclass
-class Wish:
+class UserCommand:
     """Something that a user asked for.
 
     It is recorded when it was received, not at which tick the node heeded it: that is one of some
@@ -69,8 +69,8 @@ class Inputs:
     record: Record
     contacts: list[Contacts | None]
     felt: Flags
-    poses: list[Wish]
-    forces: list[Wish]
+    poses: list[UserCommand]
+    forces: list[UserCommand]
     may_leave_out: bool = False
 
     def heeded(self, answers: Array) -> Flags:
@@ -102,7 +102,7 @@ def read_inputs(run: Run) -> Inputs:
     return Inputs(record, contacts, felt, _poses(run), _forces(run), is_realtime)
 
 
-def _poses(run: Run) -> list[Wish]:
+def _poses(run: Run) -> list[UserCommand]:
     ticks, logged = first_ticks(run.series[run.topics.full(names.JOINT_STATES)])
     series = run.series[run.topics.full(names.DESIRED_POSE)]
     rows = series.rows("pose", 7)
@@ -114,7 +114,7 @@ def _poses(run: Run) -> list[Wish]:
     return wishes
 
 
-def _forces(run: Run) -> list[Wish]:
+def _forces(run: Run) -> list[UserCommand]:
     topic = run.topics.full(USER_FORCE)
     if topic not in run.summary.types:
         return []
@@ -131,11 +131,11 @@ def _wish(
     log_time: int,
     ticks: NDArray[np.int64],
     logged: NDArray[np.int64],
-) -> Wish:
+) -> UserCommand:
     seen = int(np.searchsorted(logged, log_time))
     if seen == 0:
-        return Wish(value, stamp, 0, 0, 0)
+        return UserCommand(value, stamp, 0, 0, 0)
     first, last = max(0, seen - _EARLIER), min(len(ticks) - 1, seen + _LATER)
     if stamp > int(ticks[last]):  # it had time to arrive, whenever that was
-        return Wish(value, stamp, seen - 1, seen - 1, seen - 1)
-    return Wish(value, stamp, first, last, min(seen, last))
+        return UserCommand(value, stamp, seen - 1, seen - 1, seen - 1)
+    return UserCommand(value, stamp, first, last, min(seen, last))

@@ -44,7 +44,7 @@ from tactile_hand_ros.verify.recompute import (
     heeded_inputs,
     scenario_of,
 )
-from tactile_hand_ros.verify.recorded_inputs import USER_FORCE, Wish
+from tactile_hand_ros.verify.recorded_inputs import USER_FORCE, UserCommand
 
 _PATIENCE = 60.0  # s until the nodes must have answered
 _RESEND = 0.2  # s
@@ -177,7 +177,7 @@ class _Feeder:
                     f"The nodes had {limit:g} s {what} and did not; run them by hand to see why."
                 )
 
-    def wish(self, wish: Wish) -> None:
+    def wish(self, wish: UserCommand) -> None:
         """Send what a user asked for; it is there before the next tick is sent."""
         if isinstance(wish.value, float):
             self._force.publish(serialize_message(Float64(data=wish.value)))

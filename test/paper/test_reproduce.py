@@ -10,14 +10,16 @@ import pytest
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.studies.paper.experiments import LAYOUTS, Outcome, run_experiment
+from tactile_hand_ros.studies.paper.experiments import LAYOUTS, ExperimentResult, run_experiment
 from tactile_hand_ros.studies.paper.stiffness import translational_stiffness
 
 LAWS = ("optimal", "contact", "kawamura")
 
 
 @cache
-def outcome(key: str, layout: str = "three_faces", duration: float | None = None) -> Outcome:
+def outcome(
+    key: str, layout: str = "three_faces", duration: float | None = None
+) -> ExperimentResult:
     """Run an experiment once for all tests."""
     return run_experiment(key, layout, duration)
 

@@ -186,7 +186,7 @@ class ForceOptimizer:
         Returns:
             f* in contact frames, or a status that says why there is none.
         """
-        if not contacts.whole:
+        if not contacts.all_touching:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"

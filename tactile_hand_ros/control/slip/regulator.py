@@ -189,7 +189,9 @@ class SlipRegulator:
 
     def _watch(self, contacts: Contacts, forces: Array, axes: Array, dt: float) -> list[int]:
         """Update detectors and friction; return the `Grip` of each contact."""
-        felt = forces if contacts.whole else np.where(contacts.touching[:, None], forces, np.nan)
+        felt = forces
+        if not contacts.all_touching:
+            felt = np.where(contacts.touching[:, None], forces, np.nan)
         detector, estimator = self._detector, self._estimator
         state = detector.step(felt, axes, self._own_change(), dt, estimator.estimate)
         estimator.step(felt, state, detector.evidence, dt, detector.agrees)
@@ -208,7 +210,7 @@ class SlipRegulator:
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
-        if not contacts.whole:
+        if not contacts.all_touching:
             return None
         try:
             return split(contacts, forces)

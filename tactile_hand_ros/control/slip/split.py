@@ -113,7 +113,7 @@ class ConeWatch:
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
     """Split the forces where all fingers hold something between them."""
-    if not contacts.whole:
+    if not contacts.all_touching:
         return None
     parts, margin = _measured_split(contacts, forces)
     return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _LEAST_SQUEEZE else None

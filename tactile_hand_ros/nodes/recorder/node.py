@@ -21,7 +21,7 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import TactileNode, set_period
 from tactile_hand_ros.ros.raw_topic import DirectTakeGroup
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.scheduling import let_others_go_first
+from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
 _REST = 0.1  # s between two visits to the queues when next to nothing comes
 _FEW = 10  # messages of a visit that are next to nothing, such as the diagnostics of some nodes
@@ -129,7 +129,7 @@ _node_that_ends_with_a_signal.__doc__ = RecorderNode.__doc__  # shown by --help
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder until SIGINT or SIGTERM and return the exit code."""
-    let_others_go_first()  # its queues are long; the hand's are not
+    use_batch_scheduling()  # its queues are long; the hand's are not
     return run_node(_node_that_ends_with_a_signal, args)
 
 

@@ -20,7 +20,7 @@ from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.snapshot import SnapshotBuffer
-from tactile_hand_ros.ros.poll_backoff import Attention
+from tactile_hand_ros.ros.poll_backoff import PollBackoff
 from tactile_hand_ros.ros.raw_topic import DirectTakeGroup, RawTopic
 
 _CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
@@ -69,7 +69,7 @@ class Recording:
         self._refused: set[str] = set()
         self._next_discovery = 0.0
         often = config.discovery_period
-        self._attention = Attention(often, _CALM_FACTOR * often, _CALM_AFTER)
+        self._attention = PollBackoff(often, _CALM_FACTOR * often, _CALM_AFTER)
         self._next_flush = 0.0
         keeps = config.snapshot_duration
         self._buffer = SnapshotBuffer(keeps) if keeps > 0.0 else None

@@ -36,7 +36,7 @@ class ReplayOptions:
 
 
 @dataclass
-class Progress:
+class ReplayProgress:
     """Where a replay is.
 
     Attributes:

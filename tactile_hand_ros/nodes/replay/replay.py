@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from tactile_hand_ros.bag.reader import iterate, open_bag
 from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.nodes.replay.options import Progress, ReplayOptions
+from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.timeline import Timeline
 from tactile_hand_ros.ros.messages.wire import clock_bytes
 from tactile_hand_ros.ros.raw_topic import message_class
@@ -58,7 +58,7 @@ class Replay:
         """
         self._node, self._options = node, options
         self._changed = threading.Condition()
-        self.progress = Progress(paused=options.paused)
+        self.progress = ReplayProgress(paused=options.paused)
         self.skipped: dict[str, str] = {}
         self._publishers: dict[str, Publisher] = {}
         self._opened = open_bag(bag)
@@ -93,9 +93,9 @@ class Replay:
 
     def run(
         self,
-        watch: Callable[[Progress], None] = lambda _: None,
+        watch: Callable[[ReplayProgress], None] = lambda _: None,
         stop: Callable[[], bool] = lambda: False,
-    ) -> Progress:
+    ) -> ReplayProgress:
         """Publish until the end, or for ever.
 
         Args:
@@ -178,7 +178,7 @@ class Replay:
         for topic, data in last.items():
             self._publishers[topic].publish(data)
 
-    def _pass(self, watch: Callable[[Progress], None], stop: Callable[[], bool]) -> bool:
+    def _pass(self, watch: Callable[[ReplayProgress], None], stop: Callable[[], bool]) -> bool:
         """Publish the bag once; return whether the end was reached."""
         look = 0.0
         for connection, due, data in self._messages():
@@ -223,13 +223,13 @@ class Replay:
             self._clock.publish(clock_bytes(self._timeline.position(now)))
         return self._next_clock
 
-    def _note(self, now: float, watch: Callable[[Progress], None]) -> None:
+    def _note(self, now: float, watch: Callable[[ReplayProgress], None]) -> None:
         position = 1e-9 * (self._timeline.position(now) - self._begin)
         self.progress.position = min(max(position, 0.0), self.progress.duration)
         watch(self.progress)
 
     def _pause_for(
-        self, delay: float, watch: Callable[[Progress], None], stop: Callable[[], bool]
+        self, delay: float, watch: Callable[[ReplayProgress], None], stop: Callable[[], bool]
     ) -> None:
         end = time.monotonic() + delay
         with self._changed:

@@ -33,7 +33,7 @@ _NAN3 = (math.nan,) * 3
 _NAN4 = (math.nan,) * 4
 
 
-class Contacts(NamedTuple):
+class ContactPoses(NamedTuple):
     """Contact frames C_i in the palm frame; NaN rows where a finger has no contact.
 
     Attributes:
@@ -201,7 +201,7 @@ def _write_pose(pose: Pose, position: Sequence[float], quaternion: Sequence[floa
     turn.x, turn.y, turn.z, turn.w = map(float, quaternion)
 
 
-def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME) -> Contacts:
+def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME) -> ContactPoses:
     """Read contact frames; a NaN position means no contact and gives NaN rows.
 
     Args:
@@ -222,7 +222,7 @@ def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME
         position, quaternion = _read_contact(pose, index)
         positions.append(position)
         quaternions.append(quaternion)
-    return Contacts(np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4))
+    return ContactPoses(np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4))
 
 
 def _read_contact(pose: Pose, index: int) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -24,7 +24,12 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.ros.messages import conversions
-from tactile_hand_ros.ros.messages.conversions import Contacts, JointOrder, all_finite, stamp_to_ns
+from tactile_hand_ros.ros.messages.conversions import (
+    ContactPoses,
+    JointOrder,
+    all_finite,
+    stamp_to_ns,
+)
 
 Array = NDArray[np.float64]
 
@@ -185,7 +190,7 @@ class ContactsCodec:
         self._rows[:, :3], self._rows[:, 3:] = positions, quaternions
         return self._template.stamped(stamp_ns)
 
-    def decode(self, data: bytes) -> tuple[int, Contacts]:
+    def decode(self, data: bytes) -> tuple[int, ContactPoses]:
         """Return stamp [ns] and contacts.
 
         Raises:
@@ -196,7 +201,7 @@ class ContactsCodec:
             rows = found[1][0].reshape(-1, 7)
             turns = rows[:, 3:].copy()
             if all(map(_is_unit, turns.tolist())):
-                return found[0], Contacts(rows[:, :3].copy(), turns)
+                return found[0], ContactPoses(rows[:, :3].copy(), turns)
         message = deserialize_message(data, PoseArray)
         contacts = conversions.contacts_from_ros(message, self._count)
         return stamp_to_ns(message.header.stamp), contacts

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.studies.paper.experiments import Outcome
+from tactile_hand_ros.studies.paper.experiments import ExperimentResult
 from tactile_hand_ros.studies.paper.stiffness import translational_stiffness
 
-Outcomes = Mapping[str, Outcome]
+Outcomes = Mapping[str, ExperimentResult]
 
 
-class Verdict(enum.Enum):
+class ClaimVerdict(enum.Enum):
     """How a claim fared."""
 
     HOLDS = "holds"
@@ -40,7 +40,7 @@ class Claim:
     source: str
     statement: str
     measured: str
-    verdict: Verdict
+    verdict: ClaimVerdict
     numbers: Mapping[str, float]
 
 
@@ -49,8 +49,8 @@ def judge(outcomes: Outcomes) -> list[Claim]:
     return [claim(outcomes) for claim in CLAIMS]
 
 
-def _verdict(holds: bool, partly: bool = False) -> Verdict:
-    return Verdict.HOLDS if holds else Verdict.PARTLY if partly else Verdict.FAILS
+def _verdict(holds: bool, partly: bool = False) -> ClaimVerdict:
+    return ClaimVerdict.HOLDS if holds else ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
 
 
 def _position(outcomes: Outcomes) -> Claim:
@@ -291,7 +291,7 @@ def compare_laws(outcomes: Outcomes) -> list[LawResult]:
     return [_law_result(name, outcomes[key]) for key, name in laws.items()]
 
 
-def _law_result(name: str, run: Outcome) -> LawResult:
+def _law_result(name: str, run: ExperimentResult) -> LawResult:
     m = run.metrics
     return LawResult(
         law=name,
@@ -306,14 +306,14 @@ def _law_result(name: str, run: Outcome) -> LawResult:
     )
 
 
-def _until_loss(run: Outcome) -> derived.Array:
+def _until_loss(run: ExperimentResult) -> derived.Array:
     """Return how far contacts rolled over the object, as long as all of them touched."""
     lost = np.flatnonzero(derived.contact_lost(run.record))
     end = int(lost[0]) if len(lost) else len(run.record)
     return derived.rolling(run.record.part(slice(end)))
 
 
-def _apart(one: Outcome, other: Outcome) -> float:
+def _apart(one: ExperimentResult, other: ExperimentResult) -> float:
     """Return the largest distance between the centroids of two runs."""
     between = one.record.auxiliary_position - other.record.auxiliary_position
     return float(np.linalg.norm(between, axis=1).max())

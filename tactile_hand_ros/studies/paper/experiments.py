@@ -48,7 +48,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExperimentResult:
     """A finished experiment.
 
     Attributes:
@@ -66,7 +66,7 @@ class Outcome:
     metrics: Metrics
 
 
-def run_experiment(key: str, layout: str, duration: float | None = None) -> Outcome:
+def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentResult:
     """Run one experiment by function calls.
 
     Args:
@@ -80,12 +80,12 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Outc
         changes["duration"] = duration
     scenario = load_scenario(experiment.scenario, changes)
     record = ClosedLoop(scenario).run()
-    return Outcome(key, layout, scenario, record, metrics(record, scenario))
+    return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
 
 
 def run_all(
     layouts: Sequence[str], duration: float | None = None, jobs: int = -1
-) -> Iterator[Outcome]:
+) -> Iterator[ExperimentResult]:
     """Run all experiments in all layouts on the cores and yield each when it is done.
 
     Args:

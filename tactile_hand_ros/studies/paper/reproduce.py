@@ -16,9 +16,9 @@ from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.studies.paper import tables
 from tactile_hand_ros.studies.paper.claims import Claim, LawResult, compare_laws, judge
-from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, Outcome, run_all
+from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, ExperimentResult, run_all
 
-Outcomes = Mapping[str, Outcome]
+Outcomes = Mapping[str, ExperimentResult]
 
 REPORT = "reproduction.md"
 DATA = "reproduction.json"
@@ -58,7 +58,7 @@ def reproduce(
     Raises:
         ConfigurationError: If a layout or duration cannot be used.
     """
-    found: dict[str, dict[str, Outcome]] = {layout: {} for layout in layouts}
+    found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
     for outcome in run_all(layouts, duration, jobs):
         found[outcome.layout][outcome.key] = outcome
         progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tactile_hand_ros.report.tables import number, plain, rich_table
-from tactile_hand_ros.studies.paper.claims import Claim, LawResult, Verdict
+from tactile_hand_ros.studies.paper.claims import Claim, ClaimVerdict, LawResult
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,7 +25,7 @@ LAW_COLUMNS = (
     "rolling",
     "stiffness",
 )
-_COLORS = {Verdict.HOLDS: "green", Verdict.PARTLY: "yellow", Verdict.FAILS: "red"}
+_COLORS = {ClaimVerdict.HOLDS: "green", ClaimVerdict.PARTLY: "yellow", ClaimVerdict.FAILS: "red"}
 
 
 def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:

@@ -33,7 +33,7 @@ _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
 
 
 @dataclass(frozen=True)
-class Case:
+class SlipCase:
     """What is varied from run to run.
 
     Attributes:
@@ -59,7 +59,7 @@ class Case:
     pull: tuple[float, float, float]
 
 
-def sample_cases(runs: int, seed: int) -> list[Case]:
+def sample_cases(runs: int, seed: int) -> list[SlipCase]:
     """Return cases that fill the ranges evenly, by Latin-hypercube sampling.
 
     Args:
@@ -72,7 +72,7 @@ def sample_cases(runs: int, seed: int) -> list[Case]:
         angle, tilt = 2.0 * math.pi * u[7], 0.5 * u[8]
         sideways, event = math.sin(tilt), EVENTS[int(3 * u[0])]
         cases.append(
-            Case(
+            SlipCase(
                 index=i,
                 event=event,
                 friction=_between(0.2, 1.0, u[1]),
@@ -96,7 +96,7 @@ def _between(low: float, high: float, share: float) -> float:
     return float(low * (high / low) ** share)
 
 
-def pull_of(case: Case) -> Case:
+def pull_of(case: SlipCase) -> SlipCase:
     """Return 10 N at once on 0.2 kg with mu = 0.5, felt at 1 kHz with a case's noise and delay."""
     load, down = 1.0 + 10.0 / (9.81 * 0.2), (0.0, 0.0, -1.0)
     return replace(case, event="step", friction=0.5, mass=0.2, rate=1000.0, load=load, pull=down)
@@ -114,7 +114,7 @@ def _base() -> Scenario:
     return load_scenario("gravity")
 
 
-def scenario_of(case: Case, **changes: Any) -> Scenario:
+def scenario_of(case: SlipCase, **changes: Any) -> Scenario:
     """Return the scenario of a case, by default with its event.
 
     Args:
@@ -144,7 +144,7 @@ def scenario_of(case: Case, **changes: Any) -> Scenario:
     return load_scenario("gravity", values)
 
 
-def _event(case: Case) -> dict[str, Any]:
+def _event(case: SlipCase) -> dict[str, Any]:
     if case.event == "friction":
         change = {"start": EVENT_TIME, "friction": case.friction / case.load}
         return {"plant.friction_changes": [change]}

@@ -19,7 +19,7 @@ from tactile_hand_ros.report.style import (
     new_figure,
 )
 from tactile_hand_ros.studies.slip.cases import EVENTS, RATES
-from tactile_hand_ros.studies.slip.outcomes import HELD, Outcome
+from tactile_hand_ros.studies.slip.outcomes import HELD, SlipOutcome
 from tactile_hand_ros.studies.slip.study import Study
 from tactile_hand_ros.studies.statistics import estimate
 
@@ -59,7 +59,7 @@ def detection_figure(study: Study) -> Figure:
     return figure
 
 
-def _distributions(axes: Axes, study: Study, of: Callable[[Outcome], float]) -> None:
+def _distributions(axes: Axes, study: Study, of: Callable[[SlipOutcome], float]) -> None:
     for i, (low, high) in enumerate(_NOISES):
         runs = [o for o in _slipped(study.outcomes) if low <= o.case.noise < high]
         values = np.sort([1e3 * of(o) for o in runs])
@@ -146,7 +146,9 @@ def delay_figure(study: Study) -> Figure:
     return figure
 
 
-def _delays(axes: Axes, study: Study, rate: float, of: Callable[[Outcome], float], i: int) -> None:
+def _delays(
+    axes: Axes, study: Study, rate: float, of: Callable[[SlipOutcome], float], i: int
+) -> None:
     points = []
     for low, high in zip(_LATENCIES, _LATENCIES[1:], strict=False):
         runs = [o for o in _slipped(study.outcomes) if o.case.rate == rate]
@@ -163,11 +165,11 @@ def _delays(axes: Axes, study: Study, rate: float, of: Callable[[Outcome], float
         )
 
 
-def _detection(outcome: Outcome) -> float:
+def _detection(outcome: SlipOutcome) -> float:
     return outcome.detection
 
 
-def _reaction(outcome: Outcome) -> float:
+def _reaction(outcome: SlipOutcome) -> float:
     return outcome.reaction
 
 
@@ -175,5 +177,5 @@ def _goal(axes: Axes, value: float) -> None:
     axes.axvline(value, color=FAINT, linewidth=0.8)
 
 
-def _slipped(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def _slipped(outcomes: Sequence[SlipOutcome]) -> list[SlipOutcome]:
     return [o for o in outcomes if not math.isnan(o.onset)]

@@ -21,7 +21,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
-from tactile_hand_ros.studies.slip.cases import EVENT_TIME, Case, scenario_of
+from tactile_hand_ros.studies.slip.cases import EVENT_TIME, SlipCase, scenario_of
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ PERFECT = {
 """A skin that hides nothing, as changes of a case's scenario."""
 
 
-def first_told(case: Case) -> float:
+def first_told(case: SlipCase) -> float:
     """Return when the first sample that holds anything of the event reaches the hand, s."""
     sample = (math.floor(EVENT_TIME * case.rate + 1e-6) + 1) / case.rate
     return 1e-3 * math.ceil(1e3 * (sample + case.latency) - 1e-6)
@@ -65,7 +65,7 @@ class Foresight(SlipRegulator):
         return self.grasp_force
 
 
-def foresee(case: Case) -> tuple[Record, Scenario]:
+def foresee(case: SlipCase) -> tuple[Record, Scenario]:
     """Run a case with a hand that is told all when its skin could tell."""
     scenario = scenario_of(case, **PERFECT)
     loop = ClosedLoop(scenario)

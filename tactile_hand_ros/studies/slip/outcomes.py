@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
-from tactile_hand_ros.studies.slip.cases import EVENT_TIME, Case, scenario_of
+from tactile_hand_ros.studies.slip.cases import EVENT_TIME, SlipCase, scenario_of
 from tactile_hand_ros.studies.slip.foresight import foresee
 from tactile_hand_ros.studies.slip.survival import least_at
 
@@ -24,7 +24,7 @@ HELD = {"known": 2.0, "unknown": 12.0}  # duration of the runs that nothing dist
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SlipOutcome:
     """What came out of a run; times are against the true onset, NaN where there was none.
 
     Attributes:
@@ -45,7 +45,7 @@ class Outcome:
         peak: Largest sum of normal forces since the event against the least after it.
     """
 
-    case: Case
+    case: SlipCase
     onset: float
     detection: float
     reaction: float
@@ -72,14 +72,14 @@ class Held:
         slip: Largest distance that a contact slid, m.
     """
 
-    case: Case
+    case: SlipCase
     kind: str
     ratio: float
     estimate: float
     slip: float
 
 
-def run_case(case: Case) -> Outcome:
+def run_case(case: SlipCase) -> SlipOutcome:
     """Run a case and measure it; where it is lost, ask whether anybody could have held it."""
     scenario = scenario_of(case)
     outcome = measure(ClosedLoop(scenario).run(), scenario, case)
@@ -88,7 +88,7 @@ def run_case(case: Case) -> Outcome:
     return outcome
 
 
-def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
+def measure(record: Record, scenario: Scenario, case: SlipCase) -> SlipOutcome:
     """Return what a run with an event shows."""
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slides = record.true_sliding > SLIDING
@@ -103,7 +103,7 @@ def measure(record: Record, scenario: Scenario, case: Case) -> Outcome:
     lost = gone or slip > LOST_SLIDE
     held = float(record.true_forces[event, :, 1].sum())
     peak = float(np.nanmax(record.true_forces[event:, :, 1].sum(axis=1)))
-    return Outcome(
+    return SlipOutcome(
         case=case,
         onset=math.nan if onset is None else float(record.times[onset]),
         detection=math.nan if onset is None else _detection(record, onset, slides[onset]),
@@ -142,7 +142,7 @@ def false_alarms(record: Record) -> int:
     return int((begins & ~recent[1:, None]).sum())
 
 
-def hold_case(case: Case, kind: str) -> Held:
+def hold_case(case: SlipCase, kind: str) -> Held:
     """Hold the object of a case without any event and compare the squeeze in the end.
 
     Args:

@@ -16,7 +16,7 @@ from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.studies.paper.experiments import _interrupts_held_back
-from tactile_hand_ros.studies.slip.cases import Case, sample_cases, scenario_of
+from tactile_hand_ros.studies.slip.cases import SlipCase, sample_cases, scenario_of
 from tactile_hand_ros.studies.slip.trace import Trace, alarms, delay, onset, record_trace, replay
 from tactile_hand_ros.studies.statistics import estimate
 
@@ -84,7 +84,7 @@ def paper_scenario(seconds: float, *, noise: bool = False, seed: int = 1) -> Sce
     return load_scenario("paper", changes)
 
 
-def slip_scenario(case: Case) -> Scenario:
+def slip_scenario(case: SlipCase) -> Scenario:
     """Return a case of the study without noise and delay, at 1 kHz."""
     return scenario_of(
         case, tactile_sensor__force_noise=0.0, tactile_sensor__latency=0.0, tactile_sensor__rate=1e3

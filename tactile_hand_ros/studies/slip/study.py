@@ -9,8 +9,8 @@ from typing import Any
 
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.studies.paper.experiments import _interrupts_held_back
-from tactile_hand_ros.studies.slip.cases import Case, pull_of, sample_cases
-from tactile_hand_ros.studies.slip.outcomes import HELD, Held, Outcome, hold_case, run_case
+from tactile_hand_ros.studies.slip.cases import SlipCase, pull_of, sample_cases
+from tactile_hand_ros.studies.slip.outcomes import HELD, Held, SlipOutcome, hold_case, run_case
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class Study:
     """
 
     seed: int
-    outcomes: list[Outcome]
-    pulls: list[Outcome]
+    outcomes: list[SlipOutcome]
+    pulls: list[SlipOutcome]
     held: list[Held]
 
 
-def tasks_of(runs: int, seed: int) -> list[tuple[Case, str]]:
+def tasks_of(runs: int, seed: int) -> list[tuple[SlipCase, str]]:
     """Return all runs: those with an event, some with the same pull, and a few held for longer."""
     cases = sample_cases(runs, seed)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
@@ -40,11 +40,13 @@ def tasks_of(runs: int, seed: int) -> list[tuple[Case, str]]:
     return out + [(case, "event") for case in cases]
 
 
-def _run(case: Case, kind: str) -> tuple[str, Outcome | Held]:
+def _run(case: SlipCase, kind: str) -> tuple[str, SlipOutcome | Held]:
     return kind, hold_case(case, kind) if kind in HELD else run_case(case)
 
 
-def run_tasks(tasks: Sequence[tuple[Case, str]], jobs: int) -> Iterator[tuple[str, Outcome | Held]]:
+def run_tasks(
+    tasks: Sequence[tuple[SlipCase, str]], jobs: int
+) -> Iterator[tuple[str, SlipOutcome | Held]]:
     """Run on all cores and yield what is done, in any order.
 
     Raises:

@@ -280,7 +280,7 @@ def test_tally_knows_a_whole_file(tmp_path: Path) -> None:
     tally = Tally()
     for _ in salvage(tmp_path / "run" / "run_0.mcap", tally):
         pass
-    assert tally.whole and tally.by_topic == {"/a": COUNT // 2, "/b": COUNT // 2}
+    assert tally.intact and tally.by_topic == {"/a": COUNT // 2, "/b": COUNT // 2}
     assert tally.compression == "zstd"
 
 

@@ -14,7 +14,7 @@ from tactile_hand_ros.bench.realtime import (
     FIRST,
     LOADED,
     RATES,
-    Case,
+    LoadCase,
     RealtimeRun,
     cases,
     may_go_first,
@@ -36,7 +36,7 @@ def counted(durations: list[float]) -> str:
     return histogram.text()
 
 
-def run_of(case: Case, **said: str) -> RealtimeRun:
+def run_of(case: LoadCase, **said: str) -> RealtimeRun:
     """Return a run of which the plant said something."""
     plant = {
         "late_commands": "1",
@@ -55,29 +55,29 @@ def test_every_way_to_run_is_asked_for() -> None:
     conditions = {ALONE, LOADED} | ({FIRST} if may_go_first() else set())
     assert {case.condition for case in found} == conditions
     assert len(found) == len(RATES) * 2 * len(conditions) == len({str(case) for case in found})
-    options = Case(1000.0, True, FIRST).options
+    options = LoadCase(1000.0, True, FIRST).options
     assert "--composed" in options and "plant.rate=1000" in options and "--priority" in options
-    assert "--priority" not in Case(1000.0, True, LOADED).options
+    assert "--priority" not in LoadCase(1000.0, True, LOADED).options
 
 
 def test_what_was_late_skipped_or_given_up_is_missed() -> None:
-    run = run_of(Case(500.0, False))
+    run = run_of(LoadCase(500.0, False))
     assert run.ticks == 1000
     assert run.missed == pytest.approx((1 + 2 + 0.004 * 500) / 1000)
-    assert run_of(Case(500.0, False), time_s="1.5").missed == pytest.approx(0.255)
+    assert run_of(LoadCase(500.0, False), time_s="1.5").missed == pytest.approx(0.255)
     assert run.run.cores == pytest.approx(0.6)
     assert run.run.memory == {"plant": 100.0}
 
 
 def test_a_plant_that_said_nothing_meets_no_goal() -> None:
-    run = summed_up(Case(500.0, False), 2.0, GraphRun({}, {}, []))
+    run = summed_up(LoadCase(500.0, False), 2.0, GraphRun({}, {}, []))
     age, missed, *_ = results([run])
     assert np.isnan(run.missed) and age.met is False and missed.met is False
 
 
 def test_goals_are_for_500_hz_alone() -> None:
     alone, other = (
-        results([run_of(case)]) for case in (Case(500.0, True), Case(500.0, True, LOADED))
+        results([run_of(case)]) for case in (LoadCase(500.0, True), LoadCase(500.0, True, LOADED))
     )
     age = alone[0]
     assert age.median == pytest.approx(500.0, rel=0.06) and age.met
@@ -87,7 +87,7 @@ def test_goals_are_for_500_hz_alone() -> None:
 
 
 def test_the_figure_takes_what_there_is(tmp_path: Path) -> None:
-    runs = [run_of(Case(500.0, False)), run_of(Case(1000.0, True, LOADED))]
+    runs = [run_of(LoadCase(500.0, False)), run_of(LoadCase(1000.0, True, LOADED))]
     (file,) = save(realtime_figure(runs), tmp_path, "realtime", ("png",))
     assert file.stat().st_size > 1000
     save(realtime_figure(runs[:1]), tmp_path, "one", ("svg",))

@@ -16,10 +16,10 @@ from rich.console import Console
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Outcome, Plan
+from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.orchestrator.summary import (
+    GoalVerdict,
     Results,
-    Verdict,
     expected_ticks,
     incomplete,
     judge,
@@ -47,52 +47,54 @@ def results(**changes: Any) -> Results:
 
 
 def test_good_run() -> None:
-    assert judge(PLAN, Outcome(), results(), 128) == Verdict("goal reached", [], 0)
+    assert judge(PLAN, RunOutcome(), results(), 128) == GoalVerdict("goal reached", [], 0)
 
 
 @pytest.mark.parametrize("error", [2e-4, None])
 def test_missed_goal_is_said_in_numbers(error: float | None) -> None:
-    verdict = judge(PLAN, Outcome(), results(final_position_error_m=error), 128)
+    verdict = judge(PLAN, RunOutcome(), results(final_position_error_m=error), 128)
     assert (verdict.outcome, verdict.exit_code) == ("goal not reached", 1)
     assert "the goal is 0.0001 m" in verdict.reasons[0]
 
 
 def test_rotation_counts_too() -> None:
-    verdict = judge(PLAN, Outcome(), results(final_rotation_error_rad=0.5), 128)
+    verdict = judge(PLAN, RunOutcome(), results(final_rotation_error_rad=0.5), 128)
     assert verdict.reasons == ["the final rotation error is 0.5 rad, the goal is 0.001 rad"]
 
 
 def test_incomplete_bag_is_no_success() -> None:
     incomplete = results()
     incomplete.problems.append("the recorder lost 3 messages")
-    verdict = judge(PLAN, Outcome(), incomplete, 128)
+    verdict = judge(PLAN, RunOutcome(), incomplete, 128)
     assert (verdict.outcome, verdict.exit_code) == ("goal reached", 1)
     assert verdict.reasons == ["the recorder lost 3 messages"]
 
 
 def test_failure_comes_first() -> None:
-    outcome = Outcome(failure="plant ended with code 1", complaints=["recorder did not end well"])
+    outcome = RunOutcome(
+        failure="plant ended with code 1", complaints=["recorder did not end well"]
+    )
     verdict = judge(PLAN, outcome, results(), 128)
-    assert verdict == Verdict("failed", [outcome.failure, *outcome.complaints], 1)
+    assert verdict == GoalVerdict("failed", [outcome.failure, *outcome.complaints], 1)
 
 
 @pytest.mark.parametrize("code", [130, 143])
 def test_signal_gives_its_code(code: int) -> None:
-    verdict = judge(PLAN, Outcome(interrupted=True), results(), code)
+    verdict = judge(PLAN, RunOutcome(interrupted=True), results(), code)
     assert (verdict.outcome, verdict.exit_code) == ("interrupted", code)
 
 
 def test_ctrl_c_is_the_regular_end_of_an_interactive_run() -> None:
-    outcome = Outcome(interrupted=True)
-    assert judge(STEERED, outcome, results(), 130) == Verdict("finished", [], 0)
+    outcome = RunOutcome(interrupted=True)
+    assert judge(STEERED, outcome, results(), 130) == GoalVerdict("finished", [], 0)
     assert judge(STEERED, outcome, results(), 143).exit_code == 143
 
 
 def test_without_a_bag_the_last_pose_that_was_seen_decides() -> None:
     seen = Results()
-    assert judge(PLAN, Outcome(position_error=1e-5), seen, 128).exit_code == 0
-    assert judge(PLAN, Outcome(position_error=1e-3), seen, 128).exit_code == 1
-    assert judge(PLAN, Outcome(), seen, 128).exit_code == 1
+    assert judge(PLAN, RunOutcome(position_error=1e-5), seen, 128).exit_code == 0
+    assert judge(PLAN, RunOutcome(position_error=1e-3), seen, 128).exit_code == 1
+    assert judge(PLAN, RunOutcome(), seen, 128).exit_code == 1
 
 
 def test_run_without_a_bag_says_so(tmp_path: Path) -> None:
@@ -121,7 +123,7 @@ def test_ticks_that_nobody_answered_are_a_fault_in_lockstep_only() -> None:
     assert incomplete(realtime, recording, 51) == []
     good = Results(metrics(ClosedLoop(PLAN.scenario).run(), PLAN.scenario).to_dict(), recording)
     text = io.StringIO()
-    Console(width=100, file=text).print(table(realtime, Outcome(), good))
+    Console(width=100, file=text).print(table(realtime, RunOutcome(), good))
     assert re.search(r"ticks answered .* 50 ", text.getvalue())
 
 
@@ -130,14 +132,14 @@ def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path)
     record = ClosedLoop(PLAN.scenario).run()
     record.auxiliary_position[-1] = math.nan
     full = Results(metrics(record, PLAN.scenario).to_dict(), dict(RECORDING))
-    verdict = judge(PLAN, Outcome(), full, 128)
-    write_summary(PLAN, RunDirectory(tmp_path), Outcome(), full, verdict)
+    verdict = judge(PLAN, RunOutcome(), full, 128)
+    write_summary(PLAN, RunDirectory(tmp_path), RunOutcome(), full, verdict)
     read = json.loads((tmp_path / "summary.json").read_text())
     assert read["metrics"]["final_position_error_m"] is None
     assert read["versions"]["tactile_hand_ros"]
     assert (read["scenario"], read["seed"], read["exit_code"]) == ("paper", 1, 1)
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
     text = io.StringIO()
-    Console(width=100, file=text).print(table(PLAN, Outcome(), full))
+    Console(width=100, file=text).print(table(PLAN, RunOutcome(), full))
     assert "final position error" in text.getvalue() and "unknown" in text.getvalue()
     assert "k_f f* = 4." in text.getvalue()

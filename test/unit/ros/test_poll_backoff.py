@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What changes is looked at often, what is calm rarely."""
 
-from tactile_hand_ros.ros.poll_backoff import Attention
+from tactile_hand_ros.ros.poll_backoff import PollBackoff
 
 OFTEN, RARELY, CALM = 0.1, 1.0, 5.0
 
@@ -18,7 +18,7 @@ class Hands:
 
 def attention(often=OFTEN):
     hands = Hands()
-    return Attention(often, RARELY, CALM, hands), hands
+    return PollBackoff(often, RARELY, CALM, hands), hands
 
 
 def test_at_first_and_after_a_change_it_looks_often():

@@ -22,12 +22,12 @@ from tactile_hand_ros.studies.slip import outcomes as study_outcomes
 from tactile_hand_ros.studies.slip import roc as slip_roc
 from tactile_hand_ros.studies.slip import tables as study_tables
 from tactile_hand_ros.studies.slip import trace as slip_trace
-from tactile_hand_ros.studies.slip.cases import Case
-from tactile_hand_ros.studies.slip.outcomes import Outcome
+from tactile_hand_ros.studies.slip.cases import SlipCase
+from tactile_hand_ros.studies.slip.outcomes import SlipOutcome
 from tactile_hand_ros.studies.slip.study import Study
 from tactile_hand_ros.studies.slip.survival import least_at
 
-CASE = Case(
+CASE = SlipCase(
     index=0,
     event="friction",
     friction=0.6,
@@ -55,7 +55,7 @@ def made_up(run: Record) -> Record:
     return replace(still, grasp_force=np.full_like(run.grasp_force, 5.0))
 
 
-def measured(record: Record) -> Outcome:
+def measured(record: Record) -> SlipOutcome:
     """Measure a record as a run of the case."""
     return study_outcomes.measure(record, study_cases.scenario_of(CASE), CASE)
 

@@ -18,7 +18,7 @@ BACK = 0.001
 
 
 @dataclass(frozen=True)
-class Recovery:
+class Settling:
     """What became of the pose after a disturbance began.
 
     Attributes:
@@ -43,7 +43,7 @@ class Recovery:
         }
 
 
-def recoveries(record: Record, scenario: Scenario) -> list[Recovery]:
+def recoveries(record: Record, scenario: Scenario) -> list[Settling]:
     """Return the recovery from each disturbance and each change of friction of a run.
 
     Args:
@@ -59,11 +59,11 @@ def recoveries(record: Record, scenario: Scenario) -> list[Recovery]:
     ]
 
 
-def _recovery(record: Record, errors: NDArray[np.float64], start: float, end: float) -> Recovery:
+def _recovery(record: Record, errors: NDArray[np.float64], start: float, end: float) -> Settling:
     rows = (record.times >= start) & (record.times < end)
     times, own = record.times[rows], errors[rows]
     if not np.isfinite(own).any():
-        return Recovery(start, math.nan, math.inf, math.nan)
+        return Settling(start, math.nan, math.inf, math.nan)
     away = np.flatnonzero(~(own < BACK))  # unknown is away, too
     if not len(away):
         back = 0.0
@@ -71,4 +71,4 @@ def _recovery(record: Record, errors: NDArray[np.float64], start: float, end: fl
         back = math.inf
     else:
         back = float(times[away[-1] + 1] - start)
-    return Recovery(start, float(np.nanmax(own)), back, float(own[-1]))
+    return Settling(start, float(np.nanmax(own)), back, float(own[-1]))

@@ -8,7 +8,7 @@ import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.run.recovery import recoveries
+from tactile_hand_ros.run.settling import recoveries
 
 SCENARIO = load_scenario("pull")  # events at 2 and at 5 s
 
