@@ -1,9 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hold and turn an unknown object with a tactile prosthetic hand, on ROS 2.
 
-`control` is what runs on a real hand and `simulation` what replaces one; both are plain NumPy.
-`ros` knows rclpy, `nodes` has one folder per process, `bag`, `run`, `verify` and `report` work
-on recordings.
+The names below are what users of the library need; each is loaded when it is first asked for.
+`control` is what runs on a real hand and `simulation` what replaces one. `closed_loop` wires the
+blocks by function calls, `ros` and `nodes` by topics. `bag`, `run`, `verify` and `report` work on
+recordings. docs/architecture.md shows how a tick, a slip and a recording pass through them.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.closed_loop.loop import ClosedLoop
+    from tactile_hand_ros.closed_loop.record import Record
+    from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+    from tactile_hand_ros.control.contact import Contacts
+    from tactile_hand_ros.control.controller import Controller
+    from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+    from tactile_hand_ros.control.slip.regulator import SlipRegulator
+    from tactile_hand_ros.errors import TactileHandError
+    from tactile_hand_ros.hand.hand import Hand
+    from tactile_hand_ros.report.page import write_report
+    from tactile_hand_ros.run.metrics import metrics
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.simulation.plant import Plant
+    from tactile_hand_ros.simulation.skin import TactileSensor
+    from tactile_hand_ros.verify.audit import audit
+    from tactile_hand_ros.verify.recompute import recompute
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "ClosedLoop",
+    "Contacts",
+    "Controller",
+    "ForceOptimizer",
+    "Hand",
+    "Plant",
+    "Record",
+    "Run",
+    "Scenario",
+    "SlipRegulator",
+    "TactileHandError",
+    "TactileSensor",
+    "audit",
+    "load_scenario",
+    "metrics",
+    "recompute",
+    "write_report",
+]
+
+_HOMES = {
+    "ClosedLoop": "closed_loop.loop",
+    "Contacts": "control.contact",
+    "Controller": "control.controller",
+    "ForceOptimizer": "control.optimizer.force_optimizer",
+    "Hand": "hand.hand",
+    "Plant": "simulation.plant",
+    "Record": "closed_loop.record",
+    "Run": "run.run",
+    "Scenario": "closed_loop.scenario",
+    "SlipRegulator": "control.slip.regulator",
+    "TactileHandError": "errors",
+    "TactileSensor": "simulation.skin",
+    "audit": "verify.audit",
+    "load_scenario": "closed_loop.scenario",
+    "metrics": "run.metrics",
+    "recompute": "verify.recompute",
+    "write_report": "report.page",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use (PEP 562): a node pays only for what it imports itself."""
+    if name not in _HOMES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names besides what is loaded already."""
+    return sorted({*globals(), *__all__})
