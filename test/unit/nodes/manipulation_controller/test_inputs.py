@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.manipulation_controller import inputs as controller_inputs
 from tactile_hand_ros.nodes.manipulation_controller.inputs import ControllerInputs, TickInputs
-from tactile_hand_ros.nodes.manipulation_controller.node import inputs as controller_inputs
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
