@@ -77,11 +77,6 @@ def test_a_tumbling_body_keeps_angular_momentum_and_energy():
     assert np.abs(run(world, 0.2).spin - before).max() > 0.05 * np.linalg.norm(before)
 
 
-def test_rotations_stay_rotations():
-    state = run(spinning(0.002), 2.0)
-    np.testing.assert_allclose(state.rotation.T @ state.rotation, np.eye(3), atol=1e-14)
-
-
 def swing(step):
     world = plant(step, gravity=(0.0, 0.0, -9.81), **FAR)
     before = world.energy()
@@ -136,7 +131,7 @@ def test_reset_starts_the_same_motion_again():
     assert world.time == 0.0 and not back.rates.any() and not back.forces.any()
     for torque, before in zip(torques, first, strict=True):
         after = world.advance(torque)
-        for name in ("theta", "rates", "position", "rotation", "spin", "forces", "sliding"):
+        for name in ("theta", "rates", "position", "rotation", "spin", "forces", "sliding", "slid"):
             np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
 
 

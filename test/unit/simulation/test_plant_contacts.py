@@ -79,12 +79,17 @@ def test_every_state_obeys_the_contact_laws(friction, layout):
 
 @pytest.mark.parametrize(("seed", "friction"), [(1, 0.5), (2, 2.0)])
 def test_a_contact_without_force_is_seen_only_while_it_touches(seed, friction):
+    cases = set()
     for _, state in shaken(seed, object__friction=friction, layout="pinch"):
-        apart = ~state.contacts.touching
-        assert not state.forces[apart].any() and (state.gaps[apart] > TOUCH).all()
-        assert (state.gaps[~apart] < 5e-4).all()
-        assert np.isnan(state.contacts.positions[apart]).all()
-        assert np.isfinite(state.contacts.rotations[~apart]).all()
+        pushed, near = state.forces[:, 1] > 0.0, state.gaps <= TOUCH
+        touching = state.contacts.touching
+        np.testing.assert_array_equal(touching, pushed | near)
+        assert not state.forces[~touching].any() and (state.gaps[touching] < 5e-4).all()
+        assert np.isnan(state.contacts.positions[~touching]).all()
+        assert np.isnan(state.contacts.rotations[~touching]).all()
+        assert np.isfinite(state.contacts.positions[touching]).all()
+        cases.update(zip(pushed.tolist(), near.tolist(), strict=True))
+    assert {(False, False), (True, False), (True, True)} <= cases
 
 
 @pytest.mark.parametrize("friction", [0.3, 100.0])
@@ -176,6 +181,9 @@ def test_a_load_beyond_the_cone_slides_at_the_limit():
         assert (state.sliding[:, 1] < 0.0).all()  # z of the frames is palm z: it slides down
         np.testing.assert_allclose(state.forces[:, 2], 0.5 * state.forces[:, 1], rtol=1e-6)
     last = states[-1]
+    # Tips stay, so that each contact slides as far as the object goes down.
+    np.testing.assert_allclose(last.slid, 0.4098 - last.position[2], rtol=0.03)
+    assert last.slid.min() > 1e-3
     np.testing.assert_allclose(last.velocity[2], -(6.0 - 5.0) / 0.2 * 0.1, rtol=0.02)
     assert np.abs(last.rates).max() < 0.05 * abs(last.velocity[2])
 

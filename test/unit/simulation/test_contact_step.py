@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step on arrays: rotations, friction and sliding of each finger, gaps, and what is seen."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.plants import jacobian, plant
+
+from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.simulation.contact_step import (
+    TOUCH,
+    Body,
+    HandTerms,
+    half_step,
+    observed,
+    step,
+)
+from tactile_hand_ros.simulation.solid import ConvexPolyhedron
+
+H = 1e-3
+MU = np.array([0.1, 0.6, 0.3])
+FAR = {"object__position": (0.0, 0.0, 9.0)}
+ONE = {"object__size": (0.24, 0.2604, 0.2604)}  # only finger 3 touches
+
+
+class Scene:
+    """Hand and object of a plant at rest, of which one step is taken with chosen velocities."""
+
+    def __init__(self, **values):
+        world = plant(H, **values)
+        state, c = world.state, world.config.object
+        self.hand, self.shape, self.theta = world.hand, world.solid.shape, state.theta
+        self.position, self.rotation = state.position, state.rotation
+        self.mass, self.inertia = c.mass, np.diag(c.inertia)
+        self.contacts, self.jacobian = state.contacts, jacobian(world, state)
+        self.torque, self.slid = np.zeros(9), np.zeros(3)
+
+    def press(self, *forces):
+        """Press along the normals, N."""
+        pushes = np.array(forces)[:, None] * np.nan_to_num(self.contacts.normals)
+        self.torque = self.jacobian.T @ pushes.ravel()
+
+    def step(self, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0.0, 0.0)):
+        v = np.concatenate([np.zeros(9), velocity, spin])
+        theta, ahead = half_step(H, self.theta, v, v)
+        terms = self.hand.raw_dynamics(theta, ahead[:9])
+        hand = HandTerms(self.theta, *terms, self.torque, self.hand.radii)
+        body = Body(self.position, self.rotation, ahead[12:], self.mass, self.inertia, np.zeros(6))
+        return step(H, v, hand, body, self.shape, MU, np.zeros((3, 3)), self.slid)
+
+
+def test_a_matrix_that_has_drifted_comes_back_to_the_nearest_rotation():
+    """Newton's iteration: an error E of R = Q (I + E) becomes -3/2 E^2 - 1/2 E^3, and Q stays."""
+    scene = Scene(**FAR)
+    nearest = rotation_from_vector([0.7, -0.4, 1.1])
+    error = 1e-3 * np.array([[1.0, 0.5, -0.7], [0.5, -2.0, 0.3], [-0.7, 0.3, 1.5]])
+    scene.rotation = nearest @ (np.eye(3) + error)
+    after = scene.step().rotation
+    expected = nearest @ (np.eye(3) - 1.5 * error @ error - 0.5 * error @ error @ error)
+    np.testing.assert_allclose(after, expected, atol=1e-14)
+    for _ in range(2):
+        scene.rotation = after
+        after = scene.step().rotation
+    np.testing.assert_allclose(after, nearest, atol=1e-14)
+
+
+def test_a_steady_spin_turns_about_its_axis_in_the_palm_and_rotations_stay_rotations():
+    scene, spin = Scene(**FAR), np.array([3.0, -5.0, 8.0])
+    start = scene.rotation = rotation_from_vector([0.7, -0.4, 1.1])
+    for _ in range(50):
+        scene.rotation = scene.step(spin=spin).rotation
+    expected = Rotation.from_rotvec(50 * H * spin).as_matrix() @ start
+    np.testing.assert_allclose(scene.rotation, expected, atol=1e-13)
+    np.testing.assert_allclose(scene.rotation.T @ scene.rotation, np.eye(3), atol=2e-15)
+
+
+def test_each_finger_rubs_with_its_own_friction_and_slides_its_own_way():
+    """A heavy object is drawn through the fingers: each slips along both axes of its face."""
+    scene = Scene(object__mass=100.0, object__inertia=(9.0, 9.0, 9.0))
+    scene.press(30.0, 50.0, 40.0)
+    scene.slid = before = np.array([1e-3, 3e-3, 2e-3])
+    velocity, spin = np.array([0.06, 0.07, -0.12]), np.array([0.2, 0.1, -0.3])
+    after = scene.step(velocity, spin)
+    normal, rubbing = after.impulses[:, 1], after.impulses[:, [0, 2]]
+    assert (normal > 1e-4).all()
+    speeds = np.hypot(*after.sliding.T)
+    assert np.abs(after.sliding).min() > 5e-3 and np.abs(np.diff(speeds)).min() > 5e-3
+    np.testing.assert_allclose(
+        rubbing, -(MU * normal / speeds)[:, None] * after.sliding, rtol=1e-6, atol=1e-12
+    )
+    np.testing.assert_allclose(after.slid - before, H * speeds, rtol=1e-9)
+    np.testing.assert_array_equal(before, [1e-3, 3e-3, 2e-3])
+    # What slides is the point of the object against that of the tip, seen in the contact frame.
+    points = scene.contacts.positions
+    body = after.velocities[9:12] + np.cross(after.velocities[12:], points - scene.position)
+    tips = (scene.jacobian @ after.velocities[:9]).reshape(3, 3)
+    seen = np.einsum("kji,kj->ki", scene.contacts.rotations, body - tips)
+    np.testing.assert_allclose(after.sliding, seen[:, [0, 2]], atol=2e-4)
+
+
+def test_a_finger_alone_in_contact_has_its_own_friction_force_and_slide():
+    scene = Scene(object__mass=100.0, object__inertia=(9.0, 9.0, 9.0), **ONE)
+    scene.press(0.0, 0.0, 4.0)
+    after = scene.step((0.03, 0.0, -0.05))
+    assert not after.impulses[:2].any() and not after.sliding[:2].any() and not after.slid[:2].any()
+    normal, rubbing = after.impulses[2, 1], np.hypot(after.impulses[2, 0], after.impulses[2, 2])
+    assert rubbing == pytest.approx(0.3 * normal) and normal > 1e-4
+    assert after.slid[2] == pytest.approx(H * np.hypot(*after.sliding[2])) and after.slid[2] > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("gap", "speed", "opening"),
+    [
+        (3e-4, 1.0, -0.3),  # comes down: only what closes the gap in a step is left
+        (-1e-4, 1.0, 0.02),  # was too deep: a fifth of it is taken back
+        (3e-4, 0.2, -0.2),  # does not come down yet: nothing touches it
+        (-1e-4, -1.0, 1.0),  # is on its way out already
+    ],
+)
+def test_a_gap_is_closed_in_one_step_and_a_penetration_in_five(gap, speed, opening):
+    """At the gap of the start of the step, though contacts are found half a step ahead."""
+    scene = Scene(object__mass=0.5, object__inertia=(1e-3, 2e-3, 3e-3), **ONE)
+    normal = scene.contacts.normals[2]
+    scene.position = scene.position + gap * normal
+    # It also slides: that is no business of the gap.
+    after = scene.step(-speed * normal + [0.07, 0.0, 0.04])
+    arm = scene.contacts.positions[2] - (scene.position - 0.5 * H * speed * normal)
+    velocity, spin = after.velocities[9:12], after.velocities[12:]
+    tip = scene.jacobian[6:] @ after.velocities[:9]
+    assert normal @ (velocity + np.cross(spin, arm) - tip) == pytest.approx(opening, abs=2e-4)
+    assert (after.impulses[2, 1] > 0.0) == (opening != -speed)
+
+
+def test_only_what_touches_or_is_pushed_is_seen():
+    """A gap of a micrometre is none, and a push is felt whatever rounding makes of the gap."""
+    size, position = np.array([0.2, 0.3, 0.4]), np.array([0.05, -0.02, 0.4])
+    rotation = rotation_from_vector([0.4, -0.3, 0.6])
+    faces = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    gaps = np.array([1.01e-6, 0.99e-6, 1.01e-6, -2e-4, 1.5e-3, 1e-7])
+    pushes = np.array([0.0, 0.0, 1e-9, 0.0, 0.0, 0.3])
+    radii = np.array([0.06, 0.05, 0.04, 0.03, 0.02, 0.01])
+    aside = 0.02 * np.roll(faces, 1, axis=1)
+    on_face = 0.5 * size * faces + aside
+    tips = position + (on_face + (radii + gaps)[:, None] * faces) @ rotation.T
+    impulses = np.stack([np.full(6, 0.1), pushes, np.full(6, -0.1)], axis=1)
+    shape = ConvexPolyhedron.box(size).shape
+    points, frames, found = observed(shape, position, rotation, tips, radii, impulses)
+    np.testing.assert_allclose(found, gaps, atol=1e-12)
+    seen = np.array([False, True, True, True, False, True])
+    assert ((gaps > TOUCH) & (pushes == 0.0) == ~seen).all()
+    np.testing.assert_array_equal(np.isfinite(points), np.outer(seen, [True] * 3))
+    np.testing.assert_array_equal(np.isfinite(frames).all(axis=2), np.outer(seen, [True] * 3))
+    np.testing.assert_array_equal(np.isnan(frames).any(axis=2), np.outer(~seen, [True] * 3))
+    np.testing.assert_allclose(frames[seen][:, :, 1], -(faces @ rotation.T)[seen], atol=1e-12)
+    expected = position + (on_face + gaps[:, None] * faces) @ rotation.T
+    np.testing.assert_allclose(points[seen], expected[seen], atol=1e-12)
