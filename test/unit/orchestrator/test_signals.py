@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import threading
+import time
 
 import pytest
 
@@ -37,9 +40,29 @@ print(woken)
 """
 
 
-def test_wait_without_a_signal_ends_and_says_nothing() -> None:
-    """It is a pause."""
-    Signals().wait(0.001)
+def test_wait_without_a_signal_lasts_as_long_as_it_should_and_says_nothing() -> None:
+    """It is a pause, one after the other."""
+    signals = Signals()
+    for _ in range(2):
+        began = time.monotonic()
+        signals.wait(0.01)
+        assert 0.01 <= time.monotonic() - began < 5.0
+    signals.check()
+    assert (signals.number, signals.count, signals.name) == (0, 0, "")
+
+
+def test_wait_ends_with_the_signal_that_comes_meanwhile_and_the_first_one_counts() -> None:
+    """Whatever comes later does not change why the run ends."""
+    signals = Signals()
+    sender = threading.Timer(0.01, signals._note, (signal.SIGTERM, None))
+    sender.start()
+    with pytest.raises(Interrupted, match="ended by SIGTERM"):
+        signals.wait(1000.0)
+    sender.join()
+    signals._note(signal.SIGINT, None)
+    with pytest.raises(Interrupted, match="ended by SIGTERM"):
+        signals.check()
+    assert (signals.count, signals.exit_code) == (2, 143)
 
 
 def test_wait_after_a_signal_raises_at_once() -> None:

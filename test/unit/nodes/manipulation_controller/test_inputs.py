@@ -153,6 +153,7 @@ def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> Non
     for _ in range(50):
         ear.joints(4)
         ear.now += 100 * MS
+    ear.inputs.report()
     assert ear.kinds() == [("tick", 2)] and ear.fault == ""
     ear.others(4)
     assert ear.kinds() == [("tick", 4)]
