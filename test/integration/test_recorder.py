@@ -28,7 +28,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
-from support.kills import kill, talker
+from support.kills import RATE, kill, talker
 
 import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
@@ -323,12 +323,19 @@ def test_existing_folder_is_refused(start: Callable[..., ProcessUnderTest], tmp_
 def test_killed_at_random_moments_nothing_but_the_last_moment_is_lost(
     domain: int, tmp_path: Path
 ) -> None:
-    """All recovered numbers follow each other; the bound is 0.2 s, here with room for noise."""
-    rng = random.Random(1)
+    """All recovered numbers follow each other; the bound is 0.2 s, here with room for noise.
+
+    The last recorders live for longer than that: had they saved nothing since their start, it would
+    be seen.
+    """
+    rng, bound = random.Random(1), 2.0
+    lives = [rng.uniform(0.0, 1.0) for _ in range(4)]
+    lives += [bound + rng.uniform(0.5, 1.0) for _ in range(2)]
     with talker(tmp_path / "diary"):
-        for run in range(6):
-            outcome = kill(tmp_path / str(run), tmp_path / "diary", rng.uniform(0.0, 1.0), 2.0)
+        for run, life in enumerate(lives):
+            outcome = kill(tmp_path / str(run), tmp_path / "diary", life, bound)
             assert outcome.gaps == 0 and outcome.unsaved == 0
+            assert outcome.recovered > RATE * max(0.0, life - bound)
 
 
 def test_recorder_continues_after_it_was_killed(
