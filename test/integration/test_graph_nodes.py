@@ -16,13 +16,16 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.controller import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.messages.conversions import (
@@ -38,6 +41,7 @@ from tactile_hand_ros.simulation.truth import true_reading
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
 TICK = 2_000_000
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 PLANT = Plant(load_scenario("paper").plant)
 TOUCH = true_reading(PLANT.state)
 Array = NDArray[np.float64]
@@ -338,3 +342,16 @@ def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> 
     assert [stamp for _, stamp in node._fresh] == kept
     node.on_restart()
     assert node._controller.forget_after(0) == kept
+
+
+def test_who_comes_late_still_gets_the_description_of_the_hand(meet: Callable[..., Peer]) -> None:
+    """Though it is published once, before anybody listens."""
+    peer = meet(PlantNode, autostart=False)
+    heard: list[str] = []
+    with spinning(peer.under_test, peer.node):
+        peer.says(OK)
+        peer.node.create_subscription(
+            String, names.ROBOT_DESCRIPTION, lambda m: heard.append(m.data), LATCHED
+        )
+        wait_until(lambda: heard, message="robot_description")
+    assert heard == [PLANT.hand.description]
