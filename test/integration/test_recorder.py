@@ -325,12 +325,11 @@ def test_killed_at_random_moments_nothing_but_the_last_moment_is_lost(
 ) -> None:
     """All recovered numbers follow each other; the bound is 0.2 s, here with room for noise.
 
-    The last recorders live for longer than that: had they saved nothing since their start, it would
-    be seen.
+    The last recorder lives for longer than that: had it saved nothing since its start, it would be
+    seen.
     """
     rng, bound = random.Random(1), 2.0
-    lives = [rng.uniform(0.0, 1.0) for _ in range(4)]
-    lives += [bound + rng.uniform(0.5, 1.0) for _ in range(2)]
+    lives = [rng.uniform(0.0, 1.0) for _ in range(5)] + [bound + 0.5]
     with talker(tmp_path / "diary"):
         for run, life in enumerate(lives):
             outcome = kill(tmp_path / str(run), tmp_path / "diary", life, bound)
