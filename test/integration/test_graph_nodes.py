@@ -233,8 +233,8 @@ class ControllersWorld:
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
         self._optimal = [names.optimal_force(name) for name in FINGERS]
-        state, names = PLANT.state, PLANT.hand.joint_names
-        self._codec = JointCodec(names, ("position", "velocity", "effort"))
+        state, joints = PLANT.state, PLANT.hand.joint_names
+        self._codec = JointCodec(joints, ("position", "velocity", "effort"))
         self._joints = (state.theta, state.rates, state.torque)
         peer.listen(JointState, names.JOINT_COMMAND)
         peer.listen(PoseStamped, names.AUXILIARY_POSE)
