@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from support.grasps import literal_grasp_map, point_sets, rotations, vectors
 
 from tactile_hand_ros.control.contact import hand_jacobian
@@ -18,6 +19,7 @@ from tactile_hand_ros.control.grasp import (
 )
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
 
 LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
 
@@ -97,3 +99,51 @@ def test_required_friction_of_known_forces():
     np.testing.assert_array_equal(required_friction(forces), [0.5, 0.0, 0.0, np.inf])
     assert required_friction(np.array([0.0, -1.0, 0.1])) == np.inf
     assert required_friction(np.zeros((5, 2, 3))).shape == (5, 2)
+
+
+def thin(margin, extra=()):
+    """Return contacts nearly on a line, turned: a height h over three of them is a margin h/3^.5.
+
+    Further ones lie on the line, at multiples of the half length.
+    """
+    along = np.array([-1.0, 1.0, 0.0, *extra])
+    # Second moments about the mean: of the line's places, and of the height at the third one.
+    k, spread = len(along), ((along - along.mean()) ** 2).sum()
+    height = margin * np.sqrt(spread / (1.0 - 1.0 / k))
+    points = np.array([along, height * (np.arange(k) == 2), 0.0 * along]).T
+    return 0.1 * points @ rotation_from_vector([0.3, -0.9, 0.5]).T + [0.2, -0.1, 0.4]
+
+
+@pytest.mark.parametrize("extra", [(), (0.0,), (0.5, -0.5)])
+def test_a_grasp_a_thousandth_as_thin_as_long_is_the_limit(extra):
+    for margin in (0.99e-3, 1.01e-3):
+        points = thin(margin, extra)
+        assert collinearity_margin(points) == pytest.approx(margin, rel=1e-3)
+        for check in (check_spread, lambda points: wrench_forces(points, np.ones(6))):
+            if margin < 1e-3:
+                with pytest.raises(CollinearContactsError):
+                    check(points)
+            else:
+                check(points)
+
+
+@given(point_sets(margin=0.0), st.floats(1e-3, 1.0))
+def test_collinearity_margin_is_the_ratio_of_two_extents(points, squash):
+    points = points * [1.0, squash, squash]
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    assert collinearity_margin(points) == pytest.approx(extents[1] / extents[0], abs=1e-6)
+
+
+def test_joints_that_move_a_contact_by_a_millimetre_per_radian_are_the_limit():
+    rotation = rotation_from_vector([0.3, -0.9, 0.5])
+    for least in (0.99e-3, 1.01e-3):
+        jacobian = np.kron(np.diag([1.0, 0.5, 2.0]), rotation)
+        jacobian[:, 4] *= least / 0.5
+        assert joint_margin(jacobian) == pytest.approx(least)
+        if least < 1e-3:
+            with pytest.raises(GraspError, match="9 x 9"):
+                check_joints(jacobian)
+        else:
+            check_joints(jacobian)
+    with pytest.raises(GraspError, match="at least 0.002"):
+        check_joints(jacobian, 2e-3)

@@ -74,10 +74,14 @@ def test_a_least_share_is_kept_exactly():
     assert found.residual < 1e-9
 
 
-def test_a_finger_that_could_only_disturb_gets_nothing():
-    """Finger 3 beside two opposed ones, weights that forbid friction nearly altogether."""
+def beside():
+    """Finger 3 beside two opposed ones: the bound on its normal force is active."""
     points = np.array([[HALF, 0.0, 0.0], [-HALF, 0.0, 0.0], [0.0, HALF, 0.05]])
-    grasp = contacts_at(points, [[-1.0, 0, 0.1], [1.0, 0, 0.1], [0, -0.1, 1.0]])
+    return contacts_at(points, [[-1.0, 0, 0.1], [1.0, 0, 0.1], [0, -0.1, 1.0]])
+
+
+def test_a_finger_that_could_only_disturb_gets_nothing():
+    grasp = beside()
     weights = np.tile([10.0, 1.0, 10.0], 3)
     expected = best_forces(grasp, weights)
     assert expected[:, 1].min() == pytest.approx(0.0, abs=1e-12)
@@ -138,13 +142,31 @@ def test_after_no_answer_the_next_grasp_gets_its_own(problem):
 def test_equal_histories_give_equal_bits():
     turns = [rotation_from_vector([0.001 * i, 0.002 * i, 0.0]) for i in range(50)]
     grasps = [moved(three_faces(), t, np.zeros(3)) for t in turns] + [same_side(), pinch()]
-    first, second = optimizer(), optimizer()
-    second.solve(pinch())
-    second.reset()
-    for grasp in grasps:
-        one, two = first.solve(grasp), second.solve(grasp)
-        np.testing.assert_array_equal(one.forces, two.forces)
-        assert one.iterations == two.iterations
+    for solver, first_grasp in (("exact", beside()), ("osqp", pinch())):
+        first, second = optimizer(solver=solver), optimizer(solver=solver)
+        used = second.solve(first_grasp)
+        assert solver == "osqp" or abs(used.forces[2, 1]) < 1e-12
+        second.reset()
+        for grasp in [*grasps, beside(), three_faces()]:
+            one, two = first.solve(grasp), second.solve(grasp)
+            np.testing.assert_array_equal(one.forces, two.forces)
+            assert one.iterations == two.iterations
+
+
+def test_the_last_active_bounds_are_where_the_next_answer_begins():
+    solver = optimizer()
+    first = solver.solve(beside()).iterations
+    assert solver.solve(beside()).iterations == 1 < first
+    found = solver.solve(three_faces())
+    np.testing.assert_allclose(found.forces, THREE_FACES, atol=1e-10)
+    assert found.iterations > optimizer().solve(three_faces()).iterations
+
+
+def test_contacts_a_thousandth_as_thin_as_long_are_taken_for_a_line():
+    for margin in (0.99e-3, 1.01e-3):
+        points = 0.1 * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0.0, margin * np.sqrt(3.0), 0]])
+        found = optimizer().solve(contacts_at(points, [[0, 1.0, 0], [0, 1.0, 0], [0, -1.0, 0]]))
+        assert (found.status is Status.COLLINEAR) == (margin < 1e-3)
 
 
 def test_new_weights_take_effect_and_refused_ones_change_nothing():

@@ -116,14 +116,6 @@ def test_what_a_neighbour_has_shown_lowers_a_guess_only():
     assert low.estimate[1] == 0.1
 
 
-def test_what_sticks_again_says_nothing_of_friction():
-    """The squeeze has caught it after four samples; the detector still says slip."""
-    estimator = still()
-    feel(estimator, [0.3] * 6, Grip.SLIP, 22.0)
-    feel(estimator, [0.05] * 10, Grip.SLIP, 22.0, agrees=False)
-    assert estimator.estimate == pytest.approx(0.3, abs=0.03)
-
-
 def test_a_clear_slip_counts_for_more_than_a_blurred_one_before_it():
     estimator = still()
     slip(estimator, 0.3, normal=0.5, noise=0.05)
@@ -151,3 +143,52 @@ def test_without_contact_nothing_is_learned():
     for state, ratio in ((Grip.UNKNOWN, 1.0), (Grip.STICK, np.nan)):
         feel(estimator, [ratio] * 200, state, 0.0)
     assert estimator.estimate == 0.4
+
+
+def test_what_sticks_again_says_nothing_of_friction():
+    """The squeeze catches it for a while in the middle; the detector still says slip."""
+    plain, caught = still(), still()
+    feel(plain, [0.3] * 6, Grip.SLIP, 22.0, noise=0.0)
+    feel(caught, [0.3] * 3, Grip.SLIP, 22.0, noise=0.0)
+    feel(caught, [0.05] * 10, Grip.SLIP, 22.0, noise=0.0, agrees=False)
+    assert caught.estimate == 0.4 and caught.confidence == 0.0  # three samples are too few
+    feel(caught, [0.3] * 3, Grip.SLIP, 22.0, noise=0.0)
+    assert caught.estimate == plain.estimate < 0.35 and caught.confidence == plain.confidence > 0.5
+
+
+def test_an_estimate_stays_within_its_limits_and_reaches_them():
+    low, high = still(least=0.15, prior=0.2), still(most=0.9)
+    for _ in range(4):
+        slip(low, 0.01)
+        quiet(low, 0.1, ratio=0.0)
+    assert low.estimate == 0.15
+    assert quiet(high, 0.5, ratio=0.85) == pytest.approx(0.85, abs=0.01)
+    assert quiet(high, 0.5, ratio=1.4) == 0.9
+    growing = FrictionEstimator(FrictionConfig(explore=2.0, most=0.6), 1)
+    assert quiet(growing, 0.1) < 0.6 == quiet(growing, 1.0)
+
+
+def test_each_contact_learns_from_its_own_forces():
+    hand = still(contacts=3)
+    slip(hand, 0.2, contact=1)
+    quiet(hand, 0.5, ratio=0.7, contact=2)
+    assert hand.estimate[0] == 0.4 and hand.confidence[0] == hand.confidence[2] == 0.0
+    assert hand.estimate[1] == pytest.approx(0.2, abs=0.03) and hand.confidence[1] > 0.5
+    assert hand.estimate[2] == pytest.approx(0.7, abs=0.01)
+    hand.reset()
+    assert (hand.estimate == 0.4).all() and not hand.confidence.any()
+
+
+def test_a_neighbour_is_believed_half_and_only_by_one_that_knows_less_than_that():
+    hand = still(contacts=4)
+    for contact, ratio, how in ((3, 0.2, {}), (0, 0.6, {"noise": 0.5}), (2, 0.6, {"noise": 1.3})):
+        slip(hand, ratio, contact=contact, **how)
+    before, sure = hand.estimate, hand.confidence
+    half = 0.5 * sure[3]
+    assert sure[1] == 0.0 < sure[2] < half < sure[0] < sure[3] and before[3] < before[[0, 2]].min()
+    hand.share()
+    share = sure[3] * (1.0 - sure[[1, 2]])
+    expected = before[[1, 2]] + share * (before[3] - before[[1, 2]])
+    np.testing.assert_allclose(hand.estimate[[1, 2]], expected)
+    np.testing.assert_allclose(hand.confidence, [sure[0], half, half, sure[3]])
+    np.testing.assert_array_equal(hand.estimate[[0, 3]], before[[0, 3]])
