@@ -179,6 +179,16 @@ def test_each_contact_learns_from_its_own_forces():
     assert (hand.estimate == 0.4).all() and not hand.confidence.any()
 
 
+def test_each_contact_learns_only_while_its_own_samples_tell_of_slip():
+    hand, forces = still(contacts=3), np.array([[1.0, 5.0, 0.0], [0.5, 5.0, 0.0], [0.2, 2.0, 0.0]])
+    for _ in range(6):
+        hand.step(
+            forces, np.full(3, Grip.SLIP), np.full(3, 22.0), DT, np.array([False, True, False])
+        )
+    assert hand.estimate[1] < 0.2 < 0.5 < hand.confidence[1]
+    np.testing.assert_array_equal(hand.estimate[[0, 2]], 0.4)
+
+
 def test_a_neighbour_is_believed_half_and_only_by_one_that_knows_less_than_that():
     hand = still(contacts=4)
     for contact, ratio, how in ((3, 0.2, {}), (0, 0.6, {"noise": 0.5}), (2, 0.6, {"noise": 1.3})):

@@ -103,3 +103,9 @@ def test_a_shape_is_followed_slowly_and_a_load_fast():
         for _ in range(ticks):
             needed = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
         assert needed == pytest.approx((1.0 - 0.8**ticks) / (0.4 * 0.5))
+
+
+def test_where_no_time_has_passed_what_is_felt_counts_as_it_is():
+    need = fresh()
+    follow(need, 3.0 * WEIGHT, 20)
+    assert need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.0) == pytest.approx(1.0 / (0.475 * 0.5))
