@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
@@ -33,7 +35,10 @@ from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.ros.messages.wire import WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks.touch_inputs import Touch, TouchInputs
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
+
+Array = NDArray[np.float64]
 
 
 class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
@@ -73,12 +78,17 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._cone_watch = ConeWatch(self.config.load_time)
         shapes = self.config.cones
         self._rehearse(shapes)
-        self._inputs = TouchInputs(self, fingers, self, forces=shapes, friction=shapes)
+        declared = (
+            streams.contacts(self._fingers),
+            streams.learned_friction(fingers, wanted=shapes),
+            streams.forces(fingers, wanted=shapes),
+        )
+        self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self, shapes: bool) -> None:
         contacts, forces = example_touch(self._fingers)
-        friction = np.ones(self._fingers)
-        self._solve(0, Touch(contacts, *((forces, friction) if shapes else (None, None))))
+        touch = (np.ones(self._fingers), forces) if shapes else (None, None)
+        self._solve(0, contacts, *touch)
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
@@ -99,10 +109,12 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._optimizer.reset()
         self._cone_watch.reset()
 
-    def on_tick(self, stamp: int, touch: Touch) -> None:
+    def on_tick(
+        self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
+    ) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        optimal = self._solve(stamp, touch)
+        optimal = self._solve(stamp, contacts, friction, forces)
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
@@ -110,12 +122,14 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 
-    def _solve(self, stamp: int, touch: Touch) -> OptimalForces:
+    def _solve(
+        self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
+    ) -> OptimalForces:
         cones: Cones | None = None
-        if touch.forces is not None and touch.friction is not None:
-            usable = self.config.cone_share * touch.friction
-            cones = self._cone_watch.step(stamp, touch.contacts, touch.forces, usable)
-        return self._optimizer.solve(touch.contacts, cones)
+        if friction is not None and forces is not None:
+            usable = self.config.cone_share * friction
+            cones = self._cone_watch.step(stamp, contacts, forces, usable)
+        return self._optimizer.solve(contacts, cones)
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""

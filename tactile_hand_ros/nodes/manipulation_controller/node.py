@@ -19,9 +19,11 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import (
     MOST_WAITING,
     Command,
@@ -31,13 +33,6 @@ from tactile_hand_ros.control.controller import (
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.nodes.manipulation_controller.inputs import (
-    DAY_NS,
-    Array,
-    ControllerInputs,
-    TickInputs,
-    far_ahead,
-)
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
 from tactile_hand_ros.ros import qos
@@ -45,7 +40,12 @@ from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import DAY_NS, TickInputs, far_ahead
+from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
+
+Array = NDArray[np.float64]
 
 
 class ManipulationControllerNode(TactileNode[ControllerConfig]):
@@ -95,8 +95,15 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
         # First, so that of a pose and a tick that wait together the pose is handled first.
         self.subscribe(PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos())
-        timeout, self._feels = self.config.input_timeout, self.config.law.observer.time > 0.0
-        self._inputs = ControllerInputs(self, hand, timeout, self, feels=self._feels)
+        self._feels = self.config.law.observer.time > 0.0
+        declared = (
+            streams.joints(hand.joint_names),
+            streams.contacts(hand.fingers),
+            streams.grasp_force(),
+            streams.optimal_forces(hand.finger_names),
+            streams.forces(hand.finger_names, wanted=self._feels),
+        )
+        self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
         self._requests = ControllerServices(self, self._controller, self._on_reset)
 
     def _rehearse(self) -> None:
@@ -130,7 +137,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _on_desired(self, message: PoseStamped) -> None:
         target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
-        self._inputs.check_time(stamp)
+        self._inputs.check_stamp(stamp)
         dropped = self._controller.dropped
         self._controller.command(target, stamp)
         self._fresh.append((target, stamp))
@@ -139,14 +146,24 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self.reject(names.DESIRED_POSE, text)
             self.diagnostics.value("dropped_poses", self._controller.dropped)
 
-    def on_tick(self, inputs: TickInputs) -> None:
-        """Answer a tick for which everything has arrived."""
+    def on_tick(
+        self,
+        stamp: int,
+        joints: Joints,
+        contacts: Contacts,
+        grasp_force: float,
+        optimal_forces: Array,
+        forces: Array | None,
+    ) -> None:
+        """Answer a tick for which everything has arrived; see `Controller.step`."""
         began = time.perf_counter()
         if self._fresh:
-            self._check_fresh(inputs.stamp)
-        command = self._controller.step(*inputs)
-        self._answer(inputs.stamp, command)
-        self._report.note(command, inputs.theta, inputs.contacts)
+            self._check_fresh(stamp)
+        command = self._controller.step(
+            stamp, *joints, contacts, optimal_forces, grasp_force, forces
+        )
+        self._answer(stamp, command)
+        self._report.note(command, joints.theta, contacts)
         self._fresh.clear()
         self.diagnostics.latency(time.perf_counter() - began)
 
@@ -155,9 +172,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         for stamp in self._controller.forget_after(tick + DAY_NS):
             self.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
-    def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
+    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""
-        command = self._controller.hold(theta, rates, reason)
+        command = self._controller.hold(*joints, reason)
         self._answer(stamp, command)
         self._report.note(command)
 

@@ -17,13 +17,16 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
@@ -32,10 +35,13 @@ from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_fr
 from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks.touch_inputs import Touch, TouchInputs
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
 
 HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
+
+Array = NDArray[np.float64]
 
 
 class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
@@ -83,7 +89,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._sent = self._grip_sent = b""
         self._felt, self._strongest = -1, 0.0
         self.subscribe(Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos())
-        self._inputs = TouchInputs(self, fingers, self, forces=True)
+        declared = (streams.contacts(len(fingers)), streams.forces(fingers))
+        self._inputs = TickInputs(self, declared, self)
         self.create_service(Trigger, names.RESET, self._on_reset)
 
     def _rehearse(self, fingers: int) -> None:
@@ -114,12 +121,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def on_tick(self, stamp: int, touch: Touch) -> None:
+    def on_tick(self, stamp: int, contacts: Contacts, forces: Array) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         regulator = self._regulator
-        contacts, forces, _ = touch
-        assert forces is not None  # asked for above
         grasp_force = regulator.step(stamp, contacts, forces)
         state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
         self._grip_sent = self._grips.encode(

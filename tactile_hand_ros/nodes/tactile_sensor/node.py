@@ -12,24 +12,24 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, WrenchStamped
-from sensor_msgs.msg import JointState
+from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.nodes.readings import ReadingPublisher
-from tactile_hand_ros.ros.messages.wire import ContactsCodec, SlipCodec, WrenchCodec
+from tactile_hand_ros.ros.messages.conversions import ContactPoses
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks.backlog import Backlog
-from tactile_hand_ros.ros.ticks.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
+
+Array = NDArray[np.float64]
 
 
 class TactileSensorNode(TactileNode[TactileSensorConfig]):
@@ -60,17 +60,12 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._sensor = TactileSensor(self.config, np.array(hand.radii))
         self._rehearse(len(fingers))
         self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
-        self._contacts = ContactsCodec(len(fingers))
-        topics = [names.true_wrench(name) for name in fingers]
-        keys = (names.TRUE_CONTACTS, names.TRUE_SLIP, *topics)
-        self._backlog = Backlog(self, names.TRUE_CONTACTS, self._on_tick)
-        self._matcher = StampMatcher(keys, on_restart=self._restart)
-        self._slip = SlipCodec(fingers)
-        self.subscribe(PoseArray, names.TRUE_CONTACTS, self._on_contacts, raw=True)
-        self.subscribe(JointState, names.TRUE_SLIP, self._on_slip, raw=True)
-        for name, topic in zip(fingers, topics, strict=True):
-            codec = WrenchCodec(names.contact_frame(name))
-            self.subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, codec), raw=True)
+        declared = (
+            streams.true_contacts(len(fingers)),
+            streams.true_sliding(fingers),
+            streams.true_forces(fingers),
+        )
+        self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self, fingers: int) -> None:
         contacts, forces = example_touch(fingers)
@@ -83,33 +78,18 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         """Take other noise."""
         self._sensor.configure(config)
 
-    def _on_contacts(self, data: bytes) -> None:
-        stamp, contacts = self._contacts.decode(data)
-        self._take(names.TRUE_CONTACTS, stamp, contacts)
-
-    def _on_slip(self, data: bytes) -> None:
-        stamp, (_, speeds) = self._slip.decode(data)
-        self._take(names.TRUE_SLIP, stamp, speeds)
-
-    def _on_wrench(self, topic: str, codec: WrenchCodec, data: bytes) -> None:
-        stamp, force = codec.decode(data)
-        self._take(topic, stamp, force)
-
-    def _take(self, key: str, stamp: int, value: Any) -> None:
-        matched = self._matcher.put(key, stamp, value)
-        if matched is REPEAT:
-            self._backlog.repeat(self._publisher.repeat)
-        elif matched is not None:
-            self._backlog.put(stamp, matched)
-
-    def _restart(self) -> None:
-        self._backlog.clear()
+    def on_restart(self) -> None:
+        """Start over with the ticks: noise repeats from its seed."""
         self._sensor.reset()
 
-    def _on_tick(self, stamp: int, heard: tuple[Any, ...]) -> None:
+    def on_repeat(self) -> None:
+        """Publish the last reading again."""
+        self._publisher.repeat()
+
+    def on_tick(self, stamp: int, contacts: ContactPoses, speeds: Array, forces: Array) -> None:
+        """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        (positions, quaternions), speeds, *forces = heard
-        true = TactileReading(positions, quaternions, np.array(forces))
+        true = TactileReading(contacts.positions, contacts.quaternions, forces)
         self._publisher.publish(self._sensor.step(stamp, true, speeds), stamp)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller hears whole ticks, joints alone after a time-out, and no tick twice."""
+"""A node gets complete ticks, the trigger alone after a time-out, and no tick twice."""
 
 from __future__ import annotations
 
@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.manipulation_controller import inputs as controller_inputs
-from tactile_hand_ros.nodes.manipulation_controller.inputs import ControllerInputs, TickInputs
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
-from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.ros.messages.wire import (
+    ContactsCodec,
+    GripCodec,
+    JointCodec,
+    SlipCodec,
+    WrenchCodec,
+)
+from tactile_hand_ros.ros.ticks import inputs as inputs_module
+from tactile_hand_ros.ros.ticks import streams
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
@@ -41,7 +49,14 @@ class Ear:
         self.diagnostics = Diagnostics("ear")
         self.callbacks: dict[str, Callable[[bytes], None]] = {}
         self.heard: list[tuple[Any, ...]] = []
-        self.inputs = ControllerInputs(self, HAND, 0.5, self, feels=feels)  # type: ignore[arg-type]
+        declared = (
+            streams.joints(HAND.joint_names),
+            streams.contacts(3),
+            streams.grasp_force(),
+            streams.optimal_forces(FINGERS),
+            streams.forces(FINGERS, wanted=feels),
+        )
+        self.inputs = TickInputs(self, declared, self, silence=0.5)  # type: ignore[arg-type]
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[bytes], None], **options: Any
@@ -52,14 +67,14 @@ class Ear:
     def after_reading(self, callback: Callable[[], None]) -> None:
         callback()
 
-    def on_tick(self, inputs: TickInputs) -> None:
-        self.heard.append(("tick", inputs))
+    def on_tick(self, stamp: int, *values: Any) -> None:
+        self.heard.append(("tick", stamp, values))
 
     def on_repeat(self) -> None:
         self.heard.append(("repeat",))
 
-    def on_blind_tick(self, stamp: int, theta: Array, rates: Array, reason: str) -> None:
-        self.heard.append(("blind", stamp, theta, rates, reason))
+    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
+        self.heard.append(("blind", stamp, *joints, reason))
 
     def on_restart(self) -> None:
         self.heard.append(("restart",))
@@ -87,8 +102,7 @@ class Ear:
     def kinds(self) -> list[Any]:
         """Return what was heard since the last call, with stamps [ms] of ticks."""
         heard, self.heard = self.heard, []
-        stamps = {"tick": lambda e: e[1].stamp // MS, "blind": lambda e: e[1] // MS}
-        return [(e[0], stamps[e[0]](e)) if e[0] in stamps else e[0] for e in heard]
+        return [(entry[0], entry[1] // MS) if len(entry) > 1 else entry[0] for entry in heard]
 
     def go_blind(self, first: int) -> int:
         """Let joints come alone until they are answered; return the tick [ms] of that."""
@@ -109,7 +123,7 @@ def ear(monkeypatch: pytest.MonkeyPatch) -> Ear:
     """Return an ear with the clock of a test."""
     made: list[Ear] = []
     watch = partial(InputWatch, clock=lambda: made[0].now if made else 0)
-    monkeypatch.setattr(controller_inputs, "InputWatch", watch)
+    monkeypatch.setattr(inputs_module, "InputWatch", watch)
     made.append(Ear())
     return made[0]
 
@@ -121,20 +135,18 @@ def test_a_tick_has_everything_in_its_place(feels: bool, joints_first: bool) -> 
     for part in (ear.joints, ear.others) if joints_first else (ear.others, ear.joints):
         assert ear.heard == []
         part(4)
-    [(kind, inputs)] = ear.heard
-    assert (kind, inputs.stamp) == ("tick", 4 * MS)
-    np.testing.assert_array_equal(inputs.theta, THETA + 4)
-    np.testing.assert_array_equal(inputs.rates, RATES - 4)
-    np.testing.assert_array_equal(inputs.contacts.positions, POSITIONS + 4)
-    np.testing.assert_allclose(inputs.contacts.rotations, rotation_from_quaternion(TURNS))
-    assert inputs.grasp_force == 14.0
-    np.testing.assert_array_equal(
-        inputs.optimal_forces, [[0.1, 0.2, 0.3], [0.1, 1.2, 0.3], [0.1, 2.2, 0.3]]
-    )
+    [(kind, stamp, (joints, contacts, grasp_force, optimal, forces))] = ear.heard
+    assert (kind, stamp) == ("tick", 4 * MS)
+    np.testing.assert_array_equal(joints.theta, THETA + 4)
+    np.testing.assert_array_equal(joints.rates, RATES - 4)
+    np.testing.assert_array_equal(contacts.positions, POSITIONS + 4)
+    np.testing.assert_allclose(contacts.rotations, rotation_from_quaternion(TURNS))
+    assert grasp_force == 14.0
+    np.testing.assert_array_equal(optimal, [[0.1, 0.2, 0.3], [0.1, 1.2, 0.3], [0.1, 2.2, 0.3]])
     if feels:
-        np.testing.assert_array_equal(inputs.forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
+        np.testing.assert_array_equal(forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
     else:
-        assert inputs.forces is None
+        assert forces is None and names.wrench(FINGERS[0]) not in ear.callbacks
 
 
 def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:
@@ -153,7 +165,6 @@ def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> Non
     for _ in range(50):
         ear.joints(4)
         ear.now += 100 * MS
-    ear.inputs.report()
     assert ear.kinds() == [("tick", 2)] and ear.fault == ""
     ear.others(4)
     assert ear.kinds() == [("tick", 4)]
@@ -228,9 +239,61 @@ def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear
 
 
 def test_a_stamp_may_be_a_day_ahead_of_the_ticks_and_not_more(ear: Ear) -> None:
-    ear.inputs.check_time(10**18)  # nobody knows yet
+    ear.inputs.check_stamp(10**18)  # nobody knows yet
     ear.joints(2)
     ear.others(2)
-    ear.inputs.check_time(2 * MS + DAY)
+    ear.inputs.check_stamp(2 * MS + DAY)
     with pytest.raises(MessageError, match="86400 s ahead of the ticks, which are at 0.002 s"):
-        ear.inputs.check_time(2 * MS + DAY + 1)
+        ear.inputs.check_stamp(2 * MS + DAY + 1)
+
+
+def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
+    patient = Ear()
+    patient.inputs = TickInputs(
+        patient,  # type: ignore[arg-type]
+        (streams.joints(HAND.joint_names), streams.grasp_force()),
+        patient,
+    )
+    for stamp in range(0, 5000, 4):
+        patient.joints(stamp)
+    assert patient.heard == []
+    patient.others(5000)
+    patient.joints(5000)
+    [(kind, stamp, (joints, grasp_force))] = patient.heard
+    assert (kind, stamp, grasp_force) == ("tick", 5000 * MS, 5010.0)
+    np.testing.assert_array_equal(joints.theta, THETA + 5000)
+
+
+def test_the_streams_of_the_other_nodes_have_their_values_in_their_places() -> None:
+    """What the skin sees of the simulation, and the friction that shapes f*."""
+    node = Ear()
+    node.inputs = TickInputs(
+        node,  # type: ignore[arg-type]
+        (
+            streams.true_contacts(3),
+            streams.true_sliding(FINGERS),
+            streams.true_forces(FINGERS),
+            streams.learned_friction(FINGERS),
+        ),
+        node,
+    )
+    at = 8 * MS
+    poses = ContactsCodec(3).encode(POSITIONS, TURNS, at)
+    node.callbacks[names.TRUE_CONTACTS](poses)
+    slip = SlipCodec(FINGERS).encode(at, np.array([9.0, 8.0, 7.0]), np.array([0.1, 0.2, 0.3]))
+    node.callbacks[names.TRUE_SLIP](slip)
+    for i, name in enumerate(FINGERS):
+        force = WrenchCodec(names.contact_frame(name)).encode((1.0 + i, 2.0, 3.0), at)
+        node.callbacks[names.true_wrench(name)](force)
+    assert node.heard == []
+    grip = GripCodec(FINGERS).encode(
+        at, np.array([0.4, 0.5, 0.6]), np.array([0.1, 0.0, 0.9]), np.array([1.0, 0.0, 2.0])
+    )
+    node.callbacks[names.GRIP_STATE](grip)
+    [(kind, stamp, (contacts, speeds, forces, friction))] = node.heard
+    assert (kind, stamp) == ("tick", at)
+    np.testing.assert_array_equal(contacts.positions, POSITIONS)
+    np.testing.assert_array_equal(contacts.quaternions, TURNS)
+    np.testing.assert_array_equal(speeds, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(forces, [[1, 2, 3], [2, 2, 3], [3, 2, 3]])
+    np.testing.assert_array_equal(friction, [0.4, 0.5, 0.6])

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a tick consists of: each stream of messages is declared once, with its topic and codec."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, WrenchStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+
+from tactile_hand_ros import names
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.ros.messages.wire import (
+    ContactsCodec,
+    GripCodec,
+    JointCodec,
+    SlipCodec,
+    WrenchCodec,
+)
+
+Array = NDArray[np.float64]
+Decode = Callable[[bytes], tuple[int, Any]]
+"""From the bytes of a message to its tick [ns] and its value; raises MessageError."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One input of a node: a topic, or one topic for each finger.
+
+    Attributes:
+        message_type: Message class of the topics.
+        decoders: How to read each topic, by its relative name.
+        per_finger: Whether the values of the topics form one array, a row per finger.
+        from_driver: Whether a driver may publish it, so that users may override its QoS.
+        wanted: Whether a tick needs it; if not, nothing is subscribed and the value is None.
+    """
+
+    message_type: type
+    decoders: dict[str, Decode]
+    per_finger: bool = False
+    from_driver: bool = False
+    wanted: bool = True
+
+
+class Joints(NamedTuple):
+    """Joint angles [rad] and rates [rad/s] in the hand's order, shape (m,)."""
+
+    theta: Array
+    rates: Array
+
+
+def joints(joint_names: Sequence[str]) -> Stream:
+    """Declare the joint states; values are `Joints`."""
+    fields = ("position", "velocity", "effort")
+    codec = JointCodec(joint_names, fields, wanted=("position", "velocity"))
+
+    def decode(data: bytes) -> tuple[int, Joints]:
+        stamp, (theta, rates) = codec.decode(data)
+        return stamp, Joints(theta, rates)
+
+    return Stream(JointState, {names.JOINT_STATES: decode}, from_driver=True)
+
+
+def contacts(fingers: int) -> Stream:
+    """Declare the measured contacts; values are `Contacts` in the palm frame."""
+    codec = ContactsCodec(fingers)
+
+    def decode(data: bytes) -> tuple[int, Contacts]:
+        stamp, poses = codec.decode(data)
+        return stamp, Contacts.from_poses(*poses)
+
+    return Stream(PoseArray, {names.CONTACTS: decode}, from_driver=True)
+
+
+def forces(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
+    """Declare the measured forces; values in contact frames, shape (k, 3), N."""
+    return _wrenches(names.wrench, finger_names, from_driver=True, wanted=wanted)
+
+
+def optimal_forces(finger_names: Sequence[str]) -> Stream:
+    """Declare f*; values in contact frames, shape (k, 3), NaN where (13) has no answer."""
+    return _wrenches(names.optimal_force, finger_names, nan_allowed=True)
+
+
+def grasp_force() -> Stream:
+    """Declare the squeeze k_f; values in N."""
+    codec = WrenchCodec(names.PALM_FRAME, any_frame=True)
+
+    def decode(data: bytes) -> tuple[int, float]:
+        stamp, force = codec.decode(data)
+        return stamp, float(force[1])
+
+    return Stream(WrenchStamped, {names.GRASP_FORCE: decode})
+
+
+def learned_friction(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
+    """Declare the friction that the regulator has learned; values of shape (k,)."""
+    codec = GripCodec(finger_names)
+
+    def decode(data: bytes) -> tuple[int, Array]:
+        stamp, (friction, _, _) = codec.decode(data)
+        return stamp, friction
+
+    return Stream(JointState, {names.GRIP_STATE: decode}, wanted=wanted)
+
+
+def true_contacts(fingers: int) -> Stream:
+    """Declare the contacts of the simulation; values are `ContactPoses` in the palm frame."""
+    return Stream(PoseArray, {names.TRUE_CONTACTS: ContactsCodec(fingers).decode})
+
+
+def true_sliding(finger_names: Sequence[str]) -> Stream:
+    """Declare how fast the contacts slide; values of shape (k,), m/s."""
+    codec = SlipCodec(finger_names)
+
+    def decode(data: bytes) -> tuple[int, Array]:
+        stamp, (_, speeds) = codec.decode(data)
+        return stamp, speeds
+
+    return Stream(JointState, {names.TRUE_SLIP: decode})
+
+
+def true_forces(finger_names: Sequence[str]) -> Stream:
+    """Declare the forces of the simulation; values in contact frames, shape (k, 3), N."""
+    return _wrenches(names.true_wrench, finger_names)
+
+
+def _wrenches(
+    topic: Callable[[str], str],
+    finger_names: Sequence[str],
+    *,
+    nan_allowed: bool = False,
+    from_driver: bool = False,
+    wanted: bool = True,
+) -> Stream:
+    decoders: dict[str, Decode] = {
+        topic(name): WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).decode
+        for name in finger_names
+    }
+    return Stream(WrenchStamped, decoders, True, from_driver, wanted)
