@@ -93,6 +93,20 @@ class Command(NamedTuple):
     reason: str = ""
 
 
+class _Wish(NamedTuple):
+    """A desired pose that waits for its tick.
+
+    Attributes:
+        stamp: Tick from which it holds, ns; zero for the next.
+        target: The pose.
+        judged: Whether it is known to be in reach of the present grasp.
+    """
+
+    stamp: int
+    target: Target
+    judged: bool
+
+
 class Controller:
     """Answers each tick with joint torques; sees joints and touch only.
 
@@ -144,7 +158,8 @@ class Controller:
         self._open_stamp: int | None = None
         self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
         self.target: Target | None = None
-        self._queue: list[tuple[int, Target]] = []
+        self._queue: list[_Wish] = []
+        self._in_reach: Target | None = None
 
     def command(self, target: Target, stamp: int = 0) -> None:
         """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
@@ -156,20 +171,34 @@ class Controller:
         Raises:
             PoseError: If the present grasp cannot be carried there.
         """
-        if self._grasp is not None:
-            check_reach(self.hand, *self._grasp, target)
+        knows_grasp = self._grasp is not None
+        if knows_grasp:
+            self._judge(target)
         if stamp <= (self._last_stamp or 0):
             stamp = 0
-        self._queue = sorted([*self._queue, (stamp, target)], key=lambda item: item[0])
+        wish = _Wish(stamp, target, knows_grasp)
+        self._queue = sorted([*self._queue, wish], key=lambda wish: wish.stamp)
         if len(self._queue) > MOST_WAITING:
             del self._queue[0]
             self.dropped += 1
 
     def forget_after(self, stamp: int) -> list[int]:
         """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
-        forgotten = [due for due, _ in self._queue if due > stamp]
-        self._queue = [item for item in self._queue if item[0] <= stamp]
+        forgotten = [wish.stamp for wish in self._queue if wish.stamp > stamp]
+        self._queue = [wish for wish in self._queue if wish.stamp <= stamp]
         return forgotten
+
+    def _judge(self, target: Target) -> None:
+        """Check the reach of a pose, unless it is the one that was last found to be in reach.
+
+        A rigid motion of the same grasp stays within reach. What was refused may not stay so: the
+        hand may have come nearer.
+        """
+        assert self._grasp is not None
+        known = self._in_reach
+        if known is None or not all(map(np.array_equal, known, target)):
+            check_reach(self.hand, *self._grasp, target)
+            self._in_reach = target
 
     def release(self) -> None:
         """Let go of the object: the fingers open along the normals of the last grasp.
@@ -279,7 +308,8 @@ class Controller:
         self._open_stamp = None
         self._law.reset()
         self._reference.reset()
-        self.target = None
+        self.target = self._in_reach = None
+        self._queue = [wish._replace(judged=False) for wish in self._queue]
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
@@ -316,19 +346,26 @@ class Controller:
         return ""
 
     def _take_due_target(self, stamp: int, pose: AuxiliaryPose) -> str:
-        """Make the newest due target the present one; return why it was refused, if it was."""
+        """Make the newest due target the present one; return why it was refused, if it was.
+
+        One tick has time to judge one pose: when it is refused, older ones come with the next tick.
+        """
         if self.target is None:
             self.target = Target(pose.position, pose.orientation)
-        refused = ""
-        while self._queue and self._queue[0][0] <= stamp:
-            _, due = self._queue.pop(0)
-            assert self._grasp is not None
-            try:
-                check_reach(self.hand, *self._grasp, due)
-                self.target = due
-            except PoseError as error:
-                refused = str(error)
-        return refused
+        count = sum(wish.stamp <= stamp for wish in self._queue)
+        if not count:
+            return ""
+        *older, newest = self._queue[:count]
+        later = self._queue[count:]
+        try:
+            if not newest.judged:
+                self._judge(newest.target)
+        except PoseError as error:
+            # Without their stamps, so that what is asked for at once meanwhile comes after them.
+            self._queue = [wish._replace(stamp=0) for wish in older] + later
+            return str(error)
+        self.target, self._queue = newest.target, later
+        return ""
 
     def _for_middle_of_period(self, torque: Array) -> Array:
         """Extrapolate by half a period: a torque that is held for T is T/2 old on average."""

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +18,9 @@ Array = NDArray[np.float64]
 
 _TOLERANCE = 0.01  # m; rolling shifts the contacts by less than this matters
 _ITERATIONS = 100
+_LOOKS = 32  # postures that a check may look at: it runs inside a tick
+_PACE, _PATIENCE = 300, 3  # so many steps like each of the last few are too far to go
+_LEAST_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
 
 
 def check_reach(
@@ -40,14 +46,33 @@ def check_reach(
     turn = target.orientation @ pose.orientation.T
     tips = contacts.positions - hand.radii[:, None] * contacts.normals
     wanted = target.position + (tips - pose.position) @ turn.T
-    _, missing = inverse_kinematics(hand, wanted, theta)
+    missing = np.linalg.norm(wanted - hand.bases, axis=1) - hand.spans
+    how = " even outstretched"
+    if missing.max() <= _TOLERANCE:
+        missing, how = _shortfall(hand, wanted, theta), ""
     worst = int(missing.argmax())
     if missing[worst] > _TOLERANCE:
         raise PoseError(
             f"desired pose {_text(target.position)} m is out of reach: {hand.finger_names[worst]} "
-            f"would stay {1e3 * missing[worst]:.0f} mm short of its contact; ask for a pose closer "
-            f"to the present one, {_text(pose.position)} m"
+            f"would stay {1e3 * missing[worst]:.0f} mm short of its contact{how}; ask for a pose "
+            f"closer to the present one, {_text(pose.position)} m"
         )
+
+
+def _shortfall(hand: Hand, tips: Array, start: Array) -> Array:
+    """Return how far fingertips stay away from given points, shape (k,), m.
+
+    The search ends as soon as all are near enough, or when its pace is hopeless.
+    """
+    missing, length, slow = np.full(hand.fingers, np.inf), np.inf, 0
+    for _, error in islice(_approach(hand, tips, start), _LOOKS):
+        missing, before = np.linalg.norm(error, axis=1), length
+        length = float(np.linalg.norm(error))
+        if missing.max() <= _TOLERANCE or slow >= _PATIENCE:
+            break
+        if length < before:
+            slow = slow + 1 if _PACE * (before - length) < length - _TOLERANCE else 0
+    return missing
 
 
 def _text(position: Array) -> str:
@@ -67,22 +92,30 @@ def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Ar
     Returns:
         Joint angles, shape (m,), and remaining distances, shape (k,), m.
     """
+    for theta, error in islice(_approach(hand, tips, start), _ITERATIONS + 1):
+        if np.abs(error).max() < 1e-6:
+            break
+    return theta, np.linalg.norm(error, axis=1)
+
+
+def _approach(hand: Hand, tips: Array, start: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield joint angles ever nearer to given fingertips, and what each tip lacks, shape (k, 3).
+
+    The first are those of the start; after a step that led away the last ones come again. It ends
+    where no step leads nearer.
+    """
     lower, upper = hand.position_limits
     theta = np.clip(start, lower, upper)
     damping = 1e-4
     reached = hand.fingertips(theta)
-    for _ in range(_ITERATIONS):
+    while damping <= 1e6:
+        yield theta, tips - reached.positions
         error = (tips - reached.positions).ravel()
-        if np.abs(error).max() < 1e-6:
-            break
         jacobian = reached.linear.reshape(-1, hand.joints)
         normal = jacobian.T @ jacobian + damping * np.eye(hand.joints)
         trial = np.clip(theta + np.linalg.solve(normal, jacobian.T @ error), lower, upper)
         after = hand.fingertips(trial)
         if np.sum((tips - after.positions) ** 2) < error @ error:
-            theta, reached, damping = trial, after, damping * 0.3
+            theta, reached, damping = trial, after, max(damping * 0.3, _LEAST_DAMPING)
         else:
             damping = damping * 10.0
-            if damping > 1e6:
-                break
-    return theta, np.linalg.norm(tips - reached.positions, axis=1)

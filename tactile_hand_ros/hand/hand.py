@@ -47,6 +47,8 @@ class Hand:
         description: URDF text of the hand in the chosen layout.
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
+        bases: Where the first joint of each finger is, palm frame, shape (k, 3), m.
+        spans: How far each fingertip can ever be from there, shape (k,), m.
     """
 
     def __init__(self, config: HandConfig, layout: str = "", gravity: Array | None = None) -> None:
@@ -78,6 +80,7 @@ class Hand:
             self._model.lowerPositionLimit.copy(),
             self._model.upperPositionLimit.copy(),
         )
+        self.bases, self.spans = _reaches(self._model, self._tips)
 
     @classmethod
     def load(cls, name: str, layout: str = "", gravity: Array | None = None) -> Hand:
@@ -187,6 +190,25 @@ def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
             out[i, model.idx_vs[joint]] = True
             joint = model.parents[joint]
     return out
+
+
+def _reaches(model: pin.Model, tips: list[int]) -> tuple[Array, Array]:
+    """Return the places of the fingers' first joints, shape (k, 3), and their lengths, (k,), m.
+
+    A finger is at most as long as its links one after the other; a joint that slides adds its way.
+    """
+    bases, spans = np.empty((len(tips), 3)), np.empty(len(tips))
+    travels = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
+    for i, frame in enumerate(tips):
+        joint, piece = model.frames[frame].parentJoint, model.frames[frame].placement
+        spans[i] = 0.0
+        while joint > 0:
+            spans[i] += np.linalg.norm(piece.translation)
+            if model.joints[joint].shortname().startswith("JointModelP"):
+                spans[i] += travels[model.idx_qs[joint]]
+            joint, piece = model.parents[joint], model.jointPlacements[joint]
+        bases[i] = piece.translation
+    return bases, spans
 
 
 def _describe(config: HandConfig, layout: Mapping[str, MountConfig]) -> str:

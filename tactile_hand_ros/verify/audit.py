@@ -373,7 +373,7 @@ def _wrenches(
     target: Target | None = None
     grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
     unsaid = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
-    queue: list[UserCommand] = []
+    queue: list[tuple[int, UserCommand, bool]] = []  # from which stamp, what, if in reach
     turns = _turns(inputs)[rows]
     for i, row in enumerate(rows):
         follows = i > 0 and turns[i - 1] == turns[i] - 1
@@ -382,20 +382,25 @@ def _wrenches(
             reference.reset()
         now = AuxiliaryPose(record.auxiliary_position[row], frames[i])
         target = target or Target(now.position, now.orientation)
-        # As in the controller: judged by the grasp when it is said, and again when it is due.
+        # As in the controller: judged by the grasp when it is said, else when it is due.
         for wish in [w for w in unsaid if w.first <= row]:
-            unsaid.remove(wish)
             if grasp is None or _within_reach(hand, *grasp, wish.value):
-                queue.append(wish)
+                is_ahead = not wish.first or wish.stamp > int(record.stamps[wish.first - 1])
+                queue.append((wish.stamp if is_ahead else 0, wish, grasp is not None))
+        unsaid = [wish for wish in unsaid if wish.first > row]
         contacts = Contacts(
             record.contact_positions[row],
             rotation_from_quaternion(record.contact_quaternions[row]),
         )
         grasp = record.theta[row], contacts, now
-        for wish in [w for w in queue if w.stamp <= int(record.stamps[row])]:
-            queue.remove(wish)
-            if _within_reach(hand, *grasp, wish.value):
+        queue.sort(key=lambda entry: entry[0])
+        count = sum(stamp <= int(record.stamps[row]) for stamp, *_ in queue)
+        if count:
+            (*older, (_, wish, known)), queue = queue[:count], queue[count:]
+            if known or _within_reach(hand, *grasp, wish.value):
                 target = wish.value
+            else:
+                queue = [(0, before, judged) for _, before, judged in older] + queue
         wanted = reference.step(target, now, config.reference_time, dt)
         error = np.concatenate(
             [

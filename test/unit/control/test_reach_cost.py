@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What judging a pose costs, in postures that are looked at, since it is done inside a tick."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.grasps import moved
+from support.hands import prism_grasp, write_hand
+from support.plants import plant
+
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.control.reach import check_reach, inverse_kinematics
+from tactile_hand_ros.errors import PoseError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.simulation.plant import Plant
+
+TICK = 2_000_000
+FAR = (0.0, 0.0, 2.0)
+SLIDER = """<robot name="slider"><link name="palm"/>{}</robot>"""
+SLIDING_FINGER = """
+  <joint name="{0}_slide" type="prismatic"><parent link="palm"/><child link="{0}_rail"/>
+    <origin xyz="0.1 0 0" rpy="0 0.5 0"/><axis xyz="0 0.6 0.8"/>
+    <limit lower="-0.3" upper="0.2" effort="1" velocity="1"/></joint><link name="{0}_rail"/>
+  <joint name="{0}_bend" type="revolute"><parent link="{0}_rail"/><child link="{0}_link"/>
+    <origin xyz="0 0.05 0"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="{0}_link"/>
+  <joint name="{0}_mount" type="fixed"><parent link="{0}_link"/><child link="{0}_tip"/>
+    <origin xyz="0 0 0.12"/></joint><link name="{0}_tip"/>
+"""
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """Return a list that gets the joint angles of each posture that a hand is asked for."""
+    seen = []
+    fingertips = Hand.fingertips
+
+    def counted(hand, theta):
+        seen.append(theta)
+        return fingertips(hand, theta)
+
+    monkeypatch.setattr(Hand, "fingertips", counted)
+    return seen
+
+
+@pytest.fixture
+def checks(monkeypatch):
+    """Return a list that gets each pose whose reach the controller has checked."""
+    judged = []
+
+    def counted(hand, theta, contacts, pose, target):
+        judged.append(target)
+        check_reach(hand, theta, contacts, pose, target)
+
+    monkeypatch.setattr("tactile_hand_ros.control.controller.check_reach", counted)
+    return judged
+
+
+class Grasp:
+    """The first grasp of a plant, and what the hand believes of it."""
+
+    def __init__(self, world):
+        self.hand, self.theta, self.contacts = world.hand, world.state.theta, world.state.contacts
+        self.pose = AuxiliaryPose(self.contacts.centroid, rotation_from_vector([0.3, -0.2, 0.5]))
+
+    def target(self, shift, turn=(0.0, 0.0, 0.0)):
+        turned = rotation_from_vector(np.asarray(turn)) @ self.pose.orientation
+        return Target(self.pose.position + np.asarray(shift), turned)
+
+    def check(self, *motion):
+        check_reach(self.hand, self.theta, self.contacts, self.pose, self.target(*motion))
+
+    def is_in_reach(self, *motion):
+        try:
+            self.check(*motion)
+        except PoseError:
+            return False
+        return True
+
+    def can_follow(self, shift, turn):
+        """Judge as it was once done: by a hundred steps, whether they lead anywhere or not."""
+        tips = self.contacts.positions - self.hand.radii[:, None] * self.contacts.normals
+        about = (tips - self.pose.position) @ rotation_from_vector(np.asarray(turn)).T
+        wanted = self.pose.position + np.asarray(shift) + about
+        _, missing = inverse_kinematics(self.hand, wanted, self.theta)
+        return bool(missing.max() <= 0.01)
+
+
+def motions(count, seed):
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        shift, turn = random.normal(size=3), random.normal(size=3)
+        length = 10 ** random.uniform(-2.0, 0.2)
+        angle = random.choice([0.0, 0.3, 1.0, 2.5]) * random.uniform()
+        yield length * shift / np.linalg.norm(shift), angle * turn / np.linalg.norm(turn)
+
+
+@pytest.fixture(scope="module", params=["three fingers", "seventeen joints"])
+def grasp(request, tmp_path_factory):
+    if request.param == "three fingers":
+        return Grasp(plant())
+    values = prism_grasp(tmp_path_factory.mktemp("hand"), [6, 5, 3, 3])
+    return Grasp(Plant(load_scenario("paper", values).plant))
+
+
+def test_a_check_looks_at_few_postures_and_judges_as_a_hundred_steps_do(grasp, looks):
+    verdicts = []
+    for motion in motions(150, seed=3):
+        before = len(looks)
+        verdicts.append(grasp.is_in_reach(*motion))
+        assert len(looks) - before <= 32
+        assert verdicts[-1] == grasp.can_follow(*motion)
+    assert 30 < sum(verdicts) < 120
+
+
+def test_what_no_outstretched_finger_reaches_is_refused_without_a_look(grasp, looks):
+    with pytest.raises(PoseError, match=r"would stay \d+ mm short of its contact even outstretch"):
+        grasp.check(FAR)
+    assert not looks
+
+
+def test_the_present_pose_is_judged_by_one_look(grasp, looks):
+    grasp.check((0.0, 0.0, 0.0))
+    assert len(looks) == 1
+
+
+def test_a_search_that_leads_somewhere_gets_its_time(looks):
+    """This turn leads the fingers far around."""
+    grasp = Grasp(plant())
+    grasp.pose = AuxiliaryPose(grasp.contacts.centroid, np.eye(3))
+    grasp.check((-0.02, -0.07, -0.35), (2.0, 0.6, -2.5))
+    assert 20 < len(looks) <= 32
+
+
+def test_a_search_that_leads_nowhere_ends_early(looks):
+    """Behind the palm no tip is too far away, but the joints end before."""
+    grasp, motion = Grasp(plant()), ((0.0, 0.0, -0.4), (0.0, 1.0, 0.0))
+    with pytest.raises(PoseError, match=r"would stay \d+ mm short of its contact; ask"):
+        grasp.check(*motion)
+    assert 3 < len(looks) < 20
+    looks.clear()
+    assert not grasp.can_follow(*motion) and len(looks) > 40
+
+
+@pytest.mark.parametrize("joints", [[3, 4, 5], [2, 6, 3]])
+def test_no_posture_leads_a_tip_beyond_its_span_and_the_straight_one_does_to_its_end(
+    tmp_path, joints
+):
+    hand = Hand.load(str(write_hand(tmp_path, joints)))
+    random, (lower, upper) = np.random.default_rng(1), hand.position_limits
+    for _ in range(50):
+        tips = hand.fingertips(random.uniform(lower, upper)).positions
+        assert (np.linalg.norm(tips - hand.bases, axis=1) <= hand.spans + 1e-12).all()
+    straight = hand.fingertips(np.zeros(hand.joints)).positions
+    np.testing.assert_allclose(np.linalg.norm(straight - hand.bases, axis=1), hand.spans)
+
+
+def test_a_sliding_joint_lengthens_its_finger_by_its_way(tmp_path):
+    fingers = "".join(SLIDING_FINGER.format(name) for name in "abc")
+    (tmp_path / "hand.urdf").write_text(SLIDER.format(fingers))
+    listed = ", ".join(f"{{name: {name}, tip: {name}_tip, radius: 0.01}}" for name in "abc")
+    (tmp_path / "hand.yaml").write_text(f"urdf: hand.urdf\nfingers: [{listed}]\n")
+    hand = Hand.load(str(tmp_path / "hand.yaml"))
+    np.testing.assert_allclose(hand.spans, 0.3 + 0.05 + 0.12)
+    np.testing.assert_allclose(hand.bases, [[0.1, 0.0, 0.0]] * 3)
+
+
+def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
+    """With all its damping gone, the system of a finger with six joints has no solution."""
+    grasp = Grasp(Plant(load_scenario("paper", prism_grasp(tmp_path, [6, 5, 4, 3, 3])).plant))
+    motion = (0.11, 0.13, -0.03), (0.0, 0.0, 0.0)
+    assert grasp.can_follow(*motion) and grasp.is_in_reach(*motion)
+
+
+class Bench:
+    """A controller that sees the paper's grasp at rest, or where it is moved to."""
+
+    def __init__(self):
+        state = plant().state
+        self.controller = Controller(ControllerConfig())
+        self.theta, self.contacts, self.stamp = state.theta, state.contacts, 0
+        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
+
+    def step(self, contacts=None):
+        seen = contacts or self.contacts
+        command = self.controller.step(
+            self.stamp, self.theta, np.zeros(9), seen, self.optimal, 10.0
+        )
+        self.stamp += TICK
+        return command
+
+    def target(self, x, y=0.0, z=0.0):
+        return Target(self.contacts.centroid + np.array([x, y, z]), np.eye(3))
+
+    @property
+    def wanted(self):
+        return self.controller.target.position[0] - self.contacts.centroid[0]
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_a_pose_is_judged_when_it_is_said_and_never_again(bench, checks):
+    bench.step()
+    bench.controller.command(bench.target(0.05), stamp=4 * TICK)
+    assert len(checks) == 1
+    moving = moved(bench.contacts, np.eye(3), np.array([0.0, 0.002, 0.0]))
+    for _ in range(5):
+        bench.step(moving)
+    assert len(checks) == 1 and bench.wanted == pytest.approx(0.05)
+
+
+def test_of_several_poses_each_is_judged_once(bench, checks):
+    bench.step()
+    for ticks in (3, 5):
+        bench.controller.command(bench.target(0.01 * ticks), stamp=ticks * TICK)
+    wanted = []
+    for _ in range(6):
+        bench.step()
+        wanted.append(bench.wanted)
+    np.testing.assert_allclose(wanted, [0.0, 0.0, 0.03, 0.03, 0.05, 0.05], atol=1e-12)
+    assert len(checks) == 2
+
+
+def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
+    bench.step()
+    for _ in range(5):
+        bench.controller.command(bench.target(0.05))
+        bench.step()
+    assert len(checks) == 1
+    turned = Target(bench.target(0.05).position, rotation_from_vector([0.0, 0.0, 0.01]))
+    for other in (bench.target(0.04), turned):
+        bench.controller.command(other)
+    assert len(checks) == 3
+
+
+def test_a_refused_pose_is_judged_anew_when_it_is_said_again(bench, checks):
+    """Meanwhile the hand may have come nearer."""
+    bench.step()
+    for _ in range(2):
+        with pytest.raises(PoseError):
+            bench.controller.command(bench.target(*FAR))
+    assert len(checks) == 2
+
+
+def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
+    """All were said before the hand knew a grasp; the first in reach takes the place of older."""
+    for shift in (0.01, 0.02):
+        bench.controller.command(bench.target(shift))
+    for _ in range(2):
+        bench.controller.command(bench.target(*FAR))
+    for refused in range(2):
+        command = bench.step()
+        assert command.mode is Mode.DRIVE and "out of reach" in command.reason
+        assert len(checks) == refused + 1 and bench.wanted == 0.0
+    assert bench.step().reason == "" and bench.wanted == pytest.approx(0.02)
+    for _ in range(3):
+        bench.step()
+    assert len(checks) == 3 and bench.wanted == pytest.approx(0.02)
+
+
+def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
+    bench.controller.command(bench.target(0.01), stamp=1)
+    bench.controller.command(bench.target(*FAR), stamp=2)
+    bench.stamp = TICK
+    assert "out of reach" in bench.step().reason
+    bench.controller.command(bench.target(0.02))
+    bench.controller.command(bench.target(0.03), stamp=4 * TICK)
+    bench.step()
+    assert bench.wanted == pytest.approx(0.02)
+    bench.step()
+    bench.step()
+    assert bench.wanted == pytest.approx(0.03) and bench.stamp == 5 * TICK
+
+
+def test_a_new_grasp_judges_what_waits_anew(bench, checks):
+    bench.step()
+    waiting, again = bench.target(0.04), bench.target(0.05)
+    bench.controller.command(waiting, stamp=4 * TICK)
+    bench.controller.command(again, stamp=9 * TICK)
+    bench.controller.release()
+    bench.step()
+    bench.controller.grasp()
+    bench.step()
+    assert not bench.controller.is_open and len(checks) == 2
+    bench.controller.command(again, stamp=8 * TICK)
+    for _ in range(3):
+        bench.step()
+    assert [id(target) for target in checks[2:]] == [id(again), id(waiting)]
+    assert bench.wanted == pytest.approx(0.04)
+
+
+def test_a_reset_forgets_what_was_in_reach(bench, checks):
+    bench.step()
+    bench.controller.command(bench.target(0.05))
+    bench.controller.reset()
+    bench.step()
+    bench.controller.command(bench.target(0.05))
+    assert len(checks) == 2
