@@ -133,6 +133,22 @@ def test_forces() -> None:
     assert m.peak_normal_force_N == 50.0
 
 
+def test_the_worst_of_what_is_not_known_of_every_finger_is_not_known() -> None:
+    record = still_record()
+    record.forces[-1, :, 1] = [5.5, 3.0, np.nan]
+    m = metrics(record)
+    assert math.isnan(m.worst_normal_force_relative_error)
+    assert m.final_normal_forces_N["a"] == 5.5 and math.isnan(m.normal_force_sum_N)
+
+
+def test_the_worst_of_the_normal_forces_is_too_small_or_too_large() -> None:
+    record = still_record()
+    record.forces[-1, :, 1] = [5.25, 2.4, 2.1]
+    assert metrics(record).worst_normal_force_relative_error == pytest.approx(0.2)
+    record.forces[-1, :, 1] = [5.25, 2.97, 2.6]
+    assert metrics(record).worst_normal_force_relative_error == pytest.approx(0.3)
+
+
 def test_friction_leaves_out_the_first_ticks() -> None:
     record = still_record()
     record.forces[0, 0] = (100.0, 1.0, 0.0)

@@ -101,6 +101,50 @@ class TestRecord:
         assert record.stamps.tolist() == [0, 2]
         assert record.grasp_force.tolist() == [3.0, 4.0]
 
+    def test_after_two_resets_only_what_came_after_the_last_counts(self, tmp_path: Path) -> None:
+        """An earlier run has ticks, a squeeze and a pose that the last one does not have."""
+        second = 10**9
+        with RunWriter(tmp_path / "bag") as bag:
+            for at, tick in enumerate([0, 2, 4, 6, 0, 2, 4, 0, 2, 4, 8]):
+                tick_only(bag, tick, (10 + at) * second)
+                if at not in (8, 9):
+                    squeeze = recorded.wrench(tick, (0.0, float(at), 0.0))
+                    bag.write("/grasp_force", squeeze, (10 + at) * second + 1)
+            for at, x in ((9.5, 1.0), (14.5, 2.0)):
+                wish = pose_stamped(0, (x, 0.0, 0.0), STRAIGHT)
+                bag.write("/desired_pose", wish, round(at * second))
+        record = Run(tmp_path / "bag").record
+        assert record.stamps.tolist() == [0, 2, 4, 8]
+        np.testing.assert_array_equal(record.grasp_force, [7.0, np.nan, np.nan, 10.0])
+        assert np.isnan(record.desired_position).all()
+
+    def test_a_run_begins_a_tenth_of_a_second_before_its_first_tick(self, tmp_path: Path) -> None:
+        """What was logged a little before it, since topics overtake each other, is its own."""
+        second, tenth = 10**9, 10**8
+        for late in (0, 1):
+            with RunWriter(tmp_path / f"{late}") as bag:
+                for at, tick in enumerate([4, 0, 2]):
+                    tick_only(bag, tick, at * second)
+                at = second - tenth - late
+                bag.write("/desired_pose", pose_stamped(0, (3.0, 0.0, 0.0), STRAIGHT), at)
+                bag.write("/grasp_force", recorded.wrench(2, (0.0, 5.0, 0.0)), at)
+        own, of_another = (Run(tmp_path / name).record for name in "01")
+        assert own.desired_position[:, 0].tolist() == [3.0, 3.0]
+        np.testing.assert_array_equal(own.grasp_force, [np.nan, 5.0])
+        assert (
+            np.isnan(of_another.desired_position).all() and np.isnan(of_another.grasp_force).all()
+        )
+
+    def test_no_contact_has_no_frame_either(self, tmp_path: Path) -> None:
+        """A frame of a contact that is not there says nothing; of one that is, all counts."""
+        record = random_record()
+        record.contact_positions[3, 1] = np.nan
+        record.contact_positions[4, 2, 0] = np.nan
+        seen = Run(write_record(tmp_path / "bag", record)).record
+        assert np.isnan(seen.contact_quaternions[3, 1]).all()
+        record.contact_quaternions[3, 1] = np.nan
+        assert_same(seen, record)
+
     def test_joints_may_be_named_in_any_order(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             tick_only(bag, 0, 0)
@@ -170,6 +214,27 @@ class TestDesiredPose:
     def test_the_last_one_wins(self, tmp_path: Path) -> None:
         wishes = (50, 30, 3.0), (150, 0, 1.0), (160, 0, 2.0)
         assert self.in_effect(tmp_path / "a", *wishes) == [-1.0, 2.0, 2.0, 3.0, 3.0]
+
+    def test_of_one_tick_the_later_stamp_wins_and_of_one_stamp_the_later_word(
+        self, tmp_path: Path
+    ) -> None:
+        """A stamp that is past is none: of two such the one that was said last counts."""
+        late_first = (50, 25, 1.0), (60, 22, 2.0)
+        assert self.in_effect(tmp_path / "a", *late_first) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+        past = (350, 20, 1.0), (360, 10, 2.0)
+        assert self.in_effect(tmp_path / "b", *past) == [-1.0, -1.0, -1.0, 2.0, 2.0]
+        same = (50, 30, 1.0), (60, 30, 2.0)
+        assert self.in_effect(tmp_path / "c", *same) == [-1.0, -1.0, -1.0, 2.0, 2.0]
+
+    def test_a_word_at_once_comes_after_a_stamp_that_was_due_before(self, tmp_path: Path) -> None:
+        wishes = (50, 20, 1.0), (350, 0, 2.0)
+        assert self.in_effect(tmp_path / "a", *wishes) == [-1.0, -1.0, 1.0, 2.0, 2.0]
+
+    def test_a_stamp_of_the_tick_that_was_logged_last_is_past(self, tmp_path: Path) -> None:
+        assert self.in_effect(tmp_path / "a", (350, 20, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+        assert self.in_effect(tmp_path / "b", (300, 20, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+        assert self.in_effect(tmp_path / "c", (350, 30, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+        assert self.in_effect(tmp_path / "d", (350, 31, 1.0)) == [-1.0] * 4 + [1.0]
 
     def test_after_the_end(self, tmp_path: Path) -> None:
         assert self.in_effect(tmp_path / "a", (600, 0, 1.0), (50, 90, 2.0)) == [-1.0] * 5
