@@ -259,6 +259,64 @@ def test_audit_knows_an_f_without_a_grasp(
     assert check.ok and check.ticks == 1
 
 
+def by_name(run: Run) -> dict[str, Any]:
+    return {check.name: check for check in audit(run)}
+
+
+@pytest.mark.parametrize("fingers", [[0, 1, 2], [1]])
+def test_audit_misses_an_f_that_was_not_given(
+    paper: tuple[Scenario, Record], tmp_path: Path, fingers: list[int]
+) -> None:
+    """Neither have the torques of that tick and the next, extrapolated from it, a reason.
+
+    What is not a number never agrees.
+    """
+    scenario, record = paper[0], copy.deepcopy(paper[1].part(slice(40)))
+    record.optimal_forces[27, fingers] = np.nan
+    checks = by_name(write(tmp_path, scenario, record))
+    for name, wrong in (("f* where (13) has one", 1), ("torque of law (14)", 2)):
+        assert (checks[name].wrong, checks[name].first) == (wrong, int(record.stamps[27]))
+        assert checks[name].ticks == 40 and not checks[name].ok
+    assert np.isnan(checks["torque of law (14)"].worst)
+    assert checks["(13), optimality conditions"].ok
+    assert checks["(13), optimality conditions"].ticks == 39
+
+
+def test_audit_allows_an_optimizer_in_real_time_to_leave_out_a_tick(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    scenario = load_scenario("paper", {"duration": 0.5, "plant.pacing": "realtime"})
+    record = copy.deepcopy(paper[1].part(slice(40)))
+    record.optimal_forces[27] = record.command[27] = np.nan
+    record.auxiliary_position[27] = record.auxiliary_quaternion[27] = np.nan
+    checks = by_name(write(tmp_path, scenario, record))
+    assert checks["f* where (13) has one"].ok and checks["f* where (13) has one"].ticks == 39
+
+
+def test_audit_knows_an_f_where_the_normals_cannot_balance(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """All fingers push the same way, and yet f* says that they balance."""
+    scenario, record = paper[0], copy.deepcopy(paper[1].part(slice(40)))
+    record.contact_quaternions[31] = record.contact_quaternions[31, 0]
+    checks = by_name(write(tmp_path, scenario, record))
+    assert checks["f* where (13) has one"].first == int(record.stamps[31])
+    assert checks["f* where (13) has one"].wrong == 1
+
+
+def test_audit_knows_an_f_of_one_finger_without_a_grasp(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    scenario, record = paper[0], copy.deepcopy(paper[1].part(slice(40)))
+    for tick in (11, 12):
+        record.contact_positions[tick, 1] = record.contact_quaternions[tick, 1] = np.nan
+        record.auxiliary_position[tick] = record.auxiliary_quaternion[tick] = np.nan
+        record.optimal_forces[tick] = np.nan
+    record.optimal_forces[12, 2] = 0.0, 0.4, 0.0
+    check = by_name(write(tmp_path, scenario, record))["no f* where there is no grasp"]
+    assert (check.ticks, check.wrong, check.first) == (2, 1, int(record.stamps[12]))
+
+
 def test_audit_knows_an_optimizer_that_ignores_its_cones(tmp_path: Path) -> None:
     """The optimum of (13) is none where it leaves a cone."""
     changes = GRIP | {"force_optimizer.cone_share": 0.2}
