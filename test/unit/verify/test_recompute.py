@@ -16,6 +16,9 @@ from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
@@ -105,6 +108,64 @@ def test_missing_messages_leave_their_ticks_out(
     assert grasp.compared == TICKS and grasp.first == int(record.stamps[50])
 
 
+def without_touch(
+    scenario: Scenario, record: Record, held: tuple[int, ...], silent: tuple[int, ...]
+) -> Record:
+    """Return a run that missed the forces of some ticks: there it held, or did not answer."""
+    out = copy.deepcopy(record)
+    regulator = SlipRegulator(scenario.slip_regulator, 3)
+    controller = Controller(scenario.manipulation_controller)
+    for wish in scenario.targets:
+        controller.command(wish.target(), wish.stamp)
+    answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
+    for row, stamp in enumerate(record.stamps.tolist()):
+        theta, rates, forces = record.theta[row], record.rates[row], record.forces[row]
+        contacts = Contacts.from_poses(
+            record.contact_positions[row], record.contact_quaternions[row]
+        )
+        if row in held + silent:
+            for name in (*answers, "auxiliary_position", "auxiliary_quaternion"):
+                getattr(out, name)[row] = np.nan
+            if row in held:
+                out.command[row] = controller.hold(theta, rates, "no forces").torque
+            continue
+        out.grasp_force[row] = regulator.step(stamp, contacts, forces)
+        out.friction[row], out.grip[row] = regulator.friction, regulator.state
+        out.slip_evidence[row] = regulator.slip_likelihood
+        f, k_f = record.optimal_forces[row], float(out.grasp_force[row])
+        out.command[row] = controller.step(stamp, theta, rates, contacts, f, k_f).torque
+    return out
+
+
+def test_a_run_that_held_for_lack_of_touch_is_held_again(
+    paper: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    """Where it did not answer at all, neither does the recomputed one."""
+    scenario, record = paper[0], paper[1].part(slice(40))
+    missed = without_touch(scenario, record, held=(10, 11, 30), silent=(20,))
+    assert (missed.command[[10, 30]] != record.command[[10, 30]]).all()
+    result = recompute(write(tmp_path, scenario, missed))
+    assert [c.topic for c in result.comparisons if not c.same] == []
+    compared = {c.topic: c.compared for c in result.comparisons}
+    assert (compared["joint_command"], compared["grasp_force"]) == (39, 36)
+    assert compared["optimal_force"] == 40
+
+
+def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path: Path) -> None:
+    """They are so narrow that they shape f*."""
+    changes = GRIP | {"force_optimizer.cone_share": 0.2, "user_forces": []}
+    scenario = load_scenario("user_grip", changes)
+    run = write(tmp_path, scenario, ClosedLoop(scenario).run(40))
+    assert recompute(run).same
+    for changes in (
+        {"force_optimizer.cones": False},
+        {"force_optimizer.cone_share": 0.25},
+        {"slip_regulator.friction.prior": 0.6},
+    ):
+        by_topic = {c.topic: c for c in recompute(run, changes).comparisons}
+        assert by_topic["optimal_force"].identical < 10
+
+
 def test_shadow_controllers_show_the_difference(
     paper: tuple[Scenario, Record], tmp_path: Path
 ) -> None:
@@ -114,7 +175,13 @@ def test_shadow_controllers_show_the_difference(
     assert by_topic["grasp_force"].same and by_topic["optimal_force"].same
     assert by_topic["joint_command"].identical == 0 and by_topic["joint_command"].largest > 0.01
     by_topic = {c.topic: c for c in recompute(run, {"weights": [1.0, 1.0, 1.0]}).comparisons}
-    assert by_topic["grasp_force"].same and not by_topic["optimal_force"].same
+    assert by_topic["grasp_force"].same and by_topic["optimal_force"].identical == 0
+    assert by_topic["joint_command"].identical == 0  # it follows the other f*
+    by_topic = {
+        c.topic: c for c in recompute(run, {"slip_regulator.grasp_force": 11.0}).comparisons
+    }
+    assert by_topic["grasp_force"].identical == by_topic["joint_command"].identical == 0
+    assert by_topic["optimal_force"].same
 
 
 def test_shadow_of_a_run_with_requests_heeds_them_where_the_run_did(
