@@ -18,6 +18,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -302,6 +303,38 @@ def test_audit_drops_poses_out_of_reach(tmp_path: Path, said: float) -> None:
     run = Run(tmp_path)
     assert recompute(run).same
     assert [c for c in audit(run) if not c.ok] == []
+
+
+def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path: Path) -> None:
+    """Of two that were said before the hand knew a grasp, the newer is out of reach.
+
+    The older one holds a tick later. One that is said late is to hold at once, before one that
+    waits.
+    """
+    said = [
+        (0, 0, [0.0, 0.05, 0.4]),
+        (0, 0, [0.0, 0.5, 0.4]),
+        (20, 200_000_000, [0.01, 0.04, 0.41]),
+        (80, 100_000_000, [-0.01, 0.05, 0.4]),
+    ]
+    scenario = load_scenario("paper", {"duration": 0.5, "targets": []})
+    loop, ticks = ClosedLoop(scenario), 110
+    record = Record.empty(ticks, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    for row in range(ticks):
+        for heard, stamp, position in said:
+            if heard == row:
+                loop.controller.command(Target(np.array(position), np.eye(3)), stamp)
+        loop.tick(record, row)
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
+        for heard, stamp, position in said:
+            at = START + heard * PERIOD - 1
+            bag.write("/desired_pose", pose_stamped(stamp, position, (0, 0, 0, 1)), at)
+        for row in range(ticks):
+            write_tick(bag, record, row, START + row * PERIOD)
+    run = Run(tmp_path)
+    assert recompute(run).same
+    checks = {c.name: c for c in audit(run)}
+    assert checks["torque of law (14)"].ok and checks["torque of law (14)"].ticks == ticks
 
 
 @pytest.mark.parametrize("lost", ["contact", "line"])
