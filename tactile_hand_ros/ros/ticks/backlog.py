@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node answers when it has fallen behind: so much that others can go on, and the newest.
+"""Which ticks a slow node answers: the newest, and those that its peers answer too.
 
-A node that is slower than its ticks, and answers all of them, answers ever older ones. In lockstep
-that cannot be, in real time it can. So of several ticks that wait together some are left out. But
-who needs the answers of two nodes to one tick gets nothing if each leaves out other ticks. Each
-tick therefore has a rank, n where it is the first one in a stretch of 2^n ms but not of 2^(n+1) ms,
-and is left out only where one of higher rank waits behind it. That one comes no sooner than 2^n ms
-less one period later: no node that lags by less leaves it out, and so all nodes meet again and
-again, however they lag.
+A node that is slower than its ticks and answers all of them answers ever older ones. This cannot
+happen in lockstep, but it can in real time. So of several ticks that wait together some are
+skipped. But a consumer that needs the answers of two nodes to the same tick gets neither if each
+node skips other ticks. Each tick therefore has a rank: n where it is the first one in a stretch of
+2^n ms but not of 2^(n+1) ms. It is skipped only where one of higher rank waits behind it. That one
+comes no sooner than 2^n ms less one period later, so no node that lags by less skips it, and all
+nodes meet again and again, however they lag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Generic, TypeVar
-
-from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.node import TactileNode
+from collections.abc import Sequence
+from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
@@ -49,51 +46,37 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
 
 
 class Backlog(Generic[T]):
-    """Complete ticks, answered when everything that has arrived is read."""
+    """Complete ticks that wait until everything that has arrived is read.
 
-    def __init__(
-        self, node: TactileNode[Any], topic: str, answer: Callable[[int, T], None]
-    ) -> None:
-        """Start empty.
+    Attributes:
+        skipped: Number of ticks that were skipped so far.
+    """
 
-        Args:
-            node: Reads the messages, and reports how many ticks were left out.
-            topic: Named where an answer fails.
-            answer: Takes a tick [ns] and what was heard of it.
-        """
-        self._node = node
-        self._topic = topic
-        self._answer = answer
-        self.clear()
-        self._left_out = 0
-
-    def put(self, stamp_ns: int, heard: T) -> None:
-        """Answer a tick soon."""
-        self._waiting[stamp_ns] = heard
-        if len(self._waiting) == 1:
-            self._node.after_reading(self._work)
-
-    def repeat(self, answer: Callable[[], None]) -> None:
-        """Give the last answer again, unless a newer one is about to be given."""
-        if not self._waiting:
-            answer()
-
-    def clear(self) -> None:
-        """Forget what waits."""
+    def __init__(self) -> None:
+        """Start empty."""
+        self.skipped = 0
         self._waiting: dict[int, T] = {}
         self._previous: int | None = None
 
-    def _work(self) -> None:
+    def __len__(self) -> int:
+        """Return how many ticks wait."""
+        return len(self._waiting)
+
+    def put(self, stamp_ns: int, values: T) -> None:
+        """Add a complete tick [ns]; a second one of the same stamp replaces the first."""
+        self._waiting[stamp_ns] = values
+
+    def take(self) -> list[tuple[int, T]]:
+        """Return the ticks to answer, oldest first [ns], and skip the others."""
         waiting, self._waiting = self._waiting, {}
         stamps = list(waiting)
         if len(stamps) > 1:
             stamps = chosen(stamps, self._previous)
-        if len(stamps) < len(waiting):
-            self._left_out += len(waiting) - len(stamps)
-            self._node.diagnostics.value("ticks_left_out", self._left_out)
-        for stamp in stamps:
-            self._previous = stamp
-            try:
-                self._answer(stamp, waiting[stamp])
-            except TactileHandError as error:
-                self._node.reject(self._topic, error)
+            self.skipped += len(waiting) - len(stamps)
+        if stamps:
+            self._previous = stamps[-1]
+        return [(stamp, waiting[stamp]) for stamp in stamps]
+
+    def clear(self) -> None:
+        """Forget the ticks that wait."""
+        self._waiting, self._previous = {}, None

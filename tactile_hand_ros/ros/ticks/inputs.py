@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.backlog import Backlog
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
@@ -66,12 +66,12 @@ class TickInputs:
             silence: Time after which inputs count as missing [s]; None never passes on a tick that
                 is not complete.
         """
-        self._diagnostics = node.diagnostics
+        self._node = node
         self._listener: Any = listener
         self._streams = streams
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
         self._trigger = topics[0]
-        self._backlog: Backlog[tuple[Any, ...]] = Backlog(node, self._trigger, self._answer)
+        self._backlog: Backlog[tuple[Any, ...]] = Backlog()
         self._matcher = StampMatcher(topics, on_restart=self._restart)
         self._watch = None if silence is None else InputWatch(silence)
         self._reason = ""
@@ -104,7 +104,8 @@ class TickInputs:
         stamp, value = decode(data)
         matched = self._matcher.put(topic, stamp, value)
         if matched is REPEAT:
-            self._backlog.repeat(self._listener.on_repeat)
+            if not self._backlog:  # else a newer answer is about to be given
+                self._listener.on_repeat()
         elif matched is not None:
             self._complete(stamp, matched)
         elif self._watch is not None and topic == self._trigger:
@@ -112,9 +113,11 @@ class TickInputs:
 
     def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:
         if self._watch is not None and self._watch.complete():
-            self._diagnostics.clear("inputs")
+            self._node.diagnostics.clear("inputs")
         if stamp > self._answered_blindly:
             self._backlog.put(stamp, matched)
+            if len(self._backlog) == 1:
+                self._node.after_reading(self._answer_waiting)
 
     def _wait(self, watch: InputWatch, stamp: int, value: Any) -> None:
         was_blind = watch.blind
@@ -126,15 +129,27 @@ class TickInputs:
 
     def _complain(self, missing: Sequence[str]) -> None:
         self._reason = f"no {', '.join(missing)}; holding the hand until all inputs are back"
-        self._diagnostics.fault("inputs", self._reason)
+        self._node.diagnostics.fault("inputs", self._reason)
 
     def _restart(self) -> None:
         self._answered_blindly = -1
         self._backlog.clear()
         self._listener.on_restart()
 
-    def _answer(self, stamp: int, matched: tuple[Any, ...]) -> None:
-        """Hand a tick to the node, one value per stream."""
+    def _answer_waiting(self) -> None:
+        """Answer what has arrived, without the ticks that a slow node skips."""
+        skipped = self._backlog.skipped
+        ticks = self._backlog.take()
+        if self._backlog.skipped > skipped:
+            self._node.diagnostics.value("ticks_left_out", self._backlog.skipped)
+        for stamp, matched in ticks:
+            try:
+                self._listener.on_tick(stamp, *self._values(matched))
+            except TactileHandError as error:
+                self._node.reject(self._trigger, error)
+
+    def _values(self, matched: tuple[Any, ...]) -> list[Any]:
+        """Return one value per stream."""
         values: list[Any] = []
         at = 0
         for stream in self._streams:
@@ -147,7 +162,7 @@ class TickInputs:
             else:
                 values.append(matched[at])
                 at += 1
-        self._listener.on_tick(stamp, *values)
+        return values
 
 
 def far_ahead(stamp: int, tick: int) -> str:

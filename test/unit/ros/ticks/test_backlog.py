@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who has fallen behind leaves out ticks such that everybody still meets."""
+"""A slow node skips ticks such that all nodes still answer common ones."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.ticks.backlog import Backlog, chosen, rank
 
 MS = 1_000_000
@@ -57,56 +53,23 @@ def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
     return out
 
 
-class SlowNode:
-    """A node that reads when a test says so."""
-
-    def __init__(self) -> None:
-        self.diagnostics = Diagnostics("slow")
-        self.rejected: list[tuple[str, str]] = []
-        self._callbacks: list[Callable[[], None]] = []
-
-    def after_reading(self, callback: Callable[[], None]) -> None:
-        self._callbacks.append(callback)
-
-    def reject(self, topic: str, error: TactileHandError) -> None:
-        self.rejected.append((topic, str(error)))
-
-    def has_read(self) -> int:
-        """Do what waits for the end of reading; return how many callbacks did."""
-        callbacks, self._callbacks = self._callbacks, []
-        for callback in callbacks:
-            callback()
-        return len(callbacks)
-
-    @property
-    def left_out(self) -> str | None:
-        values = {pair.key: pair.value for pair in self.diagnostics.status().values}
-        return values.get("ticks_left_out")
-
-
 class Answers:
-    """A backlog, and what it has answered: ticks and what was heard of them."""
+    """A backlog, and what it gave to be answered."""
 
     def __init__(self) -> None:
-        self.node = SlowNode()
         self.given: list[tuple[int, str]] = []
-        self.backlog: Backlog[str] = Backlog(self.node, "touch", self._answer)  # type: ignore[arg-type]
-
-    def _answer(self, stamp: int, heard: str) -> None:
-        if heard == "bad":
-            raise TactileHandError(f"no answer to {stamp}")
-        self.given.append((stamp, heard))
+        self.backlog: Backlog[str] = Backlog()
 
     def to(self, *ticks: int) -> list[int]:
         """Let ticks wait together [ms]; return which of them are answered [ms]."""
-        before = len(self.given)
-        for tick in ticks:
-            self.backlog.put(tick * MS, f"heard {tick}")
-        assert len(self.given) == before  # not before all is read
-        assert self.node.has_read() == bool(ticks)  # one visit for all
-        answered = [stamp // MS for stamp, _ in self.given[before:]]
-        assert [heard for _, heard in self.given[before:]] == [f"heard {t}" for t in answered]
-        return answered
+        for count, tick in enumerate(ticks):
+            assert len(self.backlog) == count
+            self.backlog.put(tick * MS, f"values {tick}")
+        taken = self.backlog.take()
+        assert not self.backlog
+        assert [values for _, values in taken] == [f"values {stamp // MS}" for stamp, _ in taken]
+        self.given += taken
+        return [stamp // MS for stamp, _ in taken]
 
 
 def grid(tick: int, before: int) -> int:
@@ -130,48 +93,27 @@ def test_left_out_is_just_what_a_rounder_tick_follows(first: int, lags: list[lis
         expected = [t for i, t in enumerate(waiting) if roundness[i] >= max(roundness[i:])]
         assert made.to(*waiting) == expected
         last, count = waiting[-1], count + len(waiting)
-    left_out = count - len(made.given)
-    assert made.node.left_out == (str(left_out) if left_out else None)
+    assert made.backlog.skipped == count - len(made.given)
 
 
-def test_the_tick_before_those_that_wait_counts_until_ticks_begin_anew() -> None:
+def test_the_tick_before_those_that_wait_counts_until_ticks_start_over() -> None:
     made = Answers()
     assert made.to(16) == [16]
     assert made.to(17, 18) == [18]  # 17 begins nothing
     assert made.to(19, 20) == [20]
+    assert made.to() == []
     made.backlog.put(21 * MS, "of the past")
     made.backlog.clear()
-    assert made.node.has_read() == 1 and made.given[-1] == (20 * MS, "heard 20")
+    assert made.backlog.take() == []
     assert made.to(21, 22) == [21, 22]  # the first of all has no tick before it
-    assert made.node.left_out == "2"
+    assert made.backlog.skipped == 2
 
 
-def test_what_is_heard_again_of_a_waiting_tick_replaces_the_first() -> None:
+def test_a_second_set_of_a_waiting_tick_replaces_the_first() -> None:
     made = Answers()
     made.backlog.put(5 * MS, "old")
     made.backlog.put(5 * MS, "new")
-    assert made.node.has_read() >= 1
-    assert made.given == [(5 * MS, "new")]
-
-
-def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> None:
-    made, repeated = Answers(), []
-    made.backlog.repeat(lambda: repeated.append("idle"))
-    made.backlog.put(5 * MS, "heard")
-    made.backlog.repeat(lambda: repeated.append("waiting"))
-    made.node.has_read()
-    made.backlog.repeat(lambda: repeated.append("answered"))
-    assert repeated == ["idle", "answered"]
-
-
-def test_an_answer_that_fails_is_reported_and_the_others_are_given() -> None:
-    made = Answers()
-    for tick, heard in ((16, "good"), (24, "bad"), (28, "good")):
-        made.backlog.put(tick * MS, heard)
-    made.node.has_read()
-    assert made.given == [(16 * MS, "good"), (28 * MS, "good")]
-    assert made.node.rejected == [("touch", f"no answer to {24 * MS}")]
-    assert made.to(29, 30) == [30]
+    assert made.backlog.take() == [(5 * MS, "new")]
 
 
 SIZES = st.lists(st.integers(1, 12), min_size=1, max_size=8)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
 from tactile_hand_ros.ros.messages.wire import (
@@ -44,6 +44,9 @@ JOINTS = JointCodec(HAND.joint_names, ("position", "velocity", "effort"))
 class Ear:
     """A node as far as inputs need one, and the listener; brings messages and keeps what comes."""
 
+    bad = -1
+    """Stamp of a tick that cannot be answered [ns]."""
+
     def __init__(self, *, feels: bool = True) -> None:
         self.now = 0
         self.diagnostics = Diagnostics("ear")
@@ -57,6 +60,9 @@ class Ear:
             streams.forces(FINGERS, wanted=feels),
         )
         self.inputs = TickInputs(self, declared, self, silence=0.5)  # type: ignore[arg-type]
+        self.reads_late = False
+        self.waiting: list[Callable[[], None]] = []
+        self.rejected: list[tuple[str, str]] = []
 
     def subscribe(
         self, kind: Any, topic: str, callback: Callable[[bytes], None], **options: Any
@@ -65,9 +71,22 @@ class Ear:
         self.callbacks[topic] = callback
 
     def after_reading(self, callback: Callable[[], None]) -> None:
+        if self.reads_late:
+            self.waiting.append(callback)
+        else:
+            callback()
+
+    def has_read(self) -> None:
+        """Call what waits for the end of reading; there is one call for all ticks."""
+        [callback], self.waiting = self.waiting, []
         callback()
 
+    def reject(self, topic: str, error: TactileHandError) -> None:
+        self.rejected.append((topic, str(error)))
+
     def on_tick(self, stamp: int, *values: Any) -> None:
+        if stamp == self.bad:
+            raise TactileHandError("no answer to this tick")
         self.heard.append(("tick", stamp, values))
 
     def on_repeat(self) -> None:
@@ -297,3 +316,58 @@ def test_the_streams_of_the_other_nodes_have_their_values_in_their_places() -> N
     np.testing.assert_array_equal(speeds, [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(forces, [[1, 2, 3], [2, 2, 3], [3, 2, 3]])
     np.testing.assert_array_equal(friction, [0.4, 0.5, 0.6])
+
+
+def complete(node: Ear, *ticks: int) -> None:
+    """Bring whole ticks [ms]."""
+    for tick in ticks:
+        node.joints(tick)
+        node.others(tick)
+
+
+def test_ticks_that_wait_together_are_answered_after_reading_and_some_are_skipped() -> None:
+    node = Ear()
+    complete(node, 16)
+    assert node.kinds() == [("tick", 16)]
+    node.reads_late = True
+    complete(node, 17, 18, 19)
+    assert node.kinds() == []
+    node.has_read()
+    assert node.kinds() == [("tick", 18), ("tick", 19)]
+    values = {pair.key: pair.value for pair in node.diagnostics.status().values}
+    assert values["ticks_left_out"] == "1"
+
+
+def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> None:
+    node = Ear()
+    complete(node, 4)
+    node.reads_late = True
+    complete(node, 6)
+    node.joints(6)
+    assert node.kinds() == [("tick", 4)]
+    node.has_read()
+    node.joints(6)
+    assert node.kinds() == [("tick", 6), "repeat"]
+
+
+def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered() -> None:
+    node = Ear()
+    node.bad = 24 * MS
+    complete(node, 16)
+    node.reads_late = True
+    complete(node, 24, 28)
+    node.has_read()
+    assert node.kinds() == [("tick", 16), ("tick", 28)]
+    assert node.rejected == [(names.JOINT_STATES, "no answer to this tick")]
+
+
+def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
+    node = Ear()
+    complete(node, 4000)
+    node.reads_late = True
+    complete(node, 4002)
+    complete(node, 0)
+    assert node.kinds() == [("tick", 4000), "restart"]
+    for callback in node.waiting:
+        callback()
+    assert node.kinds() == [("tick", 0)]
