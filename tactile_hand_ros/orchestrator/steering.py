@@ -19,7 +19,8 @@ from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator.wiring import Peers
-from tactile_hand_ros.ros.messages.conversions import pose_to_ros
+from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _SLICE = 0.02  # s
 
@@ -67,7 +68,8 @@ class Steering:
         """
         for wish in targets:
             target = wish.target()
-            self._poses.publish(pose_to_ros(target.position, target.orientation, wish.stamp))
+            turn = quaternion_from_rotation(target.orientation)
+            self._poses.publish(PoseCodec().encode(target.position, turn, wish.stamp))
             self._deliver(self._poses, f"the desired pose for t = {wish.time} s", timeout)
 
     def squeeze(self, wish: UserForceConfig, timeout: float = 5.0) -> None:

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from support.messages import contacts_message, force_message, pose_message
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
@@ -28,12 +29,7 @@ from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationCont
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages.conversions import (
-    contacts_to_ros,
-    force_to_ros,
-    pose_to_ros,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
 from tactile_hand_ros.simulation.plant import Plant
@@ -121,7 +117,7 @@ def meet() -> Iterator[Callable[..., Peer]]:
 
 def contacts(stamp: int, positions: Array = TOUCH.positions) -> PoseArray:
     quaternions = np.where(np.isfinite(positions[:, :1]), TOUCH.quaternions, np.nan)
-    return contacts_to_ros(positions, quaternions, stamp)
+    return contacts_message(positions, quaternions, stamp)
 
 
 def without(finger: int) -> Array:
@@ -212,7 +208,7 @@ def test_the_regulator_is_silent_at_ticks_without_a_finger(meet: Callable[..., P
         for topic, name, force in zip(wrenches, FINGERS, forces, strict=True):
             if force is not None:
                 frame = names.contact_frame(name)
-                peer.send(topic, force_to_ros(force, stamp, frame))
+                peer.send(topic, force_message(force, stamp, frame))
 
     push = (0.0, 3.0, 0.0)
     with spinning(peer.under_test, peer.node):
@@ -249,10 +245,10 @@ class ControllersWorld:
         peer.heard[names.JOINT_COMMAND].clear()
         peer.send(names.JOINT_STATES, self._codec.encode(stamp, *self._joints))
         peer.send(names.CONTACTS, contacts(stamp))
-        peer.send(names.GRASP_FORCE, force_to_ros((0.0, 10.0, 0.0), stamp, "palm"))
+        peer.send(names.GRASP_FORCE, force_message((0.0, 10.0, 0.0), stamp, "palm"))
         for topic, name in zip(self._optimal, FINGERS, strict=True):
             frame = names.contact_frame(name)
-            peer.send(topic, force_to_ros((0.0, share, 0.0), stamp, frame))
+            peer.send(topic, force_message((0.0, share, 0.0), stamp, frame))
         return peer.answer(names.JOINT_COMMAND, stamp)
 
 
@@ -281,9 +277,9 @@ def test_ticks_that_begin_anew_forget_all_poses_but_those_sent_meanwhile(
 
     def desire(position: Array) -> None:
         """Command a pose and wait until it was handled: a wrong one behind it was rejected."""
-        peer.send(names.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0))
+        peer.send(names.DESIRED_POSE, pose_message(position, np.eye(3), 0))
         peer.health.clear()
-        peer.send(names.DESIRED_POSE, pose_to_ros(position, np.eye(3), 0, frame="world"))
+        peer.send(names.DESIRED_POSE, pose_message(position, np.eye(3), 0, frame="world"))
         peer.says(WARN, "frame_id is 'world'")
 
     with spinning(peer.under_test, peer.node):
@@ -311,8 +307,8 @@ def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_t
     with spinning(peer.under_test, peer.node):
         peer.connect()
         for stamp in (DAY + 1, DAY + 5 * TICK, DAY + 5 * TICK + 1, 7 * TICK):
-            peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), stamp))
-        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), 0, frame="world"))
+            peer.send(names.DESIRED_POSE, pose_message(at, np.eye(3), stamp))
+        peer.send(names.DESIRED_POSE, pose_message(at, np.eye(3), 0, frame="world"))
         peer.says(WARN, "frame_id is 'world'")  # so all are handled
         world.tick(5 * TICK, 1.0 / 3.0)
         peer.says(WARN, "is 86400 s ahead of the ticks, which are at 0.010 s")
@@ -320,8 +316,8 @@ def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_t
         still = list(world.tick(6 * TICK, 1.0 / 3.0).effort)
         assert list(world.tick(7 * TICK, 1.0 / 3.0).effort) != still
         peer.health.clear()
-        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK))
-        peer.send(names.DESIRED_POSE, pose_to_ros(at, np.eye(3), DAY + 7 * TICK + 1))
+        peer.send(names.DESIRED_POSE, pose_message(at, np.eye(3), DAY + 7 * TICK))
+        peer.send(names.DESIRED_POSE, pose_message(at, np.eye(3), DAY + 7 * TICK + 1))
         wait_until(lambda: peer.values["rejected desired_pose"] == "3")
         kept = [DAY + 1, DAY + 5 * TICK, DAY + 7 * TICK]
         assert peer.under_test._controller.forget_after(0) == kept
@@ -334,7 +330,7 @@ def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> 
     centre = TOUCH.positions.mean(axis=0)
     for number in range(MOST_WAITING + 3):
         at = centre + [0.0, 1e-5 * number, 0.0]
-        node._on_desired(pose_to_ros(at, np.eye(3), (number + 1) * TICK))
+        node._on_desired(pose_message(at, np.eye(3), (number + 1) * TICK))
     with spinning(node, peer.node):
         peer.says(WARN, f"more than {MOST_WAITING} poses wait for their tick")
     assert peer.values["dropped_poses"] == peer.values["rejected desired_pose"] == "3"

@@ -16,13 +16,13 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
+from support.messages import pose_message
 
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.orchestrator.session import START_ORDER
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.messages.conversions import pose_to_ros
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -386,7 +386,7 @@ def test_second_terminal_steers_an_interactive_hand(
         with spinning(node):
             # The controller and the recorder listen, and the orchestrator, to show the error.
             wait_until(lambda: publisher.get_subscription_count() >= 3)
-            publisher.publish(pose_to_ros((0.0, 0.0434, 0.4148), np.eye(3), 0))
+            publisher.publish(pose_message((0.0, 0.0434, 0.4148), np.eye(3), 0))
             wait_until(lambda: heights and heights[-1] > 0.4123, PATIENCE, "half of the way")
         node.destroy_node()
     orchestrator.send(signal.SIGINT)

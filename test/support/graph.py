@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from support.messages import pose_message
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
@@ -30,7 +31,6 @@ from tactile_hand_ros.ros.messages.conversions import (
     Array,
     contacts_from_ros,
     force_from_ros,
-    pose_to_ros,
     stamp_to_ns,
 )
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
@@ -263,7 +263,7 @@ class Graph:
 
     def desire(self, position: Any, *, frame: str = "palm", stamp: int = 0) -> None:
         """Command a desired pose without rotation."""
-        self.poses.publish(pose_to_ros(position, np.eye(3), stamp, frame=frame))
+        self.poses.publish(pose_message(position, np.eye(3), stamp, frame=frame))
 
     def begin(self, *positions: Any) -> None:
         """Begin anew at stamp 0, with desired poses that are known before the first tick."""

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to arrays and back: pure functions, checked on the way in, in place on the way out.
+"""Messages to arrays: pure functions that check what they read; `wire` writes.
 
-Every ``..._to_ros`` function takes ``out``, a message of an earlier call that is filled again
-instead of a new one. Every ``..._from_ros`` function raises `MessageError` with one sentence when
-the content cannot be used. Message fields are not checked by ROS, so all numbers pass `float`.
+Every ``..._from_ros`` function raises `MessageError` with one sentence when the content cannot be
+used.
 """
 
 from __future__ import annotations
 
-import array
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,15 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose, PoseArray, PoseStamped, WrenchStamped
-from numpy.typing import ArrayLike, NDArray
-from rosgraph_msgs.msg import Clock
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedback, JoyFeedbackArray
 from std_msgs.msg import Float64
 
 from tactile_hand_ros.config.model import did_you_mean
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import PALM_FRAME
-from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_quaternion
+from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
 _SECOND = 1_000_000_000
@@ -62,17 +59,6 @@ def stamp_to_ns(stamp: Time) -> int:
     return int(stamp.sec) * _SECOND + int(stamp.nanosec)
 
 
-def stamp_from_ns(nanoseconds: int) -> Time:
-    """Return integer nanoseconds as a message stamp."""
-    return set_stamp(Time(), nanoseconds)
-
-
-def set_stamp(stamp: Time, nanoseconds: int) -> Time:
-    """Write integer nanoseconds into a stamp and return it."""
-    stamp.sec, stamp.nanosec = divmod(int(nanoseconds), _SECOND)
-    return stamp
-
-
 def all_finite(values: Array) -> bool:
     """Return whether a contiguous array holds neither NaN nor infinity."""
     flat = values.ravel()
@@ -81,7 +67,7 @@ def all_finite(values: Array) -> bool:
 
 
 class JointOrder:
-    """Reads and writes JointState messages in the hand's own order of joints.
+    """Reads JointState messages in the hand's own order of joints.
 
     A message may name the joints in any order; each must be there once.
     """
@@ -130,75 +116,6 @@ class JointOrder:
     def _not_finite(message: JointState, field: str, values: Array) -> str:
         index = int(np.flatnonzero(~np.isfinite(values))[0])
         return f"{field} of joint '{message.name[index]}' is {values[index]}, expected a number."
-
-    def write(
-        self,
-        stamp_ns: int,
-        *,
-        position: ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
-        effort: ArrayLike | None = None,
-        out: JointState | None = None,
-    ) -> JointState:
-        """Fill a JointState; a field that is not given stays empty, or as it was in ``out``."""
-        message = JointState(name=self.names) if out is None else out
-        set_stamp(message.header.stamp, stamp_ns)
-        if position is not None and not _fill(message.position, position):
-            message.position = _doubles(position)
-        if velocity is not None and not _fill(message.velocity, velocity):
-            message.velocity = _doubles(velocity)
-        if effort is not None and not _fill(message.effort, effort):
-            message.effort = _doubles(effort)
-        return message
-
-
-def _fill(field: array.array[float], values: ArrayLike) -> bool:
-    """Write into the memory of a message field if the length fits."""
-    view = np.frombuffer(field) if field else _EMPTY
-    if view.shape != np.shape(values):
-        return False
-    view[:] = values
-    return True
-
-
-_EMPTY = np.empty(0)
-
-
-def _doubles(values: ArrayLike) -> array.array[float]:
-    return array.array("d", np.asarray(values, dtype=np.float64).tolist())
-
-
-def contacts_to_ros(
-    positions: ArrayLike,
-    quaternions: ArrayLike,
-    stamp_ns: int,
-    *,
-    frame: str = PALM_FRAME,
-    out: PoseArray | None = None,
-) -> PoseArray:
-    """Fill a PoseArray with contact frames.
-
-    Args:
-        positions: Contact points in the palm frame [m], NaN rows for no contact. Shape (k, 3).
-        quaternions: Orientation of C_i, order x, y, z, w. Shape (k, 4).
-        stamp_ns: The tick [ns].
-        frame: Frame of the positions.
-        out: Message to fill again.
-    """
-    rows, turns = np.asarray(positions).tolist(), np.asarray(quaternions).tolist()
-    if out is None or len(out.poses) != len(rows):
-        out = PoseArray(poses=[Pose() for _ in rows])
-    out.header.frame_id = frame
-    set_stamp(out.header.stamp, stamp_ns)
-    for pose, row, turn in zip(out.poses, rows, turns, strict=True):
-        _write_pose(pose, row, turn)
-    return out
-
-
-def _write_pose(pose: Pose, position: Sequence[float], quaternion: Sequence[float]) -> None:
-    point, turn = pose.position, pose.orientation
-    point.x, point.y, point.z = map(float, position)
-    turn.x, turn.y, turn.z, turn.w = map(float, quaternion)
 
 
 def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME) -> ContactPoses:
@@ -258,18 +175,6 @@ def check_frame(message: PoseArray | PoseStamped | WrenchStamped, frame: str) ->
         )
 
 
-def force_to_ros(
-    force: ArrayLike, stamp_ns: int, frame: str, *, out: WrenchStamped | None = None
-) -> WrenchStamped:
-    """Fill a WrenchStamped with a force [N] of shape (3,) in the given frame, without torque."""
-    message = WrenchStamped() if out is None else out
-    message.header.frame_id = frame
-    set_stamp(message.header.stamp, stamp_ns)
-    vector = message.wrench.force
-    vector.x, vector.y, vector.z = map(float, np.asarray(force).tolist())
-    return message
-
-
 def force_from_ros(message: WrenchStamped, *, frame: str | None = None) -> Array:
     """Read a force [N]. Shape (3,).
 
@@ -292,58 +197,15 @@ def _vector(x: float, y: float, z: float, what: str) -> Array:
     return np.array((x, y, z), dtype=np.float64)
 
 
-def normal_force_to_ros(
-    force: float, stamp_ns: int, *, frame: str = PALM_FRAME, out: WrenchStamped | None = None
-) -> WrenchStamped:
-    """Fill a WrenchStamped with a normal force [N], which is force.y."""
-    return force_to_ros((0.0, float(force), 0.0), stamp_ns, frame, out=out)
-
-
-def normal_force_from_ros(message: WrenchStamped) -> float:
-    """Read a normal force [N] from force.y.
+def number_from_ros(message: Float64) -> float:
+    """Read a Float64 message.
 
     Raises:
         MessageError: For NaN or infinity.
     """
-    return number_from_ros(message.wrench.force.y, "force.y")
-
-
-def number_from_ros(value: Float64 | float, what: str = "data") -> float:
-    """Read a Float64 message or a plain field.
-
-    Raises:
-        MessageError: For NaN or infinity.
-    """
-    number = float(value.data if isinstance(value, Float64) else value)
-    if not math.isfinite(number):
-        raise MessageError(f"{what} is {number}, expected a finite number.")
-    return number
-
-
-def pose_to_ros(
-    position: ArrayLike,
-    rotation: ArrayLike,
-    stamp_ns: int,
-    *,
-    frame: str = PALM_FRAME,
-    out: PoseStamped | None = None,
-) -> PoseStamped:
-    """Fill a PoseStamped.
-
-    Args:
-        position: Position [m]. Shape (3,).
-        rotation: Rotation matrix, or quaternion x, y, z, w. Shape (3, 3) or (4,).
-        stamp_ns: The tick [ns].
-        frame: Frame of the pose.
-        out: Message to fill again.
-    """
-    message = PoseStamped() if out is None else out
-    message.header.frame_id = frame
-    set_stamp(message.header.stamp, stamp_ns)
-    turn = np.asarray(rotation)
-    quaternion = quaternion_from_rotation(turn) if turn.ndim == 2 else turn
-    _write_pose(message.pose, np.asarray(position).tolist(), quaternion.tolist())
-    return message
+    if not math.isfinite(message.data):
+        raise MessageError(f"data is {message.data}, expected a finite number.")
+    return float(message.data)
 
 
 def pose_from_ros(message: PoseStamped, *, frame: str = PALM_FRAME) -> TargetPose:
@@ -371,10 +233,3 @@ def feedback_to_ros(
     for item, intensity in zip(out.array, intensities, strict=True):
         item.intensity = min(1.0, max(0.0, float(intensity)))
     return out
-
-
-def clock_to_ros(stamp_ns: int, *, out: Clock | None = None) -> Clock:
-    """Fill a Clock message."""
-    message = Clock() if out is None else out
-    set_stamp(message.clock, stamp_ns)
-    return message

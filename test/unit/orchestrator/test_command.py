@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
+from support.messages import joint_message
 
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
@@ -23,7 +23,6 @@ from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import Rate, facts
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.messages.conversions import set_stamp
 
 
 def test_changes_are_yaml() -> None:
@@ -73,9 +72,7 @@ def test_ros_arguments_are_taken_out() -> None:
 
 @pytest.mark.parametrize("stamp", [0, 2_000_000, 86_399_999_999_999])
 def test_stamp_is_read_from_bytes(stamp: int) -> None:
-    message = JointState(name=["a"])
-    set_stamp(message.header.stamp, stamp)
-    data = serialize_message(message)
+    data = serialize_message(joint_message(["a"], stamp))
     assert stamp_of(data) == stamp
     big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
     assert stamp_of(big_endian) == stamp

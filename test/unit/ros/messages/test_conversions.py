@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrays survive the way into messages and back; bad content gives one clear sentence."""
 
-import array
-
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseArray
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from support.messages import contacts_message, force_message, header, joint_message, pose_message
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError
@@ -35,14 +34,13 @@ def contacts(count=3):
 
 @given(stamps)
 def test_stamps_are_exact(stamp):
-    assert c.stamp_to_ns(c.stamp_from_ns(stamp)) == stamp
-    assert c.stamp_to_ns(c.stamp_from_ns(np.int64(stamp))) == stamp
+    assert c.stamp_to_ns(header(stamp).stamp) == stamp
 
 
 @given(stamps, vectors, vectors)
 def test_joint_states_round_trip(stamp, position, effort):
     order = c.JointOrder(NAMES)
-    message = over_the_wire(order.write(stamp, position=position, effort=effort))
+    message = over_the_wire(joint_message(NAMES, stamp, position=position, effort=effort))
     assert c.stamp_to_ns(message.header.stamp) == stamp
     np.testing.assert_array_equal(order.read(message, "position"), position)
     np.testing.assert_array_equal(order.read(message, "effort"), effort)
@@ -57,25 +55,6 @@ def test_joints_are_brought_into_the_order_of_the_hand():
     other = JointState(name=["f1_j2", "f1_j1", "f2_j1"], effort=[2.0, 1.0, 3.0])
     np.testing.assert_array_equal(order.read(other, "effort"), [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(order.read(message, "effort"), [1.0, 2.0, 3.0])
-
-
-def test_a_joint_message_is_filled_again_in_its_own_memory():
-    order = c.JointOrder(NAMES)
-    message = order.write(1, effort=np.ones(3))
-    memory = message.effort
-    assert order.write(2, effort=np.array([4.0, 5.0, 6.0]), out=message) is message
-    assert message.effort is memory
-    assert memory == array.array("d", [4.0, 5.0, 6.0])
-    order.write(3, effort=np.ones(2), out=message)
-    assert len(message.effort) == 2
-
-
-def test_numbers_of_other_types_are_converted():
-    order = c.JointOrder(NAMES)
-    message = order.write(1, effort=np.array([1.5, 2.5, 3.5], dtype=np.float32))
-    assert list(message.effort) == [1.5, 2.5, 3.5]
-    assert c.force_to_ros(np.array([1, 2, 3]), 1, "f").wrench.force.y == 2.0
-    assert over_the_wire(c.force_to_ros(np.float32([1.5, 0, 0]), 1, "f")).wrench.force.x == 1.5
 
 
 @pytest.mark.parametrize(
@@ -107,23 +86,13 @@ def test_huge_but_finite_values_pass():
 def test_contacts_round_trip_with_a_finger_in_the_air():
     positions, turns = contacts()
     positions[1] = np.nan
-    message = over_the_wire(c.contacts_to_ros(positions, turns, 5))
+    message = over_the_wire(contacts_message(positions, turns, 5))
     assert len(message.poses) == 3
     assert message.header.frame_id == "palm"
     got = c.contacts_from_ros(message, 3)
     np.testing.assert_array_equal(got.positions, positions)
     np.testing.assert_array_equal(got.quaternions[[0, 2]], turns[[0, 2]])
     assert np.isnan(got.quaternions[1]).all()
-
-
-def test_contacts_are_filled_again_or_grown():
-    positions, turns = contacts()
-    message = c.contacts_to_ros(positions, turns, 1)
-    poses = list(message.poses)
-    assert c.contacts_to_ros(positions + 1.0, turns, 2, out=message) is message
-    assert all(a is b for a, b in zip(message.poses, poses, strict=True))
-    assert message.poses[2].position.z == 9.0
-    assert len(c.contacts_to_ros(*contacts(4), 3, out=message).poses) == 4
 
 
 @pytest.mark.parametrize(
@@ -138,7 +107,7 @@ def test_contacts_are_filled_again_or_grown():
     ],
 )
 def test_bad_contacts_are_refused(change, words):
-    message = c.contacts_to_ros(*contacts(), 1)
+    message = contacts_message(*contacts(), 1)
     change(message)
     with pytest.raises(MessageError, match=words):
         c.contacts_from_ros(message, 3)
@@ -146,41 +115,27 @@ def test_bad_contacts_are_refused(change, words):
 
 @given(stamps, vectors)
 def test_forces_round_trip(stamp, force):
-    used = WrenchStamped()
-    message = c.force_to_ros(force, stamp, "f1_contact", out=used)
-    assert message is used
-    got = over_the_wire(message)
+    got = over_the_wire(force_message(force, stamp, "f1_contact"))
     np.testing.assert_array_equal(c.force_from_ros(got, frame="f1_contact"), force)
     assert c.stamp_to_ns(got.header.stamp) == stamp
-    assert got.wrench.torque.x == 0.0
 
 
 def test_bad_forces_are_refused():
-    message = c.force_to_ros((0.0, np.nan, 0.0), 1, "f1_contact")
+    message = force_message((0.0, np.nan, 0.0), 1, "f1_contact")
     with pytest.raises(MessageError, match=r"force is \(0.0, nan, 0.0\)"):
         c.force_from_ros(message)
     with pytest.raises(MessageError, match="frame_id is 'f1_contact', expected 'f2_contact'"):
         c.force_from_ros(message, frame="f2_contact")
-    with pytest.raises(MessageError, match="force.y is nan"):
-        c.normal_force_from_ros(message)
-
-
-def test_a_normal_force_is_the_y_component():
-    message = c.normal_force_to_ros(10.0, 7)
-    assert (message.wrench.force.x, message.wrench.force.y) == (0.0, 10.0)
-    assert c.normal_force_from_ros(message) == 10.0
 
 
 def test_poses_round_trip_as_matrix_and_as_quaternion():
     _, turns = contacts(1)
     rotation = rotation_from_quaternion(turns[0])
     for given_rotation in (rotation, turns[0]):
-        message = over_the_wire(c.pose_to_ros((1.0, 2.0, 3.0), given_rotation, 9))
+        message = over_the_wire(pose_message((1.0, 2.0, 3.0), given_rotation, 9))
         pose = c.pose_from_ros(message)
         np.testing.assert_array_equal(pose.position, (1.0, 2.0, 3.0))
         np.testing.assert_allclose(pose.rotation, rotation, atol=1e-15)
-    used = PoseStamped()
-    assert c.pose_to_ros((1.0, 2.0, 3.0), rotation, 9, out=used) is used
 
 
 @pytest.mark.parametrize(
@@ -192,7 +147,7 @@ def test_poses_round_trip_as_matrix_and_as_quaternion():
     ],
 )
 def test_bad_poses_are_refused(change, words):
-    message = c.pose_to_ros((1.0, 2.0, 3.0), np.eye(3), 1)
+    message = pose_message((1.0, 2.0, 3.0), np.eye(3), 1)
     change(message)
     with pytest.raises(MessageError, match=words):
         c.pose_from_ros(message)
@@ -204,8 +159,8 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     positions, turns = contacts()
     rotation = rotation_from_quaternion(turns[1])
     turns[1] *= np.sqrt(square)
-    pose = c.pose_to_ros(positions[1], turns[1], 1)
-    poses = c.contacts_to_ros(positions, turns, 1)
+    pose = pose_message(positions[1], turns[1], 1)
+    poses = contacts_message(positions, turns, 1)
     codec = ContactsCodec(3)
     data = codec.encode(positions, turns, 1)
     if not taken:
@@ -227,8 +182,8 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
 
 def test_plain_numbers():
     assert c.number_from_ros(Float64(data=2.0)) == 2.0
-    with pytest.raises(MessageError, match="k_f is inf"):
-        c.number_from_ros(float("inf"), "k_f")
+    with pytest.raises(MessageError, match="data is inf"):
+        c.number_from_ros(Float64(data=np.inf))
 
 
 def test_rumble_is_cut_to_its_range():
@@ -237,12 +192,6 @@ def test_rumble_is_cut_to_its_range():
     assert [item.id for item in message.array] == [0, 1, 2]
     assert {item.type for item in message.array} == {1}
     assert c.feedback_to_ros((0.1, 0.2, 0.3), out=message) is message
-
-
-def test_clock():
-    message = c.clock_to_ros(1_500_000_000)
-    assert (message.clock.sec, message.clock.nanosec) == (1, 500_000_000)
-    assert c.clock_to_ros(2_000_000_000, out=message) is message
 
 
 def test_an_empty_contact_array_is_refused():

@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from support.messages import contacts_message, force_message, joint_message
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.messages import conversions as c
@@ -50,7 +51,7 @@ def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
     message = deserialize_message(data, WrenchStamped)
     assert c.stamp_to_ns(message.header.stamp) == stamp and message.header.frame_id == frame
     same_bits(c.force_from_ros(message), force)
-    for received in (data, serialize_message(c.force_to_ros(force, stamp, frame))):
+    for received in (data, serialize_message(force_message(force, stamp, frame))):
         found, ours = codec.decode(received)
         assert found == stamp
         same_bits(ours, force)
@@ -64,7 +65,7 @@ def test_contacts_are_read_by_ros_and_by_us(stamp, count, data):
     positions[open_], quaternions[open_] = np.nan, np.nan
     codec = ContactsCodec(count)
     ours = codec.encode(positions, quaternions, stamp)
-    theirs = serialize_message(c.contacts_to_ros(positions, quaternions, stamp))
+    theirs = serialize_message(contacts_message(positions, quaternions, stamp))
     read = c.contacts_from_ros(deserialize_message(ours, PoseArray), count)
     for stamp_read, found in ((stamp, read), codec.decode(ours), codec.decode(theirs)):
         assert stamp_read == stamp
@@ -84,7 +85,7 @@ def test_joints_are_read_by_ros_and_by_us(stamp, joints, chosen, data):
         expected = values[fields.index(field)] if field in fields else []
         same_bits(getattr(message, field), expected)
     given_fields = dict(zip(fields, values, strict=True))
-    theirs = serialize_message(c.JointOrder(joints).write(stamp, **given_fields))
+    theirs = serialize_message(joint_message(joints, stamp, **given_fields))
     for received in (ours, theirs):
         found, arrays_read = codec.decode(received)
         assert found == stamp

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages as any ROS program builds them, field by field, apart from the package's codecs."""
+
+from __future__ import annotations
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, WrenchStamped
+from numpy.typing import ArrayLike
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from tactile_hand_ros.names import PALM_FRAME
+from tactile_hand_ros.rotations import quaternion_from_rotation
+
+
+def header(stamp_ns: int, frame: str = PALM_FRAME) -> Header:
+    """Return a header with a stamp [ns] and a frame."""
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame)
+
+
+def pose(position: ArrayLike, quaternion: ArrayLike) -> Pose:
+    """Return a pose from a position and a quaternion in the order x, y, z, w."""
+    point = Point(**dict(zip("xyz", np.asarray(position, float).tolist(), strict=True)))
+    turn = Quaternion(**dict(zip("xyzw", np.asarray(quaternion, float).tolist(), strict=True)))
+    return Pose(position=point, orientation=turn)
+
+
+def pose_message(
+    position: ArrayLike, rotation: ArrayLike, stamp_ns: int, *, frame: str = PALM_FRAME
+) -> PoseStamped:
+    """Return a pose with a rotation matrix or a quaternion."""
+    turn = np.asarray(rotation)
+    quaternion = quaternion_from_rotation(turn) if turn.ndim == 2 else turn
+    return PoseStamped(header=header(stamp_ns, frame), pose=pose(position, quaternion))
+
+
+def contacts_message(positions: ArrayLike, quaternions: ArrayLike, stamp_ns: int) -> PoseArray:
+    """Return contact frames in the palm frame."""
+    rows = zip(np.asarray(positions), np.asarray(quaternions), strict=True)
+    return PoseArray(header=header(stamp_ns), poses=[pose(*row) for row in rows])
+
+
+def force_message(force: ArrayLike, stamp_ns: int, frame: str) -> WrenchStamped:
+    """Return a force without torque."""
+    message = WrenchStamped(header=header(stamp_ns, frame))
+    vector = message.wrench.force
+    vector.x, vector.y, vector.z = np.asarray(force, float).tolist()
+    return message
+
+
+def joint_message(names: list[str], stamp_ns: int, **fields: ArrayLike) -> JointState:
+    """Return joint states with the given fields; the others stay empty."""
+    lists = {name: np.asarray(values, float).tolist() for name, values in fields.items()}
+    return JointState(header=header(stamp_ns, ""), name=names, **lists)
