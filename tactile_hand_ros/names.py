@@ -33,7 +33,6 @@ TRUE_SLIP = "ground_truth/slip"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"
-TF = "/tf"
 
 RESET = "~/reset"
 ENABLE = "~/enable"
@@ -41,7 +40,6 @@ GRASP = "~/grasp"
 RUN = "~/run"
 
 PALM_FRAME = "palm"
-OBJECT_FRAME = "object"
 
 PLANT = "plant"
 SENSOR = "tactile_sensor"

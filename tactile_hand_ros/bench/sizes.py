@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 FINGERS, JOINTS = (3, 4, 5), (3, 4, 5, 6)
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4)  # s
-HANDS = (1, 2)
 OPTIMIZER, CONTROLLER, PLANT = "(13)", "controller", "plant step"
 ONE_HAND, TWO_HANDS = "closed loop tick", "closed loop tick, two hands"
 BLOCKS = (OPTIMIZER, CONTROLLER, PLANT, ONE_HAND, TWO_HANDS)

@@ -28,9 +28,3 @@ def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:
         "shape": list(values.shape),
         "data": base64.b64encode(data).decode("ascii"),
     }
-
-
-def unpack(packed: dict[str, Any]) -> NDArray[Any]:
-    """Return the array that `pack` was given, rounded to its type."""
-    data = base64.b64decode(packed["data"])
-    return np.frombuffer(data, dtype=_CODES[packed["type"]]).reshape(packed["shape"])

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tactile_hand_ros.extras import optional
@@ -140,11 +140,6 @@ def markdown(columns: Sequence[str], rows: Rows) -> str:
     return "".join(
         "| " + " | ".join(c.replace("|", "\\|") for c in line) + " |\n" for line in lines
     )
-
-
-def named(values: Mapping[str, str]) -> list[list[str]]:
-    """Return a mapping as rows."""
-    return [list(item) for item in values.items()]
 
 
 def number(value: float, unit: str = "") -> str:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 import yaml
@@ -322,27 +322,3 @@ def _quoted(value: Any) -> Any:
     if isinstance(value, list):
         return [_quoted(item) for item in value]
     return _Quoted(value) if isinstance(value, str) else value
-
-
-def document(model: type[Config]) -> str:
-    """Return a Markdown table of a model's parameters."""
-    titles = ("parameter", "default", "unit", "allowed", "live", "meaning")
-    rows = ["| " + " | ".join(titles) + " |", "|---" * len(titles) + "|"]
-    for name, field in leaves(model).items():
-        cells = (
-            f"`{name}`",
-            _default(field),
-            unit_of(field) or "-",
-            allowed(field.annotation, field).removesuffix(f" {unit_of(field)}"),
-            "yes" if is_live(field) else "no",
-            field.description or "",
-        )
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(rows) + "\n"
-
-
-def _default(field: FieldInfo) -> str:
-    if field.is_required():
-        return "required"
-    value = to_ros(field, field.get_default(call_default_factory=True))
-    return f"`{value!r}`" if isinstance(value, Sequence) else f"`{value}`"

@@ -13,7 +13,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.parameters import ConfigParameters, document, to_params_yaml
+from tactile_hand_ros.ros.parameters import ConfigParameters, to_params_yaml
 from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
 
 
@@ -264,14 +264,6 @@ def test_changes_over_the_parameter_service(declare):
         assert accepted.successful and not refused.successful
         assert parameters.config.k_p == 1.0
     other.destroy_node()
-
-
-def test_the_documentation_names_every_parameter():
-    table = document(Example)
-    assert "| `k_p` | `3.0` | N/m | a finite number >= 0.0 and <= 10.0 | yes | Stiffness |" in table
-    assert "| `law` | `'proposed'` | - | one of proposed, kawamura | yes | Control law |" in table
-    assert "| `body.mass` | `0.1` | kg | a finite number > 0.0 | no | Mass |" in table
-    assert len(table.splitlines()) == 2 + 11
 
 
 def test_a_type_without_ros_counterpart_is_refused_early(declare):

@@ -44,6 +44,27 @@ def reference_of(world, layout):
     return reference, start
 
 
+def contact_jacobian(reference, s):
+    """Return J_h of (2), shape (3k, m)."""
+    model, data, world = reference.model, reference.data, reference.world
+    pin.computeJointJacobians(model, data, s.theta)
+    pin.updateFramePlacements(model, data)
+    rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+    blocks = []
+    for frame, radius, face in zip(reference.frames, world.radii, world.faces, strict=True):
+        jac = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        blocks.append(jac[:3] + pin.skew(radius * rotation @ face) @ jac[3:])
+    return np.vstack(blocks)
+
+
+def drift(reference, y):
+    """Return the largest violation of (6), m/s."""
+    s = reference.unpack(y)
+    arms = reference.contacts(y) - s.position
+    points = contact_jacobian(reference, s) @ s.rates
+    return np.abs(points.reshape(-1, 3) - s.velocity - np.cross(s.spin, arms)).max()
+
+
 class PaperLaw:
     """Laws (14) and (10) as the paper prints them, for a target with R_pod = I."""
 
@@ -57,7 +78,7 @@ class PaperLaw:
         grasp = np.vstack([np.tile(np.eye(3), 3), np.hstack([pin.skew(d) for d in arms])])
         forces = self.k_f * (self.optimal(s, grasp) if self.name == "optimal" else -arms.ravel())
         wrench = np.concatenate([3.0 * (TARGET - centroid), 0.5 * self.rotation_error(points)])
-        jacobian = self.reference.contact_jacobian(s)
+        jacobian = contact_jacobian(self.reference, s)
         return jacobian.T @ (forces + np.linalg.pinv(grasp) @ wrench) - 0.07 * s.rates
 
     def optimal(self, s, grasp):
@@ -119,9 +140,9 @@ def experiment(request):
 
 def test_the_reference_keeps_its_constraint(experiment):
     reference, states, *_ = experiment
-    drift = max(reference.drift(y) for y in states)
-    print(f"drift of the reference {drift:.1e} m/s")
-    assert drift < 1e-9
+    worst = max(drift(reference, y) for y in states)
+    print(f"drift of the reference {worst:.1e} m/s")
+    assert worst < 1e-9
 
 
 def test_the_closed_loop_moves_as_the_reference(experiment):

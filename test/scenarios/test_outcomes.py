@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 from joblib import Parallel, delayed
-from support.outcomes import run_scenario
+from support.outcomes import run_scenario, survival
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.studies.slip.outcomes import SLIDING
-from tactile_hand_ros.studies.slip.survival import least_at, survival
+from tactile_hand_ros.studies.slip.survival import least_at
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}

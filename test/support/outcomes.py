@@ -1,11 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run scenarios by function calls, in processes that can import this."""
 
+from dataclasses import dataclass
+
+import numpy as np
+
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.studies.slip.survival import least_at
+
+_STEP, _MOST = 0.02, 400  # s between instants that are looked at, and about how many at most
 
 
 def run_scenario(name: str, changes: dict) -> Record:
     """Return the record of a scenario with some values changed."""
     return ClosedLoop(load_scenario(name, changes)).run()
+
+
+@dataclass(frozen=True)
+class Survival:
+    """Whether the object can be held at all.
+
+    Attributes:
+        worst: Largest squeeze that was ever needed, the least sum of normal forces, N.
+        time: When, s.
+        limit: The crush limit, N.
+    """
+
+    worst: float
+    time: float
+    limit: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether a grasp inside the crush limit can carry every load of the run."""
+        return self.worst <= self.limit
+
+
+def survival(record: Record, scenario: Scenario) -> Survival:
+    """Return the worst instant of a run: true load and friction, and the contacts of the grasp.
+
+    Where a contact is lost, the last grasp with all of them counts: whether it had to be lost is
+    the question.
+
+    Args:
+        record: The run, of which only the true contacts and the object's pose count.
+        scenario: What was run.
+    """
+    whole = np.isfinite(record.true_positions[:, :, 0]).all(axis=1)
+    grasps = np.maximum.accumulate(np.where(whole, np.arange(len(record)), 0))
+    starts = [d.start for d in scenario.plant.disturbances]
+    starts += [c.start for c in scenario.plant.friction_changes]
+    step = max(_STEP, scenario.duration / _MOST)
+    times = np.union1d(np.arange(0.0, scenario.duration, step), np.array(starts) + 1e-6)
+    worst, when = 0.0, 0.0
+    for time in times[times <= scenario.duration]:
+        row = min(int(np.searchsorted(record.times, time)), len(record) - 1)
+        # Of an event at once, the grasp that it finds.
+        least = least_at(record, scenario, float(time), int(grasps[max(row - 1, 0)]))
+        if least > worst:
+            worst, when = least, float(time)
+    return Survival(worst, when, scenario.slip_regulator.maximum)

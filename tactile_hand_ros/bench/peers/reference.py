@@ -159,34 +159,6 @@ class Reference:
         normals = self.world.faces @ rotation.T
         return np.asarray(tips - self.world.radii[:, None] * normals)
 
-    def contact_jacobian(self, s: State) -> Array:
-        """Return J_h of (2), shape (3k, m)."""
-        pin.computeJointJacobians(self.model, self.data, s.theta)
-        pin.updateFramePlacements(self.model, self.data)
-        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
-        blocks = []
-        for frame, radius, face in zip(
-            self.frames, self.world.radii, self.world.faces, strict=True
-        ):
-            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
-            blocks.append(jac[:3] + pin.skew(radius * rotation @ face) @ jac[3:])
-        return np.vstack(blocks)
-
-    def drift(self, y: Array) -> float:
-        """Return the largest violation of (6), m/s."""
-        s = self.unpack(y)
-        pin.computeJointJacobians(self.model, self.data, s.theta)
-        pin.updateFramePlacements(self.model, self.data)
-        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
-        worst = 0.0
-        for i, frame in enumerate(self.frames):
-            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
-            rho = -self.world.radii[i] * (rotation @ self.world.faces[i])
-            d = self.data.oMf[frame].translation + rho - s.position
-            tip = jac[:3] @ s.rates + np.cross(jac[3:] @ s.rates, rho)
-            worst = max(worst, float(np.abs(tip - s.velocity - np.cross(s.spin, d)).max()))
-        return worst
-
     def run(
         self,
         start: State,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from html.parser import HTMLParser
@@ -16,7 +17,7 @@ from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report.document import run_document, scene_columns
-from tactile_hand_ros.report.pack import pack, unpack
+from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.page import write_comparison, write_report
 from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
@@ -54,6 +55,12 @@ class Parts(HTMLParser):
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     return Run(write_record(tmp_path / "bag", random_record(40)))
+
+
+def unpack(packed):
+    """Return the array that `pack` was given, rounded to its type."""
+    data = base64.b64decode(packed["data"])
+    return np.frombuffer(data, dtype=packed["type"]).reshape(packed["shape"])
 
 
 def values(document: dict, name: str) -> np.ndarray:

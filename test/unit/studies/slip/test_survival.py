@@ -2,10 +2,9 @@
 """What a grasp can survive: against loads whose least squeeze is known by hand."""
 
 import pytest
-from support.outcomes import run_scenario
+from support.outcomes import run_scenario, survival
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.studies.slip.survival import survival
 
 PULL = {"kind": "step", "start": 0.1, "force": [0.0, 0.0, -10.0]}
 
