@@ -29,8 +29,8 @@ from tactile_hand_ros.bag.metadata import (
 from tactile_hand_ros.bag.qos import parse_qos
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.stream import is_being_written
-from tactile_hand_ros.bag.writer import write_whole
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.files import replace_text
 
 BROKEN = ".broken"
 _CHUNK_SIZE = 2**20
@@ -433,7 +433,7 @@ def _finish(
         [copy.told for copy in copies],
         {"recovered_bytes_left": str(left)},
     )
-    write_whole(target / FILE_NAME, metadata.file_text())
+    replace_text(target / FILE_NAME, metadata.file_text())
     return RecoveredBag(source, target, metadata, left, kept)
 
 

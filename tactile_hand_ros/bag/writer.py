@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from tactile_hand_ros.bag.bag_file import CHUNK_SIZE, COMPRESSIONS, BagFile
@@ -23,6 +21,7 @@ from tactile_hand_ros.bag.metadata import (
 from tactile_hand_ros.bag.qos import OfferedQos, qos_text
 from tactile_hand_ros.bag.schema import MessageDefinition, message_definition
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.files import replace_text
 
 
 @dataclass
@@ -278,7 +277,7 @@ class BagWriter:
     def _write_metadata(self, text: str) -> None:
         """Write ``metadata.yaml`` whole or not at all."""
         try:
-            write_whole(self.folder / FILE_NAME, text)
+            replace_text(self.folder / FILE_NAME, text)
         except OSError as error:
             raise self._failure(error) from error
 
@@ -325,30 +324,9 @@ class BagWriter:
         """Return the open writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the bag, also after an error: what was recorded stays readable."""
         self.close()
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a small file whole or not at all.
-
-    Raises:
-        OSError: If that is not possible.
-    """
-    draft = path.with_name(f".{path.name}")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-        raise
 
 
 def _create(folder: Path) -> None:

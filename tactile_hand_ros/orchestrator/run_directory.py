@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import datetime
 import itertools
-import os
 import re
 from pathlib import Path
 
 from tactile_hand_ros.closed_loop.scenario import Scenario, resolved
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.files import replace_link
 from tactile_hand_ros.ros.parameters import to_params_yaml
 
 LATEST = "latest"
@@ -53,7 +53,7 @@ class RunDirectory:
             run = cls(_new_folder(root, stem))
             (run.path / "logs").mkdir()
             (run.path / "parameters").mkdir()
-            _link(root / LATEST, run.path.name)
+            replace_link(root / LATEST, run.path.name)
         except OSError as error:
             raise ConfigurationError(
                 f"no run can be stored in '{root}': {error.strerror}; choose another --out"
@@ -87,11 +87,3 @@ def _new_folder(root: Path, stem: str) -> Path:
             continue
         return path
     raise AssertionError("unreachable")
-
-
-def _link(link: Path, target: str) -> None:
-    """Point a link to a neighbour in one step, so that it always points somewhere."""
-    draft = link.with_name(f".{link.name}-{os.getpid()}")
-    draft.unlink(missing_ok=True)
-    draft.symlink_to(target)
-    draft.replace(link)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
@@ -192,9 +193,7 @@ def write_summary(
         "versions": versions(),
     }
     text = json.dumps(json_ready(content), indent=2, allow_nan=False)
-    draft = directory.summary.with_name(f".{directory.summary.name}")
-    draft.write_text(text + "\n", encoding="utf-8")
-    draft.replace(directory.summary)
+    replace_text(directory.summary, text + "\n")
 
 
 def report_line(results: Results) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import time
-from types import TracebackType
 from typing import Protocol
 
 from rich.console import Console
@@ -28,12 +27,7 @@ class View(Protocol):
     def __enter__(self) -> View:
         """Begin."""
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End."""
 
     def show(self, look: Look, rate: float, fault: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
@@ -91,11 +92,9 @@ def _write(text: str, file: Path) -> Path:
     Raises:
         TactileHandError: If that is not possible.
     """
-    draft = file.with_name(f".{file.name}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(file)
+        replace_text(file, text)
     except OSError as error:
         raise TactileHandError(
             f"The report {file} cannot be written ({error.strerror}); choose another place."

@@ -15,12 +15,13 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.is_file())
 
 # What may be imported from everywhere.
-BASE = {"", "config", "errors", "extras", "jit", "names", "rotations"}
+BASE = {"", "config", "errors", "extras", "files", "jit", "names", "rotations"}
 RUNS = {"hand", "control", "closed_loop", "bag", "run"}
 # Who may import whom, besides itself. Data flows down this list.
 LAYERS = {
     "errors": set(),
     "extras": {"errors"},
+    "files": set(),
     "names": set(),
     "config": {"errors"},
     "jit": {"config", "errors"},
@@ -42,7 +43,17 @@ LAYERS = {
 CLOCKS = {"time", "datetime"}
 # What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.
 BLIND = ("hand", "control")
-PLAIN = ("errors", "extras", "names", "rotations", "config", "jit", "simulation", "closed_loop")
+PLAIN = (
+    "errors",
+    "extras",
+    "files",
+    "names",
+    "rotations",
+    "config",
+    "jit",
+    "simulation",
+    "closed_loop",
+)
 SEEING_NODES = {"plant", "tactile_sensor", "readings", "composed", "recorder", "replay"}
 BLIND_NODES = sorted(
     path

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A file or link is replaced in one step or not at all, and no planted link is followed."""
+
+import os
+import resource
+import signal
+
+import pytest
+
+from tactile_hand_ros.files import replace_link, replace_text
+
+
+def test_text_takes_the_place_of_a_file_and_of_a_link_to_one(tmp_path):
+    file, link = tmp_path / "file", tmp_path / "link"
+    replace_text(file, "one")
+    link.symlink_to(file)
+    replace_text(link, "two")
+    assert (file.read_text(), link.read_text()) == ("one", "two")
+    assert not link.is_symlink()
+    assert file.stat().st_mode & 0o777 == 0o666 & ~_umask()
+
+
+def _umask():
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
+
+
+def test_a_full_disk_leaves_the_old_text_and_no_draft(tmp_path):
+    file = tmp_path / "file"
+    replace_text(file, "old")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            replace_text(file, 100_000 * "x")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert file.read_text() == "old" and list(tmp_path.iterdir()) == [file]
+
+
+def test_a_link_planted_under_the_name_of_the_draft_is_not_followed(tmp_path, monkeypatch):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    monkeypatch.setattr(os, "urandom", bytes)  # as if the name had been guessed
+    draft = tmp_path / f".file.{bytes(8).hex()}"
+    draft.symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        replace_text(tmp_path / "file", "new")
+    assert victim.read_text() == "precious" and not (tmp_path / "file").exists()
+
+
+def test_a_link_always_points_somewhere(tmp_path):
+    for target in ("a", "b"):
+        replace_link(tmp_path / "latest", target)
+        assert os.readlink(tmp_path / "latest") == target
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError):
+        replace_link(tmp_path / "folder", "a")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "latest"]
