@@ -18,14 +18,10 @@ from sensor_msgs.msg import JointState
 from tactile_hand_ros.bench.echo import LEAN, ORDINARY, SOCKET, connect
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import Workload
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import make_executor
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.ros.qos import tick_qos
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    wait_until,
-)
 
 HOPS = 2000
 _WARM = 200
@@ -64,7 +60,7 @@ def _socket_hops(count: int, message: JointState) -> NDArray[np.float64]:
             except (TimeoutError, ConnectionError):
                 return False
 
-        with ProcessUnderTest([*_ECHO, SOCKET, str(port)]):
+        with CapturedProcess([*_ECHO, SOCKET, str(port)]):
             wait_until(turn, _PATIENCE, "the echo")
             return _half_turns(turn, count)
 
@@ -103,7 +99,7 @@ def _ros_hops(kind: str, count: int, message: JointState) -> NDArray[np.float64]
                 executor.shutdown(timeout_sec=0)
 
         heard = node.create_subscription(JointState, "pong", receive, tick_qos(), raw=kind == LEAN)
-        with ProcessUnderTest([*_ECHO, kind]):
+        with CapturedProcess([*_ECHO, kind]):
             wait_until(
                 lambda: (
                     publisher.get_subscription_count()  # type: ignore[attr-defined]

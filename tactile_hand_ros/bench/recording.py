@@ -22,14 +22,10 @@ from sensor_msgs.msg import JointState
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.ros.qos import tick_publisher_qos
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    start_executable,
-    wait_until,
-)
 from tactile_hand_ros.verify.recompute import ShadowLoop
 from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand
 
@@ -79,7 +75,7 @@ def _record(count: int) -> tuple[float, int, float]:
         with start_executable("recorder", "--ros-args", *flags) as recorder:
             wait_until(lambda: list(bag.glob("*.mcap")), _TIMEOUT, "the recorder")
             command = [sys.executable, "-m", __name__, *arguments]
-            with ProcessUnderTest(command) as talker:
+            with CapturedProcess(command) as talker:
                 talker.wait_for_output("begin", _TIMEOUT)
                 process = psutil.Process(recorder.pid)
                 before, began = sum(process.cpu_times()[:2]), time.monotonic()

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.histogram import parse_histogram
-from tactile_hand_ros.ros.testing import ProcessUnderTest, isolated_domain
+from tactile_hand_ros.ros.processes import CapturedProcess
 from tactile_hand_ros.run.run import Run
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def run_graph(seconds: float, *options: str, load: bool = False) -> GraphRun:
     fixed = ["--quiet", "--no-report", "--duration", str(seconds)]
     command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
     with isolated_domain(), tempfile.TemporaryDirectory() as folder:
-        with ProcessUnderTest([*command, *fixed, "--out", folder, *options]) as orchestrator:
+        with CapturedProcess([*command, *fixed, "--out", folder, *options]) as orchestrator:
             usage = _watch(orchestrator, _TIMEOUT + seconds)
             code, said = orchestrator.wait(_TIMEOUT), orchestrator.stderr
         path = Path(folder) / "latest"
@@ -130,7 +131,7 @@ def _load_time(path: Path) -> float:
     return time.perf_counter() - began
 
 
-def _watch(orchestrator: ProcessUnderTest, timeout: float) -> list[Usage]:
+def _watch(orchestrator: CapturedProcess, timeout: float) -> list[Usage]:
     """Look at the processes of a run until it ends."""
     usage: list[Usage] = []
     pause, end = threading.Event(), time.monotonic() + timeout
@@ -169,5 +170,5 @@ def busy_cores(count: int) -> Iterator[None]:
     command = [sys.executable, "-c", "while True: pass"]
     with ExitStack() as stack:
         for _ in range(count):
-            stack.enter_context(ProcessUnderTest(command))
+            stack.enter_context(CapturedProcess(command))
         yield

@@ -32,14 +32,10 @@ from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.topology import Link, links
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
@@ -78,7 +74,7 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
             wait_until(lambda: list(Path(folder).glob("bag/*.mcap")), _PATIENCE, "the recorder")
         command = [sys.executable, "-m", __name__]
         members = [
-            stack.enter_context(ProcessUnderTest([*command, roles, str(int(recorded)), str(ticks)]))
+            stack.enter_context(CapturedProcess([*command, roles, str(int(recorded)), str(ticks)]))
             for roles in processes
         ]
         plant = next(m for m, roles in zip(members, processes, strict=True) if PLANT in roles)

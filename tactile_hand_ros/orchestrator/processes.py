@@ -3,31 +3,23 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
-import time
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 
 from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator import keeper
-from tactile_hand_ros.orchestrator.signals import pause
-from tactile_hand_ros.ros.executables import PACKAGE, child_environment, executable_path
+from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+from tactile_hand_ros.ros.processes import ChildProcess, end_together
 
-_POLL = 0.005  # s
 _PROBE_SECONDS = 15.0
-# How long a signal may take until the next, harder one.
-_PATIENCE = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
-_HASTE = 1.0  # s for each, after a second Ctrl-C
 _TAIL = 15  # lines of a log that are shown
 
 
@@ -88,8 +80,8 @@ class Launcher:
         return [str(path)]
 
 
-class NodeProcess:
-    """One process in a session of its own, with a log.
+class NodeProcess(ChildProcess):
+    """One process of the run, with a log.
 
     Attributes:
         name: Name of the executable.
@@ -107,26 +99,8 @@ class NodeProcess:
         """
         self.name = name
         self.log = log
-        environment = {**child_environment(), keeper.MARK: mark, "PYTHONUNBUFFERED": "1"}
         with log.open("wb") as output:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                start_new_session=True,  # a Ctrl-C in the terminal is the orchestrator's affair
-            )
-
-    @property
-    def returncode(self) -> int | None:
-        """The exit code, None while it runs."""
-        return self._process.poll()
-
-    def send(self, number: int) -> None:
-        """Send a signal to the process and all that it has started."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, number)
+            super().__init__(command, output, subprocess.STDOUT, env={keeper.MARK: mark})
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -184,12 +158,7 @@ class Processes:
         )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End what still runs, then the keeper."""
         self.stop([list(self._started)])
         if self._keeper is not None and self._keeper.stdin is not None:
@@ -240,28 +209,10 @@ class Processes:
 
     def _stop_together(self, group: list[NodeProcess]) -> list[str]:
         running = [process for process in group if process.returncode is None]
-        left = running
-        for number, patience in _PATIENCE:
-            for process in left:
-                process.send(number)
-            left = self._wait(left, patience)
-            if not left:
-                break
-        for process in group:
-            process.send(signal.SIGKILL)  # whatever a process has left in its session
+        end_together(group, self._in_a_hurry)
         return [
             f"{process.name} did not end well: code {process.returncode}, see {process.log}"
             for process in running
             # While it still loads, a process has no handler for SIGINT yet.
             if process.returncode not in (0, -signal.SIGINT)
         ]
-
-    def _wait(self, processes: list[NodeProcess], patience: float) -> list[NodeProcess]:
-        """Wait for the end of processes and return those that still run."""
-        begin = time.monotonic()
-        while left := [process for process in processes if process.returncode is None]:
-            limit = min(patience, _HASTE) if self._in_a_hurry() else patience
-            if time.monotonic() - begin > limit:
-                break
-            pause(_POLL)
-        return left

@@ -30,11 +30,12 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.scenario import Scenario, changed
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.ros.qos import tick_publisher_qos, tick_qos, user_qos
-from tactile_hand_ros.ros.testing import isolated_domain, private_context, start_executable
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import (

@@ -19,7 +19,8 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.slip.detector import Grip
-from tactile_hand_ros.ros.testing import isolated_domain, start_executable
+from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}

@@ -14,7 +14,7 @@ from support.graph import Graph
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.ros.diagnostics import OK, WARN
-from tactile_hand_ros.ros.testing import isolated_domain
+from tactile_hand_ros.ros.domains import isolated_domain
 
 # Weightless, so that the cube waits where it was let go.
 WORLD = {

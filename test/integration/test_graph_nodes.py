@@ -20,6 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from support.messages import contacts_message, force_message, pose_message
+from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
@@ -29,9 +30,10 @@ from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationCont
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec
-from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.truth import true_reading
 

@@ -11,20 +11,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
+from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import number_from_ros
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    spinning,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 
 class ExampleConfig(Config):
@@ -174,7 +170,7 @@ sys.exit(run_nodes([Example, lambda: Example("second")]))
 def run(tmp_path, domain):
     path = tmp_path / "program.py"
     path.write_text(textwrap.dedent(PROGRAM))
-    return lambda *arguments: ProcessUnderTest([sys.executable, str(path), *arguments])
+    return lambda *arguments: CapturedProcess([sys.executable, str(path), *arguments])
 
 
 def end(how):
@@ -215,7 +211,7 @@ def test_a_bug_shows_its_traceback_and_the_nodes_are_still_closed(run):
 def test_an_error_while_closing_is_shown_and_the_others_are_closed(run):
     with run(*end("close")) as process:
         process.wait_for_output("stepping")
-        process.interrupt()
+        process.send_to_group(signal.SIGINT)
         assert process.wait() == 1
         assert "the bag is not finished" in process.stderr
         assert "closed second" in process.stdout and "closed example" in process.stdout

@@ -17,20 +17,15 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 from support.messages import pose_message
+from support.spinning import spinning
 
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.orchestrator.session import START_ORDER
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    spinning,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.recompute import recompute
@@ -63,7 +58,7 @@ TICK_TOPICS = [
     *(f"ground_truth/finger_{i}/wrench" for i in (1, 2, 3)),
 ]
 
-Start = Callable[..., ProcessUnderTest]
+Start = Callable[..., CapturedProcess]
 
 
 @pytest.fixture
@@ -86,14 +81,14 @@ def start(domain: int, tmp_path: Path) -> Iterator[Start]:
     """Return a function that starts orchestrators, which do not outlive the test."""
     with ExitStack() as stack:
 
-        def _start(*arguments: object, env: dict[str, str] | None = None) -> ProcessUnderTest:
+        def _start(*arguments: object, env: dict[str, str] | None = None) -> CapturedProcess:
             words = [str(argument) for argument in (*arguments, "--out", tmp_path / "runs")]
             return stack.enter_context(start_executable("orchestrator", *words, env=env))
 
         yield _start
 
 
-def end_of(orchestrator: ProcessUnderTest) -> int:
+def end_of(orchestrator: CapturedProcess) -> int:
     """Wait for the end, insist on no traceback and return the exit code."""
     code = orchestrator.wait(PATIENCE)
     assert "Traceback" not in orchestrator.stderr, orchestrator.stderr
@@ -111,7 +106,7 @@ def summary_of(tmp_path: Path) -> dict[str, object]:
     return content
 
 
-def wait_until_running(tmp_path: Path, orchestrator: ProcessUnderTest) -> None:
+def wait_until_running(tmp_path: Path, orchestrator: CapturedProcess) -> None:
     """Wait until some hundred ticks are in the bag."""
     bag = latest(tmp_path) / "bag" / "bag_0.mcap"
 
@@ -122,7 +117,7 @@ def wait_until_running(tmp_path: Path, orchestrator: ProcessUnderTest) -> None:
     wait_until(well_under_way, PATIENCE, "a bag that grows")
 
 
-def family(orchestrator: ProcessUnderTest) -> list[psutil.Process]:
+def family(orchestrator: CapturedProcess) -> list[psutil.Process]:
     """Return all processes that an orchestrator has started, and theirs."""
     found = psutil.Process(orchestrator.pid).children(recursive=True)
     assert len(found) >= len(START_ORDER)
@@ -354,7 +349,7 @@ def test_missing_node_is_named_with_its_topics(start: Start, near: Path, tmp_pat
     assert_gone(processes)
 
 
-def family_when_started(orchestrator: ProcessUnderTest) -> list[psutil.Process]:
+def family_when_started(orchestrator: CapturedProcess) -> list[psutil.Process]:
     """Wait until all nodes are started and return them."""
     wait_until(
         lambda: len(psutil.Process(orchestrator.pid).children()) > len(START_ORDER), PATIENCE
@@ -401,8 +396,8 @@ def test_keeper_finds_processes_by_their_mark_only(tmp_path: Path) -> None:
     """A mark that merely begins alike is another run's."""
     sleeper = ["tail", "-f", os.devnull]
     with (
-        ProcessUnderTest(sleeper, env={keeper.MARK: "mark-1"}) as ours,
-        ProcessUnderTest(sleeper, env={keeper.MARK: "mark-12"}) as theirs,
+        CapturedProcess(sleeper, env={keeper.MARK: "mark-1"}) as ours,
+        CapturedProcess(sleeper, env={keeper.MARK: "mark-12"}) as theirs,
     ):
         wait_until(lambda: list(keeper.marked("mark-1")) == [ours.pid])
         keeper.sweep("mark-1", grace=1.0)

@@ -10,11 +10,13 @@ import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from support.spinning import spinning
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.parameters import ConfigParameters, to_params_yaml
-from tactile_hand_ros.ros.testing import isolated_domain, private_context, spinning, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 
 
 class Law(str, enum.Enum):

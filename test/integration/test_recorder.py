@@ -35,16 +35,11 @@ from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, parse_peers
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    find_executable,
-    isolated_domain,
-    private_context,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -68,11 +63,11 @@ def node(domain: int) -> Iterator[Node]:
 
 
 @pytest.fixture
-def start(domain: int) -> Iterator[Callable[..., ProcessUnderTest]]:
+def start(domain: int) -> Iterator[Callable[..., CapturedProcess]]:
     """Return a function that starts recorders, which do not outlive the test."""
     with ExitStack() as stack:
 
-        def _start(output: Path, *parameters: str) -> ProcessUnderTest:
+        def _start(output: Path, *parameters: str) -> CapturedProcess:
             arguments = [f"output:={output}", *parameters]
             flags = [word for argument in arguments for word in ("-p", argument)]
             recorder = start_executable("recorder", "--ros-args", *flags)
@@ -81,13 +76,13 @@ def start(domain: int) -> Iterator[Callable[..., ProcessUnderTest]]:
         yield _start
 
 
-def end_well(recorder: ProcessUnderTest, number: int = signal.SIGINT) -> None:
+def end_well(recorder: CapturedProcess, number: int = signal.SIGINT) -> None:
     """Send a signal and insist on a clean end."""
     recorder.send(number)
     assert recorder.wait() == 0, recorder.stdout + recorder.stderr
 
 
-def refusal(recorder: ProcessUnderTest) -> str:
+def refusal(recorder: CapturedProcess) -> str:
     """Insist on a failing exit code without a traceback and return what was said."""
     assert recorder.wait() != 0
     assert "Traceback" not in recorder.stderr
@@ -147,7 +142,7 @@ def joint_state(i: int) -> JointState:
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_everything_sent_before_the_end_is_in_the_bag(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path, how: signal.Signals
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path, how: signal.Signals
 ) -> None:
     """The signal follows the last message at once; count, order and bytes are complete."""
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
@@ -176,7 +171,7 @@ def test_everything_sent_before_the_end_is_in_the_bag(
 
 
 def test_bytes_are_those_on_the_wire(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """A raw subscription beside the recorder gets the same bytes."""
     heard: list[bytes] = []
@@ -197,7 +192,7 @@ def test_bytes_are_those_on_the_wire(
 
 
 def test_offers_hash_and_times_are_recorded(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Latched messages from before the recorder, best-effort topics, two publishers."""
     latched = node.create_publisher(String, "robot_description", LATCHED)
@@ -233,7 +228,7 @@ def test_offers_hash_and_times_are_recorded(
 
 
 def test_publisher_that_appears_later_finds_the_subscription_waiting(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """A topic that somebody listens to is subscribed before anybody speaks on it."""
     node.create_subscription(Float64, "user_grasp_force", print, 10)
@@ -251,7 +246,7 @@ def test_publisher_that_appears_later_finds_the_subscription_waiting(
 
 
 def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """The waiting subscription asked for more than is offered and gives way."""
     node.create_subscription(Float64, "late", print, SENSOR)
@@ -266,7 +261,7 @@ def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(
 
 
 def test_topics_are_chosen_by_patterns(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Only what is included and not excluded is in the bag."""
     names = ("left/a", "left/b", "right/a")
@@ -282,7 +277,7 @@ def test_topics_are_chosen_by_patterns(
 
 
 def test_diagnostics_tell_what_was_recorded(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Counters appear on /diagnostics, which is recorded, too."""
     publisher = node.create_publisher(Float64, "value", DEEP)
@@ -315,7 +310,7 @@ def _recorder_values(message: DiagnosticArray) -> list[dict[str, str]]:
     ]
 
 
-def test_existing_folder_is_refused(start: Callable[..., ProcessUnderTest], tmp_path: Path) -> None:
+def test_existing_folder_is_refused(start: Callable[..., CapturedProcess], tmp_path: Path) -> None:
     """One sentence, no traceback, a failing exit code."""
     assert f"{tmp_path} exists already" in refusal(start(tmp_path))
 
@@ -338,7 +333,7 @@ def test_killed_at_random_moments_nothing_but_the_last_moment_is_lost(
 
 
 def test_recorder_continues_after_it_was_killed(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Both halves are in one bag, which opens everywhere; the broken file is kept."""
     bag = tmp_path / "bag"
@@ -370,7 +365,7 @@ def _on_disk(file: Path) -> dict[str, int]:
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_split_and_compressed_bag_opens_in_everything(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path, compression: str
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path, compression: str
 ) -> None:
     """Folder by rosbags, each file by mcap-ros2-support; all messages in order."""
     publisher = node.create_publisher(JointState, "joint_states", DEEP)
@@ -398,7 +393,7 @@ def test_split_and_compressed_bag_opens_in_everything(
 
 
 def test_snapshot_writes_the_last_seconds(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Each call gives a file of a whole bag; what is older than the memory is gone."""
     bag = tmp_path / "bag"
@@ -443,8 +438,8 @@ def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
     bag = tmp_path / "bag"
     publisher = node.create_publisher(JointState, "joint_states", DEEP)
     arguments = f"--ros-args -p output:={bag} -p compression:=none"
-    command = f"ulimit -f 100; exec {find_executable('recorder')} {arguments}"
-    with ProcessUnderTest(["bash", "-c", command]) as recorder:
+    command = f"ulimit -f 100; exec {executable_path('recorder')} {arguments}"
+    with CapturedProcess(["bash", "-c", command]) as recorder:
         wait_for_recorder(publisher)
         executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
@@ -462,7 +457,7 @@ def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
 
 
 def test_nothing_is_lost_at_a_high_rate_over_twelve_topics(
-    start: Callable[..., ProcessUnderTest], node: Node, tmp_path: Path
+    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """Counts match; the bag says that nothing is missing."""
     publishers = [
@@ -501,7 +496,7 @@ def test_output_is_required(domain: int) -> None:
     ],
 )
 def test_bad_parameter_is_refused(
-    start: Callable[..., ProcessUnderTest], tmp_path: Path, parameter: str, complaint: str
+    start: Callable[..., CapturedProcess], tmp_path: Path, parameter: str, complaint: str
 ) -> None:
     """The sentence says what is allowed, and nothing is created."""
     assert complaint in refusal(start(tmp_path / "bag", parameter))
@@ -509,7 +504,7 @@ def test_bad_parameter_is_refused(
 
 
 def test_recorder_started_and_stopped_at_once_leaves_a_valid_bag(
-    start: Callable[..., ProcessUnderTest], tmp_path: Path
+    start: Callable[..., CapturedProcess], tmp_path: Path
 ) -> None:
     """Without any message of others the bag still opens."""
     recorder = start(tmp_path / "bag", "topics:=['/nothing']")

@@ -28,12 +28,8 @@ from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    wait_until,
-)
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.replay_through_nodes import ask_nodes
@@ -88,7 +84,7 @@ def listener() -> Iterator[Listener]:
 
 
 @pytest.fixture
-def replay(tmp_path: Path) -> Iterator[Callable[..., ProcessUnderTest]]:
+def replay(tmp_path: Path) -> Iterator[Callable[..., CapturedProcess]]:
     """Return a function that starts a paused replay of a bag of a second."""
     bag = tmp_path / "bag"
     with BagWriter(bag) as writer:
@@ -105,9 +101,9 @@ def replay(tmp_path: Path) -> Iterator[Callable[..., ProcessUnderTest]]:
             writer.write(sensor, data, at + 1, at)
     with ExitStack() as stack:
 
-        def start(*arguments: str) -> ProcessUnderTest:
+        def start(*arguments: str) -> CapturedProcess:
             command = [sys.executable, "-m", "tactile_hand_ros.cli", "replay", bag]
-            return stack.enter_context(ProcessUnderTest([*command, "--start-paused", *arguments]))
+            return stack.enter_context(CapturedProcess([*command, "--start-paused", *arguments]))
 
         yield start
 
@@ -118,7 +114,7 @@ def heard_of(listener: Listener, *topics: str) -> Callable[[], bool]:
 
 
 def test_all_messages_come_in_order_and_not_before_their_time(
-    replay: Callable[..., ProcessUnderTest], listener: Listener
+    replay: Callable[..., CapturedProcess], listener: Listener
 ) -> None:
     """Bytes, order, quality of service and pace; a slow machine can only be late."""
     listener.listen("/value", Float64, DEEP)
@@ -142,7 +138,7 @@ def test_all_messages_come_in_order_and_not_before_their_time(
 
 
 def test_choice_of_topics_namespace_and_start(
-    replay: Callable[..., ProcessUnderTest], listener: Listener
+    replay: Callable[..., CapturedProcess], listener: Listener
 ) -> None:
     """What is latched before the start comes first."""
     listener.listen("/left/value", Float64, DEEP)
@@ -160,7 +156,7 @@ def test_choice_of_topics_namespace_and_start(
 
 
 def test_pause_loop_clock_and_interrupt(
-    replay: Callable[..., ProcessUnderTest], listener: Listener
+    replay: Callable[..., CapturedProcess], listener: Listener
 ) -> None:
     """Time stands still while paused; the loop begins again; Ctrl-C ends without a traceback."""
     listener.listen("/value", Float64, DEEP)
@@ -187,7 +183,7 @@ def test_pause_loop_clock_and_interrupt(
 
 
 def test_loop_of_one_instant_does_not_spin(
-    replay: Callable[..., ProcessUnderTest], listener: Listener
+    replay: Callable[..., CapturedProcess], listener: Listener
 ) -> None:
     """Rounds without duration come ten times a second, not as fast as the machine can."""
     listener.listen("/robot_description", String, LATCHED)
@@ -203,7 +199,7 @@ def test_loop_of_one_instant_does_not_spin(
 
 
 def test_space_key_goes_on(
-    replay: Callable[..., ProcessUnderTest], listener: Listener, tmp_path: Path
+    replay: Callable[..., CapturedProcess], listener: Listener, tmp_path: Path
 ) -> None:
     """On a terminal, which is given back as it was."""
     listener.listen("/value", Float64, DEEP)
@@ -236,7 +232,7 @@ def test_space_key_goes_on(
 
 
 def test_what_cannot_be_replayed_is_refused_in_a_sentence(
-    replay: Callable[..., ProcessUnderTest], listener: Listener, tmp_path: Path
+    replay: Callable[..., CapturedProcess], listener: Listener, tmp_path: Path
 ) -> None:
     """No topic left, a bad rate, a bad pattern."""
     for arguments, text in (

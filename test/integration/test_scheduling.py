@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,17 +13,12 @@ from pathlib import Path
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from support.spinning import spinning
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    find_executable,
-    isolated_domain,
-    private_context,
-    spinning,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.executables import executable_path
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
 
 PRIORITY = 7
@@ -54,11 +50,11 @@ def reports() -> Iterator[list[DiagnosticStatus]]:
         node.destroy_node()
 
 
-def start(*words: str, permitted: bool = True) -> ProcessUnderTest:
+def start(*words: str, permitted: bool = True) -> CapturedProcess:
     """Start a node, on wish without the right to use SCHED_FIFO."""
-    command = [str(find_executable(NODE)), *words]
+    command = [str(executable_path(NODE)), *words]
     wrapper = [] if permitted else [sys.executable, "-c", _WITHOUT_RIGHT]
-    return ProcessUnderTest([*wrapper, *command])
+    return CapturedProcess([*wrapper, *command])
 
 
 def first(reports: list[DiagnosticStatus]) -> tuple[DiagnosticStatus, dict[str, str]]:
@@ -103,7 +99,8 @@ def test_a_refusal_is_a_warning_and_the_node_works_on(reports):
         assert status.level == DiagnosticStatus.WARN
         assert f"--priority {PRIORITY} was refused" in status.message
         assert facts["scheduling_policy"] == "SCHED_OTHER"
-        assert process.stop() == 0
+        process.send(signal.SIGINT)
+        assert process.wait() == 0
 
 
 def test_a_processor_that_is_not_there_is_a_warning(reports):

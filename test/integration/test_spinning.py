@@ -20,6 +20,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros.ros import executor as spinning_module
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
     WaitSetExecutor,
     is_supported,
@@ -27,12 +28,7 @@ from tactile_hand_ros.ros.executor import (
     spin,
     take_latest,
 )
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -339,7 +335,7 @@ def program(tmp_path, domain):
 @pytest.mark.parametrize("phase", ["built", "spinning"])
 @pytest.mark.parametrize("load", ["busy", "idle"])
 def test_a_signal_ends_a_node_at_once_and_quietly(program, number, load, phase):
-    with ProcessUnderTest([*program, load]) as process:
+    with CapturedProcess([*program, load]) as process:
         process.wait_for_output(phase)
         start = time.monotonic()
         process.send(number)
@@ -350,7 +346,7 @@ def test_a_signal_ends_a_node_at_once_and_quietly(program, number, load, phase):
 
 
 def test_an_idle_node_uses_no_processor_time(program):
-    with ProcessUnderTest([*program, "idle"]) as process:
+    with CapturedProcess([*program, "idle"]) as process:
         process.wait_for_output("spinning")
         watched = psutil.Process(process.pid)
         watched.cpu_percent(None)

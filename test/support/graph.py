@@ -7,7 +7,6 @@ import signal
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +22,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from support.messages import pose_message
+from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import private_context
 from tactile_hand_ros.ros.messages.conversions import (
     Array,
     contacts_from_ros,
@@ -35,13 +36,7 @@ from tactile_hand_ros.ros.messages.conversions import (
 )
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    private_context,
-    spinning,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
 PATIENCE = 120.0
 """Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
@@ -72,7 +67,7 @@ class Graph:
         self.namespace = namespace
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.health: dict[str, Health] = {}
-        self.processes: dict[str, ProcessUnderTest] = {}
+        self.processes: dict[str, CapturedProcess] = {}
         self._domain, self._folder, self._composed = domain, folder, composed
         self._stack = ExitStack()
         self._newest: dict[str, bytes] = {}
@@ -98,20 +93,15 @@ class Graph:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End all processes."""
         self._stack.close()
 
-    def start(self, name: str) -> ProcessUnderTest:
+    def start(self, name: str) -> CapturedProcess:
         """Start a node, or start it again, with the parameters of the scenario."""
         return self._launch(name, [name])
 
-    def _launch(self, executable: str, nodes: Iterable[str]) -> ProcessUnderTest:
+    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
         for name in nodes:
             file = self._folder / f"{name}.yaml"

@@ -24,13 +24,9 @@ from std_msgs.msg import Int64
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
 TOPICS = ("/left/number", "/right/number")
 RATE = 500.0  # Hz on each topic
@@ -77,7 +73,7 @@ def talk(diary: Path) -> None:
 @contextmanager
 def talker(diary: Path) -> Iterator[None]:
     """Have somebody talk in a process of its own."""
-    process = ProcessUnderTest([sys.executable, __file__, "talk", diary])
+    process = CapturedProcess([sys.executable, __file__, "talk", diary])
     with process:
         wait_until(lambda: diary.exists() and diary.stat().st_size > 0, 30.0)
         yield

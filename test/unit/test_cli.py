@@ -14,7 +14,7 @@ from support.recorded import random_record, write_record
 
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved, scenario_names
-from tactile_hand_ros.ros.testing import ProcessUnderTest, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
 
@@ -218,11 +218,11 @@ def test_reproduce_writes_figures_and_report(
 def test_interrupted_reproduction_leaves_nothing(tmp_path: Path) -> None:
     """Ctrl-C reaches the whole group; neither a process nor a traceback remains."""
     command = [*COMMAND, "reproduce", "--out", str(tmp_path / "out")]
-    with ProcessUnderTest(command) as process:
+    with CapturedProcess(command) as process:
         workers = f"/proc/{process.pid}/task/{process.pid}/children"
         wait_until(lambda: len(Path(workers).read_text().split()) >= 2, 60.0, "workers to start")
         children = [int(pid) for pid in Path(workers).read_text().split()]
-        process.interrupt()
+        process.send_to_group(signal.SIGINT)
         # Python turns an interrupt in the middle of some imports into death by that very signal.
         assert process.wait(30.0) in (130, -signal.SIGINT)
         wait_until(lambda: not any(is_alive(pid) for pid in children), 20.0, "workers to end")

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executables import executable_path
-from tactile_hand_ros.ros.testing import isolated_domain
 
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
 COMMANDS = {"typer", "rich"}

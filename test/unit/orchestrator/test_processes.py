@@ -15,7 +15,7 @@ import pytest
 from tactile_hand_ros.orchestrator.keeper import MARK
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, NodeProcess, Processes
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
-from tactile_hand_ros.ros.testing import wait_until
+from tactile_hand_ros.ros.processes import wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"

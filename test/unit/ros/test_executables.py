@@ -3,7 +3,12 @@
 
 import pytest
 
-from tactile_hand_ros.ros.executables import ExecutableError, executable_directory, main
+from tactile_hand_ros.ros.executables import (
+    ExecutableError,
+    executable_directory,
+    executable_path,
+    main,
+)
 
 
 @pytest.mark.parametrize("prefix", [None, "", "/nowhere"])
@@ -15,3 +20,8 @@ def test_an_index_that_is_not_there_is_named(monkeypatch, capsys, prefix):
         executable_directory()
     assert main(["plant"]) == 2
     assert "does not know tactile_hand_ros" in capsys.readouterr().err
+
+
+def test_an_unknown_executable_is_named_with_the_known_ones():
+    with pytest.raises(ExecutableError, match="'no_such_node': choose one of composed, "):
+        executable_path("no_such_node")

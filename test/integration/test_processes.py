@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The support for tests does what it says: isolation, waiting, and nothing left behind."""
+"""Isolated domains, waiting, and processes that leave nothing behind."""
 
 import os
 import signal
@@ -9,16 +9,10 @@ import psutil
 import pytest
 import rclpy
 from std_msgs.msg import Float64
+from support.spinning import spinning
 
-from tactile_hand_ros.ros.executables import ExecutableError
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    find_executable,
-    isolated_domain,
-    private_context,
-    spinning,
-    wait_until,
-)
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 
 def test_domains_are_never_shared_and_the_environment_is_restored():
@@ -60,7 +54,7 @@ def test_the_whole_process_group_ends_even_if_it_ignores_signals():
         "if child: print(child, flush=True)\n"
         "else: signal.pause()\n"
     )
-    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+    with CapturedProcess([sys.executable, "-c", program]) as process:
         assert process.wait() == 0
         child = psutil.Process(int(process.stdout))
         assert child.is_running()
@@ -69,7 +63,7 @@ def test_the_whole_process_group_ends_even_if_it_ignores_signals():
 
 def test_output_and_exit_code_are_kept():
     program = "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"
-    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+    with CapturedProcess([sys.executable, "-c", program]) as process:
         assert process.wait() == 3
         assert (process.stdout, process.stderr, process.returncode) == ("out\n", "err\n", 3)
         with pytest.raises(TimeoutError, match="'never'(.|\n)*out"):
@@ -78,7 +72,7 @@ def test_output_and_exit_code_are_kept():
 
 def test_a_process_that_does_not_end_says_where_it_stands():
     program = "import signal\ndef stuck(): print(1); signal.pause()\nstuck()"
-    with ProcessUnderTest([sys.executable, "-c", program]) as process:
+    with CapturedProcess([sys.executable, "-c", program]) as process:
         process.wait_for_output("1")
         with pytest.raises(TimeoutError, match="still running after 0.05 s(.|\n)*in stuck"):
             process.wait(0.05)
@@ -99,8 +93,3 @@ def test_an_exception_in_the_spinning_thread_reaches_the_test():
             with spinning(node):
                 wait_until(lambda: hits)
         node.destroy_node()
-
-
-def test_an_unknown_executable_is_an_error():
-    with pytest.raises(ExecutableError):
-        find_executable("no_such_node")

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes in sessions of their own, which end with all that they have started."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from tactile_hand_ros.ros.executables import child_environment, executable_path
+
+_POLL_SECONDS = 0.002
+_STOP_SECONDS = 5.0
+# How long a signal may take until the next, harder one.
+_PATIENCE = ((signal.SIGINT, _STOP_SECONDS), (signal.SIGTERM, 2.0), (signal.SIGKILL, _STOP_SECONDS))
+_HASTE = 1.0  # s for each, when it is urgent
+
+
+def wait_until(condition: Callable[[], Any], timeout: float = 10.0, message: str = "") -> Any:
+    """Wait until a condition is true and return its value.
+
+    Args:
+        condition: Asked again and again.
+        timeout: Longest wait [s].
+        message: What was waited for, for the error.
+
+    Raises:
+        TimeoutError: If the condition stays false.
+    """
+    deadline = time.monotonic() + timeout
+    pause = threading.Event()  # which signals do not cut short
+    while not (result := condition()):
+        if time.monotonic() > deadline:
+            what = message or getattr(condition, "__name__", "the condition")
+            raise TimeoutError(f"waited {timeout:g} s in vain for {what}")
+        pause.wait(_POLL_SECONDS)
+    return result
+
+
+class ChildProcess:
+    """A process that leads a session of its own: a Ctrl-C in the terminal does not reach it."""
+
+    def __init__(
+        self,
+        command: Sequence[str | os.PathLike[str]],
+        stdout: Any,
+        stderr: Any,
+        *,
+        env: Mapping[str, str] | None = None,
+        cwd: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """Start it.
+
+        Args:
+            command: Program and arguments.
+            stdout: File for the standard output.
+            stderr: File for the standard error, or ``subprocess.STDOUT``.
+            env: Variables to set or change.
+            cwd: Working directory.
+        """
+        self.command = [os.fspath(part) for part in command]
+        self._process = subprocess.Popen(
+            self.command,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            env={**child_environment(), "PYTHONUNBUFFERED": "1", **(env or {})},
+            cwd=cwd,
+            start_new_session=True,
+        )
+
+    @property
+    def pid(self) -> int:
+        """The process id, which is the id of its group too."""
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit code, None while the process runs."""
+        return self._process.poll()
+
+    def send(self, number: int) -> None:
+        """Send a signal to the process alone, as ``kill`` does."""
+        self._process.send_signal(number)
+
+    def send_to_group(self, number: int) -> None:
+        """Send a signal to the process and all that it has started, as a terminal does."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+
+def end_together(
+    processes: Sequence[ChildProcess], is_urgent: Callable[[], bool] = lambda: False
+) -> None:
+    """End processes and all that they have started: SIGINT first, SIGKILL last.
+
+    Args:
+        processes: Those that get each signal at the same time.
+        is_urgent: Asked while waiting for the end: whether to be less patient.
+    """
+    for number, patience in _PATIENCE:
+        for process in processes:
+            if process.returncode is None:
+                process.send_to_group(number)
+        _wait_for_end(processes, patience, is_urgent)
+    for process in processes:
+        process.send_to_group(signal.SIGKILL)  # whatever it has left in its session
+
+
+def _wait_for_end(
+    processes: Sequence[ChildProcess], patience: float, is_urgent: Callable[[], bool]
+) -> None:
+    began = time.monotonic()
+
+    def is_over() -> bool:
+        limit = min(patience, _HASTE) if is_urgent() else patience
+        ended = all(process.returncode is not None for process in processes)
+        return ended or time.monotonic() - began > limit
+
+    wait_until(is_over, 2.0 * patience)
+
+
+class CapturedProcess(ChildProcess):
+    """A process whose output is kept; its group ends with the block."""
+
+    def __init__(
+        self,
+        command: Sequence[str | os.PathLike[str]],
+        *,
+        env: Mapping[str, str] | None = None,
+        cwd: str | os.PathLike[str] | None = None,
+    ) -> None:
+        """Start it; see `ChildProcess`."""
+        self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
+        # With a fault handler, SIGABRT makes a process that hangs say where.
+        env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
+        super().__init__(command, *self._files, env=env, cwd=cwd)
+
+    @property
+    def stdout(self) -> str:
+        """What was written to the standard output so far."""
+        return self._read(0)
+
+    @property
+    def stderr(self) -> str:
+        """What was written to the standard error so far."""
+        return self._read(1)
+
+    def _read(self, index: int) -> str:
+        descriptor = self._files[index].fileno()
+        # The child writes at the same offset: read without moving it.
+        return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors="replace")
+
+    def wait(self, timeout: float = 20.0) -> int:
+        """Wait for the end and return the exit code.
+
+        Raises:
+            TimeoutError: With all output so far and where each of its threads stood.
+        """
+        try:
+            return self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.send(signal.SIGABRT)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_STOP_SECONDS)
+            raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
+
+    def wait_for_output(self, text: str, timeout: float = 20.0) -> None:
+        """Wait until a text appears in the output or on stderr.
+
+        Raises:
+            TimeoutError: With all output so far.
+        """
+        try:
+            wait_until(lambda: text in self.stdout + self.stderr, timeout, f"'{text}'")
+        except TimeoutError as error:
+            raise TimeoutError(f"{error}{self._report()}") from None
+
+    def _report(self) -> str:
+        return f": {' '.join(self.command)}\n{self.stdout}\n{self.stderr}"
+
+    def __enter__(self) -> CapturedProcess:
+        """Return the process."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the group and drop the output."""
+        end_together([self])
+        self._process.wait()
+        for file in self._files:
+            file.close()
+
+
+def start_executable(
+    name: str, *args: str, env: Mapping[str, str] | None = None
+) -> CapturedProcess:
+    """Start an executable of this package as ``ros2 run`` does.
+
+    Args:
+        name: Such as ``plant``.
+        *args: Its arguments.
+        env: Variables to set or change.
+    """
+    return CapturedProcess([executable_path(name), *args], env=env)
