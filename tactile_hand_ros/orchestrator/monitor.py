@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,12 +20,11 @@ from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.wiring import Peers
 from tactile_hand_ros.ros.diagnostics import OK, STALE
-from tactile_hand_ros.ros.executor import take_latest
+from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
-from tactile_hand_ros.ros.raw_topic import DirectTakeGroup
 
-_HEADER = 4  # bytes of a CDR message before its first field, which is the stamp here
 _LATEST, _ALL = 1, 100
 _SIX_DIGITS = 5e-6  # how far a number in the diagnostics may be off
 
@@ -46,12 +44,6 @@ class Look:
     grasp_force: float
 
 
-def stamp_of(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that begins with a header."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _HEADER)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
-
-
 class Monitor:
     """Subscriptions that hold one message each and decode it only when somebody looks."""
 
@@ -62,7 +54,6 @@ class Monitor:
             node: A node in the namespace of the run. Its executor does not see the subscriptions.
         """
         self._node = node
-        self._group = DirectTakeGroup()
         self._command = self._subscribe(JointState, names.JOINT_COMMAND, _LATEST)
         self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
         self._force = self._subscribe(WrenchStamped, names.GRASP_FORCE, _LATEST)
@@ -82,9 +73,7 @@ class Monitor:
             depth=depth,
             reliability=QoSReliabilityPolicy.RELIABLE,
         )
-        return self._node.create_subscription(
-            kind, topic, _never_called, profile, callback_group=self._group, raw=True
-        )
+        return subscribe_directly(self._node, kind, topic, profile)
 
     def answered(self) -> int:
         """Return the stamp of the newest tick that was answered [ns], -1 before the first."""
@@ -125,8 +114,8 @@ class Monitor:
         return self.answered() >= at * (1.0 - _SIX_DIGITS)
 
     def _take_diagnostics(self) -> None:
-        for message in _take_all(self._diagnostics, DiagnosticArray):
-            for status in message.status:
+        for data, _ in taken(self._diagnostics):
+            for status in deserialize_message(data, DiagnosticArray).status:
                 self._status[status.name] = (status.level, status.message)
                 told = {pair.key: pair.value for pair in status.values}
                 if status.name == self._plant_name:
@@ -143,7 +132,8 @@ class Monitor:
         return self._last.get(subscription.topic_name)
 
     def _take_targets(self) -> None:
-        for message in _take_all(self._desired, PoseStamped):
+        for data, _ in taken(self._desired):
+            message = deserialize_message(data, PoseStamped)
             try:
                 target = pose_from_ros(message)
             except MessageError:  # the controller refuses it too, and says so
@@ -164,15 +154,3 @@ class Monitor:
 
 def _is_bad(level: bytes) -> bool:
     return bool(OK < level < STALE)
-
-
-def _take_all(subscription: Subscription, kind: Any) -> list[Any]:
-    taken = []
-    with subscription.handle:
-        while (item := subscription.handle.take_message(kind, True)) is not None:
-            taken.append(deserialize_message(item[0], kind))
-    return taken
-
-
-def _never_called(_: Any) -> None:
-    """Stand in for a callback: messages are taken directly."""

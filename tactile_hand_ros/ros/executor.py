@@ -22,7 +22,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
@@ -30,6 +29,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from tactile_hand_ros.ros.direct_take import taken
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100
@@ -94,22 +94,6 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
         chosen.shutdown()
 
 
-def take_latest(subscription: Subscription) -> Any:
-    """Take everything that has arrived and return the newest message, None if there is none.
-
-    For loops that poll instead of spinning. A raw subscription gives bytes.
-    """
-    take = subscription.handle.take_message
-    kind, raw = subscription.msg_type, subscription.raw
-    newest = None
-    with subscription.handle:
-        taken = take(kind, raw)
-        while taken is not None:
-            newest = taken[0]
-            taken = take(kind, raw)
-    return newest
-
-
 class WaitSetExecutor(SingleThreadedExecutor):
     """A single-threaded executor that keeps its wait set.
 
@@ -171,7 +155,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
             self._serve_timers(ready.timers, entities)
         for pointer in ready.subscriptions:
             subscription = entities.subscriptions.get(pointer)
-            if subscription is not None:
+            if subscription is not None and not self._stale:
                 self._drain(subscription)
         if self._afterwards:
             self._call_afterwards()
@@ -207,15 +191,9 @@ class WaitSetExecutor(SingleThreadedExecutor):
                 timer.callback()
 
     def _drain(self, subscription: Subscription) -> None:
-        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
-        for _ in range(_BURST):
+        alone = subscription._callback_type is Subscription.CallbackType.MessageOnly
+        for message, info in taken(subscription, _BURST):
+            subscription.callback(*((message,) if alone else (message, info)))
             # A subscription that a callback destroyed must not see another message.
             if self._stale:
                 return
-            taken = take(kind, raw)
-            if taken is None:
-                return
-            if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-                subscription.callback(taken[0])
-            else:
-                subscription.callback(*taken)

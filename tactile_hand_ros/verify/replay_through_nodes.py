@@ -31,7 +31,7 @@ from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.scenario import Scenario, changed
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.messages.wire import PoseCodec, stamp_of
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import start_executable
@@ -102,14 +102,8 @@ def _payloads(run: Run, wanted: list[str]) -> Payloads:
     full = {run.topics.full(name): name for name in wanted}
     out: Payloads = {name: {} for name in wanted}
     for topic, _, data in read_raw(run.bag, full):
-        out[full[topic]][_stamp(data)] = data
+        out[full[topic]][stamp_of(data)] = data
     return out
-
-
-def _stamp(data: bytes) -> int:
-    order = "little" if data[1] == 1 else "big"
-    seconds = int.from_bytes(data[4:8], order, signed=True)  # type: ignore[arg-type]
-    return seconds * 10**9 + int.from_bytes(data[8:12], order)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -167,7 +161,7 @@ class _Feeder:
         self._stack.close()
 
     def _hear(self, name: str, data: bytes) -> None:
-        self.got[name][_stamp(data)] = data
+        self.got[name][stamp_of(data)] = data
 
     def _until(self, condition: Callable[[], bool], what: str, limit: float = _PATIENCE) -> None:
         end = time.monotonic() + limit

@@ -20,13 +20,13 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros.ros import executor as spinning_module
+from tactile_hand_ros.ros.direct_take import take_latest
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
     WaitSetExecutor,
     is_supported,
     make_executor,
     spin,
-    take_latest,
 )
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 

@@ -18,8 +18,8 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
 from tactile_hand_ros.ros.diagnostics import WARN
+from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.node import TactileNode, set_period
-from tactile_hand_ros.ros.raw_topic import DirectTakeGroup
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 

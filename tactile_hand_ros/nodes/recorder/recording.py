@@ -19,9 +19,9 @@ from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.nodes.recorder.raw_topic import RawTopic
 from tactile_hand_ros.nodes.recorder.snapshot import SnapshotBuffer
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
-from tactile_hand_ros.ros.raw_topic import DirectTakeGroup, RawTopic
 
 _CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
 _CALM_AFTER = 5.0  # s after the last change
@@ -64,7 +64,6 @@ class Recording:
         self._node = node
         self._config = config
         self._selection = TopicSelection(config.topics, config.exclude)
-        self._group = DirectTakeGroup()
         self._topics: dict[str, RawTopic] = {}
         self._refused: set[str] = set()
         self._next_discovery = 0.0
@@ -223,7 +222,7 @@ class Recording:
         depth = self._config.queue_depth
         try:
             message_definition(type_name)
-            topic = RawTopic(self._node, self._group, name, type_name, publishers, depth)
+            topic = RawTopic(self._node, name, type_name, publishers, depth)
         except BagError as error:
             self._refused.add(name)
             self._node.get_logger().error(f"{name} is not recorded: {error}")

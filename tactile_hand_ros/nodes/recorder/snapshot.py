@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from tactile_hand_ros.ros.raw_topic import RawTopic
+from tactile_hand_ros.nodes.recorder.raw_topic import RawTopic
 
 
 class Kept(NamedTuple):

@@ -24,8 +24,8 @@ from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.timeline import Timeline
+from tactile_hand_ros.ros.messages.types import message_class
 from tactile_hand_ros.ros.messages.wire import clock_bytes
-from tactile_hand_ros.ros.raw_topic import message_class
 
 CLOCK = "/clock"
 _DEPTH = 1000  # messages that a publisher keeps for slow subscribers

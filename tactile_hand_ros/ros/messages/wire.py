@@ -286,3 +286,9 @@ class GripCodec(JointCodec):
 def clock_bytes(stamp_ns: int) -> bytes:
     """Return a Clock message."""
     return _LITTLE_ENDIAN + _STAMP.pack(*divmod(stamp_ns, _SECOND))
+
+
+def stamp_of(data: bytes) -> int:
+    """Return the stamp [ns] of a serialized message that begins with a header."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _STAMP_AT)
+    return int(seconds) * _SECOND + int(nanoseconds)

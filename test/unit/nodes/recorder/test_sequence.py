@@ -6,7 +6,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.sequence import SequenceTracker
+from tactile_hand_ros.nodes.recorder.sequence import SequenceTracker
 
 
 def lost(numbers: list[int], publishers: int = 1) -> int:

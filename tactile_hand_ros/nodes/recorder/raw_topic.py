@@ -3,60 +3,20 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.ros.sequence import SequenceTracker
+from tactile_hand_ros.nodes.recorder.sequence import SequenceTracker
+from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
+from tactile_hand_ros.ros.messages.types import message_class
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
-
-
-class DirectTakeGroup(CallbackGroup):
-    """Keeps its subscriptions out of every executor: somebody takes their messages directly.
-
-    An executor would rebuild its wait set and wake up for each message, which costs ten times
-    as much as taking the message.
-    """
-
-    def can_execute(self, entity: Any) -> bool:
-        """Refuse, so that no executor waits for the entity."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Refuse."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing was begun."""
-
-
-def message_class(type_name: str) -> Any:
-    """Return the Python class of a message type.
-
-    Args:
-        type_name: Full name, e.g. ``sensor_msgs/msg/JointState``.
-
-    Raises:
-        BagError: If the type is not installed.
-    """
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, ValueError):
-        raise BagError(
-            f"The message type '{type_name}' is not installed, expected a package with it in "
-            "this environment; install or source it to record its topics."
-        ) from None
 
 
 def adapted_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
@@ -93,7 +53,6 @@ class RawTopic:
     def __init__(
         self,
         node: Node,
-        group: DirectTakeGroup,
         name: str,
         type_name: str,
         publishers: Sequence[TopicEndpointInfo],
@@ -103,7 +62,6 @@ class RawTopic:
 
         Args:
             node: Owner of the subscription.
-            group: Group that keeps the subscription out of the node's executor.
             name: Full name of the topic.
             type_name: Full name of its type.
             publishers: Its present publishers, whose offers are accepted.
@@ -119,7 +77,6 @@ class RawTopic:
         self.channel: int | None = None
         self._class = message_class(type_name)
         self._node = node
-        self._group = group
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
         self._sequence = SequenceTracker(len(publishers))
@@ -161,32 +118,20 @@ class RawTopic:
         self._node.destroy_subscription(old)
 
     def _subscribe(self) -> Subscription:
-        return self._node.create_subscription(
-            self._class,
-            self.name,
-            _never_called,
-            self._qos,
-            callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-            raw=True,
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return subscribe_directly(
+            self._node, self._class, self.name, self._qos, event_callbacks=quiet
         )
 
     def _take(self) -> Iterator[tuple[bytes, int, int]]:
         """Yield data, time of reception and time of publication (ns) of the waiting messages."""
-        handle = self._subscription.handle
-        see = self._sequence.see
-        with handle:
-            for _ in range(self._qos.depth):  # bounded: a flood must not starve other topics
-                taken = handle.take_message(self._class, True)
-                if taken is None:
-                    return
-                data, info = taken
-                self.received += 1
-                number = info["publication_sequence_number"]
-                if number is not None:
-                    see(number)
-                received = info["received_timestamp"] or time.time_ns()
-                yield data, received, info["source_timestamp"] or received
+        for data, info in taken(self._subscription, self._qos.depth):
+            self.received += 1
+            number = info["publication_sequence_number"]
+            if number is not None:
+                self._sequence.see(number)
+            received = info["received_timestamp"] or time.time_ns()
+            yield data, received, info["source_timestamp"] or received
 
 
 def _weaker(new: QoSProfile, old: QoSProfile) -> bool:
@@ -195,7 +140,3 @@ def _weaker(new: QoSProfile, old: QoSProfile) -> bool:
         new.reliability == ReliabilityPolicy.BEST_EFFORT != old.reliability
         or new.durability == DurabilityPolicy.VOLATILE != old.durability
     )
-
-
-def _never_called(_: bytes) -> None:
-    """Stand in for a callback: the messages are taken directly."""

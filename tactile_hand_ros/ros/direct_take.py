@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages taken straight from the queue of a subscription, without an executor.
+
+An executor would rebuild its wait set and wake up for each message, which costs ten times as much
+as taking the message. ``take_message`` of the object behind the public ``handle`` is not public;
+`executor.is_supported` checks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+_ALL = 1_000_000
+
+
+class DirectTakeGroup(CallbackGroup):
+    """Keeps its subscriptions out of every executor."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Refuse, so that no executor waits for the entity."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Refuse."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: nothing was begun."""
+
+
+def subscribe_directly(
+    node: Node, kind: Any, topic: str, profile: QoSProfile, **options: Any
+) -> Subscription:
+    """Subscribe to serialized messages that are only taken with `taken` or `take_latest`."""
+    group = DirectTakeGroup()
+    return node.create_subscription(
+        kind, topic, _never_called, profile, callback_group=group, raw=True, **options
+    )
+
+
+def _never_called(_: bytes) -> None:
+    """Stand in for a callback."""
+
+
+def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, Any]]:
+    """Take the waiting messages, oldest first; bytes where the subscription is raw.
+
+    Args:
+        subscription: Which no executor serves at the same time.
+        limit: Most messages to take: a flood must not starve other topics.
+
+    Yields:
+        A message and what the middleware knows about it.
+    """
+    handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
+    with handle:
+        for _ in range(limit):
+            item = handle.take_message(kind, raw)
+            if item is None:
+                return
+            yield item
+
+
+def take_latest(subscription: Subscription) -> Any:
+    """Take everything that has arrived and return the newest message, None if there is none."""
+    newest = None
+    for newest, _ in taken(subscription):
+        pass
+    return newest
