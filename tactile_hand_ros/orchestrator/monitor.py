@@ -18,15 +18,12 @@ from sensor_msgs.msg import JointState
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import PLANT
-from tactile_hand_ros.orchestrator.wiring import Peers
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import stamp_of
-from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
 
 _LATEST, _ALL = 1, 100
-_SIX_DIGITS = 5e-6  # how far a number in the diagnostics may be off
 
 
 @dataclass(frozen=True)
@@ -62,9 +59,8 @@ class Monitor:
         self._last: dict[str, Any] = {}
         self._targets: list[tuple[int, Any]] = []
         self._status: dict[str, tuple[bytes, str]] = {}
-        self._peers: dict[str, Peers] = {}
-        self._plant_name = f"{node.get_namespace().rstrip('/')}/{PLANT}"
-        self._plant: dict[str, str] = {}
+        self._facts: dict[str, dict[str, str]] = {}
+        self._plant = f"{node.get_namespace().rstrip('/')}/{PLANT}"
         self.tick = -1
 
     def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
@@ -99,31 +95,23 @@ class Monitor:
         wrong = {name: text for name, (level, text) in self._status.items() if _is_bad(level)}
         return [f"{name}: {text}" for name, text in sorted(wrong.items())]
 
-    def peers(self) -> dict[str, Peers]:
-        """Return whom the nodes have met, by full name of the node."""
+    def facts(self) -> dict[str, dict[str, str]]:
+        """Return the values in the newest diagnostics, by full name of the node."""
         self._take_diagnostics()
-        return self._peers
+        return self._facts
 
     @property
     def is_at_rest(self) -> bool:
         """Whether the plant stands still and its last tick was answered."""
-        self._take_diagnostics()
-        if self._plant.get("mode") not in ("paused", "finished"):
-            return False
-        at = 1e9 * float(self._plant["time_s"])
-        return self.answered() >= at * (1.0 - _SIX_DIGITS)
+        plant = self.facts().get(self._plant, {})
+        stands = plant.get("mode") in ("paused", "finished")
+        return stands and self.answered() >= int(plant["tick_ns"])
 
     def _take_diagnostics(self) -> None:
         for data, _ in taken(self._diagnostics):
             for status in deserialize_message(data, DiagnosticArray).status:
                 self._status[status.name] = (status.level, status.message)
-                told = {pair.key: pair.value for pair in status.values}
-                if status.name == self._plant_name:
-                    self._plant = told
-                if PUBLICATIONS in told and SUBSCRIPTIONS in told:
-                    self._peers[status.name] = Peers(
-                        parse_peers(told[PUBLICATIONS]), parse_peers(told[SUBSCRIPTIONS])
-                    )
+                self._facts[status.name] = {pair.key: pair.value for pair in status.values}
 
     def _newest(self, subscription: Subscription, kind: Any) -> Any:
         data = take_latest(subscription)

@@ -322,7 +322,7 @@ def _recorded(namespace: str) -> list[str]:
 
 def _gaps(node: Node, wiring: Wiring, monitor: Monitor, steering: Steering) -> Iterator[Gap]:
     """Yield what is missing for the run to begin."""
-    yield from wiring.missing({**monitor.peers(), node.get_fully_qualified_name(): steering.peers})
+    yield from wiring.missing({**monitor.facts(), node.get_fully_qualified_name(): steering.facts})
     if not steering.is_ready:
         yield Gap(PLANT, "the service of the plant does not answer yet")
 

@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.orchestrator.wiring import Peers
 from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.node import PUBLICATIONS
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _SLICE = 0.02  # s
@@ -55,10 +55,10 @@ class Steering:
         return bool(self._client.service_is_ready())
 
     @property
-    def peers(self) -> Peers:
-        """Whom this process has met."""
+    def facts(self) -> dict[str, str]:
+        """Whom this process has met, as nodes say it in their diagnostics."""
         ours = (self._poses, self._squeezes)
-        return Peers({p.topic_name: int(p.get_subscription_count()) for p in ours}, {})
+        return {f"{PUBLICATIONS} {p.topic_name}": str(p.get_subscription_count()) for p in ours}
 
     def command(self, targets: Sequence[TargetConfig], timeout: float = 5.0) -> None:
         """Send desired poses, each with the tick from which it holds, and wait until they arrived.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -14,6 +13,7 @@ from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER, REGULATOR
 from tactile_hand_ros.orchestrator.topology import Link, links
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
 
 
 class DuplicateNodeError(TactileHandError):
@@ -28,14 +28,8 @@ class DuplicateNodeError(TactileHandError):
         )
 
 
-class Peers(NamedTuple):
-    """How many peers a node has met, by full topic name."""
-
-    publications: Mapping[str, int]
-    subscriptions: Mapping[str, int]
-
-
-_NOBODY = Peers({}, {})
+Facts = Mapping[str, Mapping[str, str]]
+"""The values in the diagnostics of nodes, by full name of the node."""
 
 
 @dataclass(frozen=True)
@@ -83,18 +77,18 @@ class Wiring:
         ]
         self._services = services()
 
-    def missing(self, peers: Mapping[str, Peers]) -> Iterator[Gap]:
+    def missing(self, facts: Facts) -> Iterator[Gap]:
         """Yield what is still missing; the graph is asked only as far as the caller goes on.
 
         Args:
-            peers: What the nodes said of their peers, by full name of the node.
+            facts: What the nodes said about themselves, their peers included.
 
         Raises:
             DuplicateNodeError: If a node of the run is there twice.
         """
         yield from self._missing_services()
         for link in list(self._links):
-            gaps = self._missing_of(link, peers)
+            gaps = self._missing_of(link, facts)
             if not gaps:
                 self._links.remove(link)
             yield from gaps
@@ -111,7 +105,7 @@ class Wiring:
             for node, name in self._services
         ]
 
-    def _missing_of(self, link: Link, peers: Mapping[str, Peers]) -> list[Gap]:
+    def _missing_of(self, link: Link, facts: Facts) -> list[Gap]:
         topic = self._full(link.topic)
         gaps = []
         if not self._publishes(link.publisher, topic):
@@ -122,17 +116,19 @@ class Wiring:
             for name in link.subscribers
             if name not in present
         ]
-        return gaps or self._unmet(link, topic, len(present), peers)
+        return gaps or self._unmet(link, topic, len(present), facts)
 
-    def _unmet(
-        self, link: Link, topic: str, subscriptions: int, peers: Mapping[str, Peers]
-    ) -> list[Gap]:
+    def _unmet(self, link: Link, topic: str, subscriptions: int, facts: Facts) -> list[Gap]:
         """Return who is there but has not met the other end."""
-        met = peers.get(self._full(link.publisher), _NOBODY).publications.get(topic, 0)
+
+        def met_by(name: str, end: str) -> int:
+            return peer_count(facts.get(self._full(name), {}), end, topic)
+
+        met = met_by(link.publisher, PUBLICATIONS)
         gaps = [
             Gap(name, f"{name} has not met the publisher of {topic}")
             for name in link.subscribers
-            if not peers.get(self._full(name), _NOBODY).subscriptions.get(topic, 0)
+            if not met_by(name, SUBSCRIPTIONS)
         ]
         if met < subscriptions:
             text = f"{link.publisher} has met {met} of {subscriptions} subscribers of {topic}"

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -43,7 +43,7 @@ CALM_AFTER = 5.0
 
 PUBLICATIONS = "publications"
 SUBSCRIPTIONS = "subscriptions"
-"""Keys of the diagnostics under which a node tells how many peers each of its topics has."""
+"""With a topic behind it, a key of the diagnostics: how many peers the node has met there."""
 
 
 class TactileNode(Node, Generic[C]):
@@ -82,7 +82,7 @@ class TactileNode(Node, Generic[C]):
         # Health must be reported also while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
-        self._peers: dict[str, str] = {}
+        self._peers: dict[str, int] = {}
         self._attention = PollBackoff(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
         self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
@@ -185,22 +185,21 @@ class TactileNode(Node, Generic[C]):
 
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""
-        peers = self.peers()
+        peers = {**dict.fromkeys(self._peers, 0), **self.peers()}
         changed = peers != self._peers
         if changed:
             self._peers = peers
-            for key, text in peers.items():
-                self.diagnostics.value(key, text)
+            for key, count in peers.items():
+                self.diagnostics.value(key, count)
             self.publish_diagnostics()
         set_period(self._peers_timer, self._attention.period(changed))
 
-    def peers(self) -> dict[str, str]:
-        """Return how many matched peers each topic has, as ``topic count`` joined by commas."""
+    def peers(self) -> dict[str, int]:
+        """Return how many matched peers each topic has, by key of the diagnostics."""
         # Not self.subscriptions: that is what an executor serves, which may be less.
         subscriptions = Node.subscriptions.fget(self)
-        sent = {p.topic_name: p.get_subscription_count() for p in self.publishers}
-        taken = {s.topic_name: s.get_publisher_count() for s in subscriptions}
-        return {PUBLICATIONS: _counts(sent), SUBSCRIPTIONS: _counts(taken)}
+        sent = {_key(PUBLICATIONS, p): p.get_subscription_count() for p in self.publishers}
+        return sent | {_key(SUBSCRIPTIONS, s): s.get_publisher_count() for s in subscriptions}
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may at any time."""
@@ -218,11 +217,10 @@ def set_period(timer: Timer, seconds: float) -> None:
         timer.timer_period_ns = period
 
 
-def _counts(peers: dict[str, int]) -> str:
-    return ", ".join(f"{topic} {count}" for topic, count in sorted(peers.items()))
+def _key(end: str, entity: Publisher | Subscription) -> str:
+    return f"{end} {entity.topic_name}"
 
 
-def parse_peers(text: str) -> dict[str, int]:
-    """Read what a node says under `PUBLICATIONS` or `SUBSCRIPTIONS`: peers by full topic name."""
-    pairs = [part.split(" ") for part in text.split(", ") if part]
-    return {topic: int(count) for topic, count in pairs}
+def peer_count(facts: Mapping[str, str], end: str, topic: str) -> int:
+    """Return how many peers a node has met on a topic, from the values of its diagnostics."""
+    return int(facts.get(f"{end} {topic}", 0))

@@ -37,7 +37,7 @@ from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executables import executable_path
-from tactile_hand_ros.ros.node import SUBSCRIPTIONS, parse_peers
+from tactile_hand_ros.ros.node import SUBSCRIPTIONS, peer_count
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
@@ -99,11 +99,11 @@ def wait_until_heard(node: Node, publishers: dict[str, int]) -> None:
 
     That a publisher knows of the recorder is not enough where nothing is sent again.
     """
-    heard: dict[str, int] = {}
+    heard: dict[str, str] = {}
 
     def note(message: DiagnosticArray) -> None:
         for values in _recorder_values(message):
-            heard.update(parse_peers(values.get(SUBSCRIPTIONS, "")))
+            heard.update(values)
 
     subscription = node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
     executor = SingleThreadedExecutor(context=node.context)
@@ -111,7 +111,7 @@ def wait_until_heard(node: Node, publishers: dict[str, int]) -> None:
 
     def all_heard() -> bool:
         executor.spin_once(timeout_sec=0.1)
-        return all(heard.get(topic, 0) >= count for topic, count in publishers.items())
+        return all(peer_count(heard, SUBSCRIPTIONS, t) >= n for t, n in publishers.items())
 
     wait_until(all_heard, 60.0, f"the recorder to hear {publishers}")
     executor.shutdown()

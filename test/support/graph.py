@@ -34,7 +34,7 @@ from tactile_hand_ros.ros.messages.conversions import (
     force_from_ros,
     stamp_to_ns,
 )
-from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, parse_peers
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
@@ -182,7 +182,7 @@ class Graph:
 
     def _peers(self, name: str, key: str, topic: str) -> int:
         health = self.health.get(self.full(name))
-        return parse_peers(health.values.get(key, "")).get(self.full(topic), 0) if health else 0
+        return peer_count(health.values, key, self.full(topic)) if health else 0
 
     def hears(self, name: str, topic: str) -> bool:
         """Return whether a node knows of a publisher of what it listens to."""
@@ -190,8 +190,9 @@ class Graph:
 
     def _has_writers(self, name: str) -> bool:
         health = self.health.get(self.full(name))
-        heard = parse_peers(health.values.get(SUBSCRIPTIONS, "")) if health else {}
-        return bool(heard) and min(heard.values()) >= 1
+        values = health.values.items() if health else ()
+        heard = [int(value) for key, value in values if key.startswith(SUBSCRIPTIONS)]
+        return bool(heard) and min(heard) >= 1
 
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
         """Wait for a condition; all processes must be alive meanwhile unless they were killed."""

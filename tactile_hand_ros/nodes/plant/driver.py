@@ -184,6 +184,7 @@ class PlantDriver:
         put("mode", self.mode)
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
+        put("tick_ns", self._run.stamp)
         put("resent_ticks", self._resent)
         put("held_ticks", self._run.held)
         put("late_commands", self._late)

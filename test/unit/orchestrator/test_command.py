@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
-from rclpy.serialization import serialize_message
-from support.messages import joint_message
 
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
@@ -18,7 +15,7 @@ from tactile_hand_ros.orchestrator.command import (
     full_namespace,
     split_ros_arguments,
 )
-from tactile_hand_ros.orchestrator.monitor import Look, stamp_of
+from tactile_hand_ros.orchestrator.monitor import Look
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import Rate, facts
@@ -68,14 +65,6 @@ def test_ros_arguments_are_taken_out() -> None:
     assert own == ["--quiet", "--duration", "1"]
     assert ros == line
     assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
-
-
-@pytest.mark.parametrize("stamp", [0, 2_000_000, 86_399_999_999_999])
-def test_stamp_is_read_from_bytes(stamp: int) -> None:
-    data = serialize_message(joint_message(["a"], stamp))
-    assert stamp_of(data) == stamp
-    big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
-    assert stamp_of(big_endian) == stamp
 
 
 def test_facts_are_readable_whatever_is_missing() -> None:

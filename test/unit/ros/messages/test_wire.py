@@ -2,6 +2,7 @@
 """Bytes written in place are those that ROS reads, and bytes of others are read as ROS would."""
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from tactile_hand_ros.ros.messages.wire import (
     PoseCodec,
     WrenchCodec,
     clock_bytes,
+    stamp_of,
 )
 
 FIELDS = ("position", "velocity", "effort")
@@ -184,3 +186,11 @@ def test_a_message_is_written_with_all_its_blocks_or_not_at_all() -> None:
     joints = JointCodec(["a", "b"], ("position", "velocity"))
     with pytest.raises(ValueError, match="zip"):
         joints.encode(0, np.zeros(2))
+
+
+@pytest.mark.parametrize("stamp", [0, 2_000_000, 86_399_999_999_999])
+def test_stamp_is_read_from_bytes(stamp):
+    data = serialize_message(joint_message(["a"], stamp))
+    assert stamp_of(data) == stamp
+    big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
+    assert stamp_of(big_endian) == stamp
