@@ -22,6 +22,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
@@ -29,7 +30,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from tactile_hand_ros.ros.direct_take import taken
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100
@@ -149,51 +149,39 @@ class WaitSetExecutor(SingleThreadedExecutor):
             self._stale = True
             return
         ready = entities.wait()
-        if ready.guards:
-            self._serve_guards(ready.guards, entities)
-        if ready.timers:
-            self._serve_timers(ready.timers, entities)
-        for pointer in ready.subscriptions:
-            subscription = entities.subscriptions.get(pointer)
-            if subscription is not None and not self._stale:
-                self._drain(subscription)
+        if ready.guards and not self._is_running():
+            self._stale = True
+        for guard in ready.guards:
+            if guard.callback is not None and not self._stale:
+                self._finish(guard.callback())
+        for timer in ready.timers:
+            # A cancelled timer is reported as ready once more.
+            if not self._stale and timer.handle.is_timer_ready():
+                timer.handle.call_timer()
+                self._finish(timer.callback())
+        for subscription in ready.subscriptions:
+            self._drain(subscription)
         if self._afterwards:
-            self._call_afterwards()
-        if ready.has_left and not self._stale:
+            callbacks, self._afterwards = self._afterwards, []
+            for callback in callbacks:
+                callback()
+        if ready.has_rare and not self._stale:
             self.spin_once(timeout_sec=0)
-
-    def _call_afterwards(self) -> None:
-        callbacks, self._afterwards = self._afterwards, []
-        for callback in callbacks:
-            callback()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)
 
-    def _serve_guards(self, pointers: Sequence[int], entities: WaitedEntities) -> None:
-        if not self._is_running():
-            self._stale = True
-        for pointer in pointers:
-            guard = entities.guards.get(pointer)
-            if guard is None or guard.callback is None or self._stale:
-                continue
-            if inspect.iscoroutinefunction(guard.callback):
-                self.create_task(guard.callback)
-            else:
-                guard.callback()
-
-    def _serve_timers(self, pointers: Sequence[int], entities: WaitedEntities) -> None:
-        for pointer in pointers:
-            timer = entities.timers.get(pointer)
-            # A cancelled timer is reported as ready once more.
-            if timer is not None and not self._stale and timer.handle.is_timer_ready():
-                timer.handle.call_timer()
-                timer.callback()
-
     def _drain(self, subscription: Subscription) -> None:
-        alone = subscription._callback_type is Subscription.CallbackType.MessageOnly
-        for message, info in taken(subscription, _BURST):
-            subscription.callback(*((message,) if alone else (message, info)))
+        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        wanted = 1 if subscription._callback_type is Subscription.CallbackType.MessageOnly else 2
+        for _ in range(_BURST):
             # A subscription that a callback destroyed must not see another message.
-            if self._stale:
+            item = None if self._stale else take(kind, raw)
+            if item is None:
                 return
+            self._finish(subscription.callback(*item[:wanted]))
+
+    def _finish(self, result: Any) -> None:
+        """Let the public executor await what a coroutine function has returned."""
+        if result is not None and inspect.iscoroutine(result):
+            self.create_task(result)
