@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,8 +10,8 @@ from typing import Any
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
-from tactile_hand_ros.extras import optional
 from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.studies.parallel import parallel
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -96,25 +94,5 @@ def run_all(
     Raises:
         MissingLibraryError: If joblib is not installed.
     """
-    joblib = optional("joblib", "Running experiments on several cores")
     tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-    with _interrupts_held_back():
-        results = work(joblib.delayed(run_experiment)(*task) for task in tasks)
-    yield from results  # joblib ends its processes when this is left early
-
-
-@contextlib.contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back for a moment.
-
-    Processes started inside never see it, so that only this one answers, instead of each with a
-    traceback.
-    """
-    # Its start would let Ctrl-C through again.
-    optional("joblib.externals.loky.backend.resource_tracker", "").ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return parallel(run_experiment, tasks, jobs, ordered=False)

@@ -5,17 +5,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.slip.detector import SlipDetectorConfig
-from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.studies.paper.experiments import _interrupts_held_back
+from tactile_hand_ros.studies.parallel import parallel
 from tactile_hand_ros.studies.slip.cases import SlipCase, sample_cases, scenario_of
 from tactile_hand_ros.studies.slip.trace import Trace, alarms, delay, onset, record_trace, replay
 from tactile_hand_ros.studies.statistics import estimate
@@ -120,19 +118,6 @@ def scenarios(slips: int, seconds: float, seed: int) -> list[Scenario]:
     return [paper_scenario(seconds), *(slip_scenario(case) for case in cases)]
 
 
-def parallel(function: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """Call a function on all cores and yield the results in the order of the tasks.
-
-    Raises:
-        MissingLibraryError: If joblib is not installed.
-    """
-    joblib = optional("joblib", "Replaying the detector on several cores")
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator")
-    with _interrupts_held_back():
-        results = work(joblib.delayed(function)(*task) for task in tasks)
-    yield from results
-
-
 def run_roc(
     slips: int = SLIPS,
     seconds: float = SECONDS,
@@ -150,13 +135,15 @@ def run_roc(
         progress: Called whenever a run or a replay is done.
     """
     traces = []
-    for trace in parallel(record_trace, [(s,) for s in scenarios(slips, seconds, seed)], jobs):
+    for trace in parallel(
+        record_trace, [(s,) for s in scenarios(slips, seconds, seed)], jobs, ordered=True
+    ):
         traces.append(trace)
         progress("recorded")
     slid = [t for t in traces[1:] if not math.isnan(onset(t))]
     points: list[Point] = []
     tasks = [(traces[:1], slid, noise, h) for noise in NOISES for h in THRESHOLDS]
-    for result in parallel(point, tasks, jobs):
+    for result in parallel(point, tasks, jobs, ordered=True):
         points.append(result)
         progress(f"threshold {result.threshold:g}")
     return points

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from tactile_hand_ros.extras import optional
-from tactile_hand_ros.studies.paper.experiments import _interrupts_held_back
+from tactile_hand_ros.studies.parallel import parallel
 from tactile_hand_ros.studies.slip.cases import SlipCase, pull_of, sample_cases
 from tactile_hand_ros.studies.slip.outcomes import HELD, Held, SlipOutcome, hold_case, run_case
 
@@ -44,21 +43,6 @@ def _run(case: SlipCase, kind: str) -> tuple[str, SlipOutcome | Held]:
     return kind, hold_case(case, kind) if kind in HELD else run_case(case)
 
 
-def run_tasks(
-    tasks: Sequence[tuple[SlipCase, str]], jobs: int
-) -> Iterator[tuple[str, SlipOutcome | Held]]:
-    """Run on all cores and yield what is done, in any order.
-
-    Raises:
-        MissingLibraryError: If joblib is not installed.
-    """
-    joblib = optional("joblib", "Running the study on several cores")
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-    with _interrupts_held_back():
-        results = work(joblib.delayed(_run)(*task) for task in tasks)
-    yield from results  # joblib ends its processes when this is left early
-
-
 def run_study(
     runs: int, seed: int, jobs: int = -1, progress: Callable[[str], None] = lambda _: None
 ) -> Study:
@@ -69,9 +53,12 @@ def run_study(
         seed: The same seed gives the same numbers, on any number of cores.
         jobs: Number of processes; -1 for one on each core.
         progress: Called whenever a run is done.
+
+    Raises:
+        MissingLibraryError: If joblib is not installed.
     """
     found: dict[str, list[Any]] = {kind: [] for kind in ("event", "pull", *HELD)}
-    for kind, result in run_tasks(tasks_of(runs, seed), jobs):
+    for kind, result in parallel(_run, tasks_of(runs, seed), jobs, ordered=False):
         found[kind].append(result)
         progress(f"{kind}, run {result.case.index}")
     for results in found.values():
