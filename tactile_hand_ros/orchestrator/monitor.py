@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
-from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -64,12 +64,7 @@ class Monitor:
         self.tick = -1
 
     def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
-        profile = QoSProfile(
-            history=QoSHistoryPolicy.KEEP_LAST,
-            depth=depth,
-            reliability=QoSReliabilityPolicy.RELIABLE,
-        )
-        return subscribe_directly(self._node, kind, topic, profile)
+        return subscribe_directly(self._node, kind, topic, QoSProfile(depth=depth))
 
     def answered(self) -> int:
         """Return the stamp of the newest tick that was answered [ns], -1 before the first."""

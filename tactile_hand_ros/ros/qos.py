@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service of ticks, of latched values and of what users send."""
+"""Quality of service of ticks, of latched values and of what users send.
+
+What is not said is rclpy's default: keep the last `depth` messages, reliable, volatile.
+"""
 
 from __future__ import annotations
 
 from rclpy.qos import (
     QoSDurabilityPolicy,
-    QoSHistoryPolicy,
     QoSProfile,
-    QoSReliabilityPolicy,
 )
 
 TICK_DEPTH = 100
@@ -23,12 +24,7 @@ def tick_qos() -> QoSProfile:
 
     A new object each time, because rclpy writes QoS overrides into the profile it is given.
     """
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=TICK_DEPTH,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.VOLATILE,
-    )
+    return QoSProfile(depth=TICK_DEPTH)
 
 
 def tick_publisher_qos() -> QoSProfile:
@@ -40,19 +36,9 @@ def tick_publisher_qos() -> QoSProfile:
 
 def latched_qos() -> QoSProfile:
     """Return the profile of values that late subscribers must get: transient local, depth 1."""
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=1,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
-    )
+    return QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def user_qos() -> QoSProfile:
     """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=100,
-        reliability=QoSReliabilityPolicy.RELIABLE,
-        durability=QoSDurabilityPolicy.VOLATILE,
-    )
+    return QoSProfile(depth=100)
