@@ -6,6 +6,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from tactile_hand_ros.errors import ConfigurationError
+
 
 class TopicSelection:
     """Decides by name which topics are recorded."""
@@ -16,9 +18,12 @@ class TopicSelection:
         Args:
             include: Regular expressions, one of which must match the whole name.
             exclude: Regular expressions, none of which may match the whole name.
+
+        Raises:
+            ConfigurationError: If one is not valid.
         """
-        self._include = [re.compile(pattern) for pattern in include]
-        self._exclude = [re.compile(pattern) for pattern in exclude]
+        self._include = compile_patterns(include)
+        self._exclude = compile_patterns(exclude)
 
     def __contains__(self, topic: str) -> bool:
         """Return whether a topic, given by its full name, is chosen."""
@@ -30,3 +35,16 @@ class TopicSelection:
 def is_hidden(topic: str) -> bool:
     """Return whether ROS hides a topic: a part of its name starts with an underscore."""
     return any(part.startswith("_") for part in topic.split("/"))
+
+
+def compile_patterns(patterns: Sequence[str]) -> list[re.Pattern[str]]:
+    """Compile regular expressions.
+
+    Raises:
+        ConfigurationError: If one is not valid.
+    """
+    try:
+        return [re.compile(pattern) for pattern in patterns]
+    except re.error as error:
+        text = f"'{error.pattern!s}' is not a valid regular expression: {error}."
+        raise ConfigurationError(text) from None

@@ -103,8 +103,8 @@ def replay(
         rate=rate,
         start_offset=start_offset,
         loop=loop,
-        topics=_patterns(topics or [".*"]),
-        exclude=_patterns(exclude or []),
+        topics=topics or [".*"],
+        exclude=exclude or [],
         clock=100.0 if clock else 0.0,
         namespace="/" + namespace.strip("/") if namespace.strip("/") else "",
         paused=paused,
@@ -187,17 +187,6 @@ def _print(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) ->
     if not console.is_terminal:
         console.width = 140
     console.print(rich_table(title, columns, rows))
-
-
-def _patterns(given: list[str]) -> list[str]:
-    import re
-
-    for pattern in given:
-        try:
-            re.compile(pattern)
-        except re.error as error:
-            raise TactileHandError(f"'{pattern}' is no regular expression, {error}.") from None
-    return given
 
 
 def _publish(bag: Path, options: ReplayOptions) -> None:

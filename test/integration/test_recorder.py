@@ -490,7 +490,7 @@ def test_output_is_required(domain: int) -> None:
     ("parameter", "complaint"),
     [
         ("compression:=gzip", "none, lz4, zstd"),
-        ("topics:=['(']", "no regular expression"),
+        ("topics:=['(']", "not a valid regular expression"),
         ("chunk_size:=1", "1024"),
         ("chunksize:=65536", "chunk_size"),
     ],

@@ -238,7 +238,7 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
     for arguments, text in (
         (["--topics=/nothing"], "leave none"),
         (["--rate=0"], "expected a number above 0"),
-        (["--exclude=("], "no regular expression"),
+        (["--exclude=("], "not a valid regular expression"),
         (["--set=a=1"], "expected --recompute too"),
         (["--start-offset=100", "--loop"], "expected 0 to 0.995"),
         (["--start-offset=nan"], "offset"),

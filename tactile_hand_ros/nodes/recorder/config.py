@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import Literal
 
 from pydantic import field_validator
 
+from tactile_hand_ros.bag.selection import compile_patterns
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import ConfigurationError
 
 Compression = Literal["none", "lz4", "zstd"]
 
@@ -81,10 +82,9 @@ class RecorderConfig(Config):
     @field_validator("topics", "exclude")
     @classmethod
     def _compile(cls, patterns: list[str]) -> list[str]:
-        """Refuse a pattern that is no regular expression."""
-        for pattern in patterns:
-            try:
-                re.compile(pattern)
-            except re.error as error:
-                raise ValueError(f"'{pattern}' is no regular expression, {error}") from None
+        """Refuse a pattern that is not a valid regular expression."""
+        try:
+            compile_patterns(patterns)
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from None
         return patterns

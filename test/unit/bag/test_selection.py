@@ -38,7 +38,7 @@ def test_everything_but_parameter_events_is_the_default() -> None:
 @pytest.mark.parametrize("key", ["topics", "exclude"])
 def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
     """The text names the key and the pattern."""
-    with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is no regular expression"):
+    with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})
 
 
