@@ -18,9 +18,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# Compiled functions cannot be followed.
-os.environ["TACTILE_HAND_INTERPRETED"] = "1"
-
 PACKAGE = "tactile_hand_ros"
 DOCS = Path(__file__).resolve().parent
 PAGE = DOCS / "architecture.md"
@@ -29,6 +26,7 @@ Match = Callable[[types.FrameType], bool]
 
 STILL = {"targets": [], "user_forces": []}
 """Changes that let a scenario end early."""
+
 
 def layers() -> Edges:
     """Return which folder imports which, without what follows from other arrows."""
@@ -189,6 +187,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Redraw the diagrams of docs/architecture.md.")
     parser.add_argument("--check", action="store_true", help="write nothing, fail if out of date")
     check = parser.parse_args().check
+    os.environ["TACTILE_HAND_INTERPRETED"] = "1"  # compiled functions cannot be followed
     text = before = PAGE.read_text("utf-8")
     controller, regulator = "ManipulationControllerNode", "SlipRegulatorNode"
     text = redrawn(text, "layers", layers())
