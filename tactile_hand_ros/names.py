@@ -26,6 +26,8 @@ GRIP_STATE = "grip_state"
 DESIRED_POSE = "desired_pose"
 AUXILIARY_POSE = "auxiliary_pose"
 USER_GRASP_FORCE = "user_grasp_force"
+ACCEPTED_POSE = "accepted/desired_pose"
+ACCEPTED_FORCE = "accepted/user_grasp_force"
 HAPTIC_FEEDBACK = "haptic_feedback"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
@@ -64,6 +66,16 @@ def optimal_force(finger: str) -> str:
 def true_wrench(finger: str) -> str:
     """Return the topic of the true contact force of a finger."""
     return f"ground_truth/{finger}/wrench"
+
+
+def accepted_parameters(node: str) -> str:
+    """Return the topic of the configurations in force in a node."""
+    return f"accepted/{node}/parameters"
+
+
+def accepted_requests(node: str) -> str:
+    """Return the topic of the service calls that changed what a node does."""
+    return f"accepted/{node}/requests"
 
 
 def contact_frame(finger: str) -> str:

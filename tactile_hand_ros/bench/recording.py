@@ -27,7 +27,7 @@ from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.ros.qos import tick_publisher_qos
 from tactile_hand_ros.verify.recompute import ShadowLoop
-from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand
+from tactile_hand_ros.verify.recorded_inputs import Effect, Inputs, configured
 
 TOPICS = 12
 RATE = 5000.0  # messages/s on all topics
@@ -52,15 +52,16 @@ def measure_recorder(work: Workload) -> list[Result]:
 
 
 def measure_recompute(work: Workload) -> list[Result]:
-    """Ask the controllers once more, from the sensor topics of a run."""
+    """Feed the sensor topics of a run through the controllers."""
     record = work.record
     felt = np.isfinite(record.forces).all(axis=(1, 2))
-    poses = [UserCommand(wish.target(), wish.stamp, 0, 0, 0) for wish in work.scenario.targets]
-    inputs = Inputs(record, list(work.grasps), np.asarray(felt), poses, [])
+    poses = [Effect(target.stamp, target.target()) for target in work.scenario.targets]
+    configurations = configured(work.scenario)
+    inputs = Inputs(record, list(work.grasps), np.asarray(felt), configurations, poses)
     speeds = []
     for _ in range(work.repeats):
         began = time.perf_counter()
-        ShadowLoop(work.scenario, inputs).run()
+        ShadowLoop(inputs).run()
         speeds.append(record.times[-1] / (time.perf_counter() - began))
     goal = Goal("median", at_least=5.0)
     return [Result.of("recompute, times real time", "x", speeds, goal)]

@@ -82,7 +82,7 @@ def replay(
         str, typer.Option(metavar="MODULE:CLASS", help="With --recompute: a law of your own.")
     ] = "",
     nodes: Annotated[
-        bool, typer.Option("--nodes", help="With --recompute: ask the real nodes, by messages.")
+        bool, typer.Option("--nodes", help="With --recompute: replay through the real nodes.")
     ] = False,
 ) -> None:
     """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
@@ -121,8 +121,8 @@ def _recompute(bag: Path, changes: list[str], law: str, namespace: str, *, nodes
     run = Run(bag, namespace=namespace or None)
     values = parse_changes(changes, "law.name=contact")
     if nodes:
-        comparisons = _ask_nodes(run, values, law)
-        _print("recorded and said by the nodes", r.COLUMNS, r.rows(comparisons))
+        comparisons = _replay_through_nodes(run, values, law)
+        _print("recorded and answered by the nodes", r.COLUMNS, r.rows(comparisons))
     else:
         result = r.recompute(run, values, r.load_law(law) if law else None)
         comparisons = result.comparisons
@@ -135,11 +135,11 @@ def _recompute(bag: Path, changes: list[str], law: str, namespace: str, *, nodes
     raise typer.Exit(EXIT_DIFFERS)
 
 
-def _ask_nodes(run: Run, values: dict[str, Any], law: str) -> list[Comparison]:
+def _replay_through_nodes(run: Run, values: dict[str, Any], law: str) -> list[Comparison]:
     if law:
         raise TactileHandError("--law and --nodes were given: nodes know their own laws only.")
     try:
-        from tactile_hand_ros.verify.replay_through_nodes import ask_nodes
+        from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"The nodes need ROS, but there is no module '{error.name}'; source ROS 2 or leave "
@@ -150,8 +150,8 @@ def _ask_nodes(run: Run, values: dict[str, Any], law: str) -> list[Comparison]:
 
     console = Console(stderr=True)
     with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("asking the nodes", total=1.0)
-        return ask_nodes(run, values, lambda share: bar.update(task, completed=share))
+        task = bar.add_task("replaying through the nodes", total=1.0)
+        return replay_through_nodes(run, values, lambda share: bar.update(task, completed=share))
 
 
 def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = None) -> None:

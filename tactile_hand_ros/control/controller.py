@@ -93,7 +93,7 @@ class Command(NamedTuple):
     reason: str = ""
 
 
-class _Wish(NamedTuple):
+class _QueuedPose(NamedTuple):
     """A desired pose that waits for its tick.
 
     Attributes:
@@ -116,6 +116,7 @@ class Controller:
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
         dropped: Desired poses that were forgotten because too many waited.
+        accepted: The desired pose that became the target in the last step; None if none did.
         target: The desired pose in force; None before the first tick.
     """
 
@@ -137,6 +138,7 @@ class Controller:
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.dropped = 0
+        self.accepted: Target | None = None
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
@@ -158,7 +160,7 @@ class Controller:
         self._open_stamp: int | None = None
         self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
         self.target: Target | None = None
-        self._queue: list[_Wish] = []
+        self._queue: list[_QueuedPose] = []
         self._in_reach: Target | None = None
 
     def command(self, target: Target, stamp: int = 0) -> None:
@@ -174,18 +176,28 @@ class Controller:
         knows_grasp = self._grasp is not None
         if knows_grasp:
             self._judge(target)
+        self.schedule(target, stamp, judged=knows_grasp)
+
+    def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
+        """Queue a desired pose as `command` does, without judging now whether it is in reach.
+
+        Args:
+            target: The pose.
+            stamp: Tick in ns from which it holds; zero or a past one means now.
+            judged: Whether it is known to be in reach; otherwise it is judged when it is due.
+        """
         if stamp <= (self._last_stamp or 0):
             stamp = 0
-        wish = _Wish(stamp, target, knows_grasp)
-        self._queue = sorted([*self._queue, wish], key=lambda wish: wish.stamp)
+        pose = _QueuedPose(stamp, target, judged)
+        self._queue = sorted([*self._queue, pose], key=lambda queued: queued.stamp)
         if len(self._queue) > MOST_WAITING:
             del self._queue[0]
             self.dropped += 1
 
     def forget_after(self, stamp: int) -> list[int]:
         """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
-        forgotten = [wish.stamp for wish in self._queue if wish.stamp > stamp]
-        self._queue = [wish for wish in self._queue if wish.stamp <= stamp]
+        forgotten = [queued.stamp for queued in self._queue if queued.stamp > stamp]
+        self._queue = [queued for queued in self._queue if queued.stamp <= stamp]
         return forgotten
 
     def _judge(self, target: Target) -> None:
@@ -243,6 +255,7 @@ class Controller:
         """
         dt = self._elapsed(stamp)
         self._last_stamp = stamp
+        self.accepted = None
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active and not self._regrasped(contacts):
@@ -309,7 +322,7 @@ class Controller:
         self._law.reset()
         self._reference.reset()
         self.target = self._in_reach = None
-        self._queue = [wish._replace(judged=False) for wish in self._queue]
+        self._queue = [queued._replace(judged=False) for queued in self._queue]
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
@@ -352,7 +365,7 @@ class Controller:
         """
         if self.target is None:
             self.target = Target(pose.position, pose.orientation)
-        count = sum(wish.stamp <= stamp for wish in self._queue)
+        count = sum(queued.stamp <= stamp for queued in self._queue)
         if not count:
             return ""
         *older, newest = self._queue[:count]
@@ -361,10 +374,11 @@ class Controller:
             if not newest.judged:
                 self._judge(newest.target)
         except PoseError as error:
-            # Without their stamps, so that what is asked for at once meanwhile comes after them.
-            self._queue = [wish._replace(stamp=0) for wish in older] + later
+            # Without their stamps, so that a pose that is commanded meanwhile comes after them.
+            self._queue = [queued._replace(stamp=0) for queued in older] + later
             return str(error)
         self.target, self._queue = newest.target, later
+        self.accepted = newest.target
         return ""
 
     def _for_middle_of_period(self, torque: Array) -> Array:

@@ -9,6 +9,8 @@ from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 
+_ACTING = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
+
 
 @dataclass(frozen=True)
 class Link:
@@ -50,6 +52,11 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.HAPTIC_FEEDBACK, names.REGULATOR),
         Link(names.JOINT_COMMAND, names.CONTROLLER, (names.PLANT,)),
         Link(names.AUXILIARY_POSE, names.CONTROLLER),
+        Link(names.ACCEPTED_POSE, names.CONTROLLER),
+        Link(names.ACCEPTED_FORCE, names.REGULATOR),
+        *(Link(names.accepted_parameters(node), node) for node in _ACTING),
+        Link(names.accepted_requests(names.REGULATOR), names.REGULATOR),
+        Link(names.accepted_requests(names.CONTROLLER), names.CONTROLLER),
         Link(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
         Link(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
         *per_finger,

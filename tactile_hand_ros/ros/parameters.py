@@ -15,6 +15,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -238,6 +239,15 @@ def _flow_mapping(config: Config) -> str:
 def to_parameter(name: str, field: FieldInfo, value: Any) -> Parameter:
     """Return a field's value as a ROS parameter of the field's type."""
     return Parameter(name, ros_type(field), to_ros(field, value))
+
+
+def to_parameters(config: Config) -> list[ParameterMessage]:
+    """Return all values of a configuration as messages."""
+    fields = leaves(type(config))
+    return [
+        to_parameter(name, fields[name], value).to_parameter_msg()
+        for name, value in flatten(config).items()
+    ]
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:

@@ -39,6 +39,13 @@ def latched_qos() -> QoSProfile:
     return QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
+def configuration_qos() -> QoSProfile:
+    """Return the profile of configurations in force: as `user_qos`, kept for late subscribers."""
+    profile = user_qos()
+    profile.durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
+    return profile
+
+
 def user_qos() -> QoSProfile:
     """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
     return QoSProfile(depth=100)

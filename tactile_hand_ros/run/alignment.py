@@ -15,9 +15,9 @@ from tactile_hand_ros.run.topics import HandTopics
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 _EARLY = 100_000_000  # ns that a message may have been logged before the first tick of its run
-_UNIT_TOLERANCE = 1e-3  # of a quaternion's squared length, as the controller judges it
 
 
 def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
@@ -36,15 +36,27 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
 
 def first_ticks(states: Series) -> tuple[Times, Times]:
     """Return the ticks of the last run in a bag and when each was first logged, ns."""
-    start = _last_reset(states.stamps)
+    start = last_reset(states.stamps)
     ticks, first = np.unique(states.stamps[start:], return_index=True)
     return ticks, states.log_times[start:][first]
 
 
-def _last_reset(stamps: Times) -> int:
+def last_reset(stamps: Times) -> int:
     """Return the index of the first message after the last step back in time."""
     back = np.flatnonzero(np.diff(stamps) < 0)
     return int(back[-1]) + 1 if len(back) else 0
+
+
+def in_last_run(series: Series, states: Series) -> Flags:
+    """Return which messages of a topic belong to the last run in a bag, shape (n,).
+
+    Args:
+        series: The topic; it need not have a message at every tick.
+        states: The topic `joint_states`.
+    """
+    _, logged = first_ticks(states)
+    begin = int(logged[0]) - _EARLY if len(logged) else 0
+    return series.since(begin) & (np.arange(len(series)) >= last_reset(series.stamps))
 
 
 class _Alignment:
@@ -126,27 +138,10 @@ class _Alignment:
         position[:], quaternion[:] = pose[:, :3], pose[:, 3:]
 
     def _write_desired(self, record: Record) -> None:
-        """Write the desired pose in effect: a step function that changes where a message counts."""
-        series = self._named(names.DESIRED_POSE)
+        """Write the desired pose in force: it changes at the ticks at which one took effect."""
+        series = self._named(names.ACCEPTED_POSE)
         poses = series.rows("pose", 7)
-        usable = usable_poses(poses, series.frames) & series.since(self._begin_of_wishes())
-        stamps, logged, poses = series.stamps[usable], series.log_times[usable], poses[usable]
-        seen = np.searchsorted(self._logged, logged, side="right")  # ticks logged before it
-        ahead = stamps > np.where(seen > 0, self._ticks[np.maximum(seen - 1, 0)], -1)
-        first = np.where(ahead, np.searchsorted(self._ticks, stamps), seen)
-        order = np.lexsort((np.where(ahead, stamps, 0), first))  # of one tick, the later stamp
-        for row in order:
-            record.desired_position[first[row] :] = poses[row, :3]
-            record.desired_quaternion[first[row] :] = poses[row, 3:]
-
-    def _begin_of_wishes(self) -> int:
-        """A pose may be commanded long before the first tick, unless another run lies between."""
-        return self._begin if _last_reset(self._states.stamps) else 0
-
-
-def usable_poses(poses: Array, frames: list[str]) -> NDArray[np.bool_]:
-    """Return which poses the controller takes: in the palm frame, finite, of unit length."""
-    lengths = (poses[:, 3:] ** 2).sum(axis=1)
-    in_palm = np.array([frame == names.PALM_FRAME for frame in frames], dtype=np.bool_)
-    finite = np.isfinite(poses).all(axis=1)
-    return np.asarray(in_palm & finite & (np.abs(lengths - 1.0) < _UNIT_TOLERANCE))
+        for row in np.flatnonzero(in_last_run(series, self._states)):
+            first = np.searchsorted(self._ticks, series.stamps[row])
+            record.desired_position[first:] = poses[row, :3]
+            record.desired_quaternion[first:] = poses[row, 3:]

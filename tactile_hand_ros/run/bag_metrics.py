@@ -18,8 +18,8 @@ from tactile_hand_ros.run.topics import HandTopics
 
 Times = NDArray[np.int64]
 
-# A user sends these when he likes, and a holding hand does not say where it believes the object is.
-_NOT_EVERY_TICK = (names.DESIRED_POSE, names.AUXILIARY_POSE)
+# Users may send commands at any time; a hand that holds does not publish where the object is.
+_NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_POSE)
 
 
 @dataclass(frozen=True)

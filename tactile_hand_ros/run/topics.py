@@ -17,7 +17,8 @@ _TYPES = {
     names.CONTACTS: "geometry_msgs/msg/PoseArray",
     names.GRASP_FORCE: "geometry_msgs/msg/WrenchStamped",
     names.GRIP_STATE: "sensor_msgs/msg/JointState",
-    names.DESIRED_POSE: "geometry_msgs/msg/PoseStamped",
+    names.ACCEPTED_POSE: "geometry_msgs/msg/PoseStamped",
+    names.ACCEPTED_FORCE: "geometry_msgs/msg/WrenchStamped",
     names.AUXILIARY_POSE: "geometry_msgs/msg/PoseStamped",
     names.OBJECT_POSE: "geometry_msgs/msg/PoseStamped",
     names.TRUE_CONTACTS: "geometry_msgs/msg/PoseArray",
@@ -57,7 +58,8 @@ class HandTopics:
             types: Types in the bag by full topic name.
 
         Raises:
-            BagError: If one has another type.
+            BagError: If one has another type, or there are commands without the ticks at which they
+                took effect.
         """
         for topic, expected in self.types.items():
             if types.get(topic, expected) != expected:
@@ -65,6 +67,12 @@ class HandTopics:
                     f"The topic {topic} has the type {types[topic]}, expected {expected}; remap it "
                     "or record the right one."
                 )
+        sent, accepted = self.full(names.DESIRED_POSE), self.full(names.ACCEPTED_POSE)
+        if sent in types and accepted not in types:
+            raise BagError(
+                f"The bag has {sent} but not {accepted}, which says when each pose took effect; "
+                "record it again with this version, and with that topic."
+            )
 
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:

@@ -1,37 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """Audit: is every recorded f* the optimum of (13), every torque that of the law?
 
-Both are worked out anew from the recorded inputs by other formulas and solvers than those of the
+Both are computed again from the recorded inputs, by other formulas and solvers than those of the
 nodes. What they share with the nodes is the hand's kinematics, and the small filters that have a
-memory: reference and load observer.
+memory: reference and load observer. Poses, live gains and calls of `~/reset` and `~/grasp` count
+from the ticks at which the nodes published that they took effect.
 
-Where the hand did not drive, torques are not checked. Calls of services (grasp, reset) and live
-gains are no messages, so that a bag does not hold them: ticks after one disagree.
+Where the hand did not drive, torques are not checked.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.load_observer import LoadObserver
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
-from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.control.reference import SmoothReference
-from tactile_hand_ros.errors import BagError, PoseError
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify import optimum
-from tactile_hand_ros.verify.recompute import heeded_inputs, scenario_of
-from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand, read_inputs
+from tactile_hand_ros.verify.recompute import scenario_of
+from tactile_hand_ros.verify.recorded_inputs import (
+    Effects,
+    Inputs,
+    Request,
+    in_force,
+    read_inputs,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -79,19 +84,17 @@ def audit(run: Run) -> list[Check]:
     Raises:
         BagError: If it is not known, the bag cannot be read, or the hand never had a grasp.
     """
-    scenario, inputs = scenario_of(run), read_inputs(run)
+    scenario = scenario_of(run)
+    inputs = read_inputs(run, scenario)
     if not _grasped(inputs.record).any():
         raise BagError(
             f"{run.bag} has no tick at which all fingers touch, expected one: there is nothing to "
             "audit; record a run with a grasp."
         )
-    if not all(wish.certain for wish in inputs.poses):
-        inputs = heeded_inputs(run)
     hand = Hand.load(
         scenario.hand, scenario.layout, np.array(scenario.manipulation_controller.gravity)
     )
-    forces = _audit_forces(scenario.force_optimizer, inputs)
-    return [*forces, _audit_absence(inputs), *_audit_torques(scenario, hand, inputs)]
+    return [*_audit_forces(inputs), _audit_absence(inputs), *_audit_torques(hand, inputs)]
 
 
 def _check(
@@ -137,23 +140,54 @@ def _grasped(record: Record) -> Flags:
     return grasped
 
 
-def _heard(inputs: Inputs) -> Flags:
-    """Return at which ticks touch was heard at all, shape (n,)."""
+def _sensed(inputs: Inputs) -> Flags:
+    """Return the ticks with a message of the contacts, shape (n,)."""
     return np.array([contacts is not None for contacts in inputs.contacts], dtype=np.bool_)
 
 
 def _audit_absence(inputs: Inputs) -> Check:
     """Check that no f*, such as an old one, was given for contacts that are no grasp."""
     record = inputs.record
-    rows = np.flatnonzero(_heard(inputs) & ~_grasped(record))
+    rows = np.flatnonzero(_sensed(inputs) & ~_grasped(record))
     given = np.isfinite(record.optimal_forces[rows]).any(axis=(1, 2))
     return _check("no f* where there is no grasp", record, rows, np.asarray(1.0 * given), 0.5, "1")
 
 
-def _audit_forces(config: ForceOptimizerConfig, inputs: Inputs) -> list[Check]:
+def _audit_forces(inputs: Inputs) -> list[Check]:
     """Check every f* that was given, and that one was given wherever there is one."""
     record = inputs.record
-    rows = np.flatnonzero(_grasped(record) & inputs.heeded(record.optimal_forces))
+    rows = np.flatnonzero(_grasped(record) & inputs.answered(record.optimal_forces))
+    configs = in_force(inputs.configurations[names.OPTIMIZER], record.stamps)
+    loads = _loads(configs[0].load_time, inputs, rows) if configs[0].cones else np.zeros(len(rows))
+    checks = []
+    for config in {id(config): config for config in configs}.values():
+        part = np.array([configs[row] is config for row in rows], dtype=np.bool_)
+        checks += _audit_forces_with(config, inputs, rows[part], loads[part])
+    return _merged(checks)
+
+
+def _merged(checks: list[Check]) -> list[Check]:
+    """Join the checks of one name, made at different ticks."""
+    merged: dict[str, Check] = {}
+    for check in checks:
+        other = merged.setdefault(check.name, check)
+        if other is not check:
+            first = min((c.first for c in (other, check) if c.first is not None), default=None)
+            merged[check.name] = replace(
+                other,
+                ticks=other.ticks + check.ticks,
+                worst=float(np.maximum(other.worst, check.worst)),  # NaN if either is
+                first=first,
+                wrong=other.wrong + check.wrong,
+            )
+    return list(merged.values())
+
+
+def _audit_forces_with(
+    config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp], loads: Array
+) -> list[Check]:
+    """Check f* at the ticks of one configuration; `loads` are from `_loads`."""
+    record = inputs.record
     k = len(record.finger_names)
     positions = record.contact_positions[rows]
     rotations = _rotations(record.contact_quaternions[rows])
@@ -167,12 +201,12 @@ def _audit_forces(config: ForceOptimizerConfig, inputs: Inputs) -> list[Check]:
     both: Flags = np.asarray(answered & wanted)
     plain, checks = both, list[Check]()
     if config.cones:
-        pyramids = _pyramids(config, inputs, rows)
+        pyramids = _pyramids(config, record, rows, loads)
         known = np.array([p is not None for p in pyramids], dtype=np.bool_)
         felt: Flags = np.asarray(np.isfinite(record.forces[rows]).all(axis=(1, 2)))
         felt &= np.isfinite(record.friction[rows]).all(axis=1)
         differs: Flags = np.asarray(np.abs(given - best.forces).max(axis=1) > FORCE_TOLERANCE)
-        # Without a message that the bag has lost nobody knows the cones.
+        # The cones are unknown where the bag has lost a message.
         plain = both & ~(differs & (known | ~felt))
         checks = _audit_cones(problem, record, rows, given, pyramids, both, differs)
     at = np.flatnonzero(plain)
@@ -185,11 +219,10 @@ def _audit_forces(config: ForceOptimizerConfig, inputs: Inputs) -> list[Check]:
 
 
 def _pyramids(
-    config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp]
+    config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp], loads: Array
 ) -> list[optimum.Pyramids | None]:
     """Return the friction pyramids at some ticks, None where load or friction is not known."""
-    loads = _loads(config, inputs, rows)
-    friction = config.cone_share * inputs.record.friction[rows]
+    friction = config.cone_share * record.friction[rows]
     known: Flags = np.asarray(
         np.isfinite(loads).all(axis=(1, 2)) & np.isfinite(friction).all(axis=1)
     )
@@ -230,7 +263,7 @@ def _audit_cones(
     return checks
 
 
-def _loads(config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp]) -> Array:
+def _loads(load_time: float, inputs: Inputs, rows: NDArray[np.intp]) -> Array:
     """Return the smoothed load per unit of squeeze at some ticks, shape (n, k, 3)."""
     record = inputs.record
     positions = record.contact_positions[rows]
@@ -243,7 +276,7 @@ def _loads(config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp])
     load = np.einsum("nkij,nki->nkj", rotations, carried)
     squeeze = (forces - load)[:, :, 1].sum(axis=1)
     usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
-    losses = np.cumsum(_heard(inputs) & ~_grasped(record))
+    losses = np.cumsum(_sensed(inputs) & ~_grasped(record))
     out: Array = np.full_like(load, np.nan)
     last = -1
     for i in np.flatnonzero(usable):
@@ -251,7 +284,7 @@ def _loads(config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp])
         # The filter forgets at ticks without a grasp.
         if last == i - 1 and last >= 0 and losses[rows[i]] == losses[rows[last]]:
             passed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
-            out[i] = out[last] + (1.0 - np.exp(-passed / config.load_time)) * (out[i] - out[last])
+            out[i] = out[last] + (1.0 - np.exp(-passed / load_time)) * (out[i] - out[last])
         last = int(i)
     return out
 
@@ -268,14 +301,15 @@ def _grasp_maps(positions: Array) -> Array:
     return np.asarray(maps.reshape(n, 6, 3 * k))
 
 
-def _audit_torques(scenario: Scenario, hand: Hand, inputs: Inputs) -> list[Check]:
+def _audit_torques(hand: Hand, inputs: Inputs) -> list[Check]:
     """Check what the hand believed and what it answered, at all ticks at which it drove."""
-    record, config = inputs.record, scenario.manipulation_controller
+    record = inputs.record
+    law = inputs.configurations[names.CONTROLLER][0].value.law.name  # it is not live
     drove = np.isfinite(record.auxiliary_position).all(axis=1)
     answered = np.isfinite(record.command).all(axis=1)
     known = np.isfinite(record.contact_positions).all(axis=(1, 2))
     rows = np.flatnonzero(drove & answered & known)
-    name = {"optimal": "(14)", "contact": "(10)", "kawamura": "(8)"}[config.law.name]
+    name = {"optimal": "(14)", "contact": "(10)", "kawamura": "(8)"}[law]
     name = f"torque of law {name}"
     if not len(rows):
         return [_check(name, record, rows, np.zeros(0), TORQUE_TOLERANCE, "N m")]
@@ -283,11 +317,11 @@ def _audit_torques(scenario: Scenario, hand: Hand, inputs: Inputs) -> list[Check
     linear, angular = np.array([t.linear for t in tips]), np.array([t.angular for t in tips])
     centres = np.array([t.positions for t in tips])
     points = record.contact_positions[rows]
-    if config.law.name == "kawamura":
+    if law == "kawamura":
         points = centres
     off = np.abs(points.mean(axis=1) - record.auxiliary_position[rows]).max(axis=1)
-    law = _law_torques(config, hand, record, rows, (linear, angular, centres), inputs)
-    difference = np.abs(law - record.command[rows]).max(axis=1)
+    torques = _law_torques(law, hand, rows, (linear, angular, centres), inputs)
+    difference = np.abs(torques - record.command[rows]).max(axis=1)
     checks = [_check("centroid", record, rows, off, POSE_TOLERANCE, "m")]
     if len(record.finger_names) == 3:
         turned = _frame_errors(points, record.auxiliary_quaternion[rows])
@@ -311,30 +345,33 @@ def _frame_errors(points: Array, quaternions: Array) -> Array:
 
 
 def _law_torques(
-    config: ControllerConfig,
+    law: str,
     hand: Hand,
-    record: Record,
     rows: NDArray[np.intp],
     tips: tuple[Array, Array, Array],
     inputs: Inputs,
 ) -> Array:
-    """Return the torques of the configured law at some ticks, shape (n, m)."""
+    """Return the torques of a law at some ticks, shape (n, m)."""
     linear, angular, centres = tips
+    record = inputs.record
+    configs = in_force(inputs.configurations[names.CONTROLLER], record.stamps[rows])
     points, k = record.contact_positions[rows], len(record.finger_names)
     n, m = len(rows), linear.shape[-1]
-    drive, carry = _wrenches(config, hand, record, rows, inputs)
+    renewed = _renewed(inputs, rows)
+    follows = np.append(False, np.diff(_turns(inputs)[rows]) == 1) & ~renewed
+    drive, carry = _wrenches(configs, rows, inputs, follows, renewed)
     squeeze = record.grasp_force[rows][:, None, None]
-    if config.law.name == "kawamura":
+    if law == "kawamura":
         pull = squeeze / hand.radii.sum() * (centres.mean(axis=1, keepdims=True) - centres)
         wrench = drive + carry
         torque = np.einsum("nkim,nki->nm", linear, pull + wrench[:, None, :3])
-        attitude = wrench[:, 3:] + config.law.k_st * np.array(config.law.r_ref)
+        attitude = wrench[:, 3:] + np.array([c.law.k_st * np.array(c.law.r_ref) for c in configs])
         torque += np.einsum("nkim,ni->nm", angular, attitude)
     else:
         arms = points - centres
         turning = np.cross(angular, arms[:, :, :, None], axisa=2, axisb=2, axisc=2)
         jacobian = (linear + turning).reshape(n, 3 * k, m)
-        if config.law.name == "optimal":
+        if law == "optimal":
             rotations = _rotations(record.contact_quaternions[rows])
             shape = np.einsum("nkij,nkj->nki", rotations, record.optimal_forces[rows])
         else:
@@ -343,64 +380,71 @@ def _law_torques(
         forces = (squeeze * shape).reshape(n, -1)
         forces += np.einsum("nij,nj->ni", inverse, drive + carry)
         torque = np.einsum("nfm,nf->nm", jacobian, forces)
-    torque -= config.law.damping * record.rates[rows]
-    if config.midpoint_hold:
-        follows = np.flatnonzero(np.diff(_turns(inputs)[rows]) == 1) + 1
-        before = torque.copy()
-        torque[follows] += 0.5 * (before[follows] - before[follows - 1])
-    if config.gravity_compensation:
-        torque += np.array([hand.gravity_torque(record.theta[row]) for row in rows])
+    torque -= np.array([[c.law.damping] for c in configs]) * record.rates[rows]
+    before = torque.copy()
+    for i, config in enumerate(configs):
+        if config.midpoint_hold and follows[i]:
+            torque[i] += 0.5 * (before[i] - before[i - 1])
+        if config.gravity_compensation:
+            torque[i] += hand.gravity_torque(record.theta[rows[i]])
     return np.asarray(torque)
 
 
 def _turns(inputs: Inputs) -> NDArray[np.intp]:
-    """Return the place of each tick among those that the controller has heeded, shape (n,)."""
-    return np.cumsum(inputs.heeded(inputs.record.command)) - 1
+    """Return the place of each tick among those that the controller answered, shape (n,)."""
+    return np.cumsum(inputs.answered(inputs.record.command)) - 1
+
+
+def _renewed(inputs: Inputs, rows: NDArray[np.intp]) -> Flags:
+    """Return at which of some ticks the controller began with a new grasp, shape (n,).
+
+    A reset takes effect at once; a hand that was opened drives again only with a new grasp.
+    """
+    renewed = np.zeros(len(rows), dtype=np.bool_)
+    for stamp, request in inputs.requests.get(names.CONTROLLER, ()):
+        if request.service == "reset" or request == Request("grasp", False):
+            renewed[np.searchsorted(inputs.record.stamps[rows], stamp) :][:1] = True
+    return renewed
 
 
 def _wrenches(
-    config: ControllerConfig,
-    hand: Hand,
-    record: Record,
+    configs: list[ControllerConfig],
     rows: NDArray[np.intp],
     inputs: Inputs,
+    follows: Flags,
+    renewed: Flags,
 ) -> tuple[Array, Array]:
-    """Return what moves and what carries the object at some ticks, both of shape (n, 6)."""
+    """Return what moves and what carries the object at some ticks, both of shape (n, 6).
+
+    Args:
+        configs: Configuration in force at each of them.
+        rows: The ticks.
+        inputs: Their inputs.
+        follows: Those at which the controller drove at the tick that it answered before.
+        renewed: Those that begin a new grasp.
+    """
+    record = inputs.record
     frames = _rotations(record.auxiliary_quaternion[rows])
     observer, reference = LoadObserver(), SmoothReference()
     integral = np.zeros(6)
     drive, carry = np.zeros((len(rows), 6)), np.zeros((len(rows), 6))
     target: Target | None = None
-    grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
-    unsaid = sorted(inputs.poses, key=lambda wish: max(wish.stamp, 0))
-    queue: list[tuple[int, UserCommand, bool]] = []  # from which stamp, what, if in reach
-    turns = _turns(inputs)[rows]
-    for i, row in enumerate(rows):
-        follows = i > 0 and turns[i - 1] == turns[i] - 1
-        dt = 1e-9 * float(record.stamps[row] - record.stamps[rows[i - 1]]) if follows else 0.0
-        if not follows:
+    poses = Effects(inputs.poses)
+    for i, (row, config) in enumerate(zip(rows, configs, strict=True)):
+        dt = 1e-9 * float(record.stamps[row] - record.stamps[rows[i - 1]]) if follows[i] else 0.0
+        if not follows[i]:
             reference.reset()
+        if renewed[i]:
+            target, integral = None, np.zeros(6)
+            observer.reset()
         now = AuxiliaryPose(record.auxiliary_position[row], frames[i])
         target = target or Target(now.position, now.orientation)
-        # As in the controller: judged by the grasp when it is said, else when it is due.
-        for wish in [w for w in unsaid if w.first <= row]:
-            if grasp is None or _within_reach(hand, *grasp, wish.value):
-                is_ahead = not wish.first or wish.stamp > int(record.stamps[wish.first - 1])
-                queue.append((wish.stamp if is_ahead else 0, wish, grasp is not None))
-        unsaid = [wish for wish in unsaid if wish.first > row]
         contacts = Contacts(
             record.contact_positions[row],
             rotation_from_quaternion(record.contact_quaternions[row]),
         )
-        grasp = record.theta[row], contacts, now
-        queue.sort(key=lambda entry: entry[0])
-        count = sum(stamp <= int(record.stamps[row]) for stamp, *_ in queue)
-        if count:
-            (*older, (_, wish, known)), queue = queue[:count], queue[count:]
-            if known or _within_reach(hand, *grasp, wish.value):
-                target = wish.value
-            else:
-                queue = [(0, before, judged) for _, before, judged in older] + queue
+        for target in poses.until(int(record.stamps[row])):
+            pass  # of several the last one holds
         wanted = reference.step(target, now, config.reference_time, dt)
         error = np.concatenate(
             [
@@ -411,20 +455,11 @@ def _wrenches(
         drive[i] = error * np.repeat([config.law.k_p, config.law.k_o], 3)
         integral = _integrated(config, integral, error, dt)
         carry[i] = integral
-        if config.law.observer.time > 0.0:
+        if config.law.observer.time == 0.0:
+            observer.reset()
+        else:
             carry[i] += observer.step(config.law.observer, contacts, record.forces[row], dt)
     return drive, carry
-
-
-def _within_reach(
-    hand: Hand, theta: Array, contacts: Contacts, pose: AuxiliaryPose, target: Target
-) -> bool:
-    """Return whether the controller took a desired pose."""
-    try:
-        check_reach(hand, theta, contacts, pose, target)
-    except PoseError:
-        return False
-    return True
 
 
 def _integrated(config: ControllerConfig, integral: Array, error: Array, dt: float) -> Array:

@@ -5,8 +5,8 @@ With the configuration of the run every number must come out as it was recorded,
 another configuration or law the difference shows what that controller would have answered at the
 same ticks (a shadow controller: its answers do not move the hand).
 
-Calls of services (enable, grasp, reset) and live parameters are no messages, so that a bag does not
-hold them: ticks after one differ from what was recorded.
+Desired poses, squeezes, live parameters and service calls are applied at the ticks at which the
+nodes published that they took effect.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, changed
@@ -33,15 +34,19 @@ from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.control.slip.split import ConeWatch
-from tactile_hand_ros.errors import BagError, ConfigurationError, MessageError, PoseError
+from tactile_hand_ros.errors import BagError, ConfigurationError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.verify.heeding import Heeding
-from tactile_hand_ros.verify.recorded_inputs import Inputs, UserCommand, read_inputs
+from tactile_hand_ros.verify.recorded_inputs import (
+    CONTROLLERS,
+    Effects,
+    Inputs,
+    Request,
+    read_inputs,
+)
 
 Array = NDArray[np.float64]
 
-CONTROLLERS = ("slip_regulator", "force_optimizer", "manipulation_controller")
 COMPARED = (
     ("grasp_force", "grasp_force", "N"),
     ("grip_state", "friction", "1"),
@@ -126,22 +131,12 @@ def recompute(
     """
     base = scenario_of(run)
     wanted = changed(base, {full_key(key): value for key, value in (changes or {}).items()})
-    is_shadow = bool(changes) or law is not None
-    # When users were heeded shows only in the run's own answers.
-    inputs = heeded_inputs(run) if is_shadow else read_inputs(run)
+    inputs = read_inputs(run, base).changed(base, wanted)
     began = time.perf_counter()
-    record = ShadowLoop(wanted, inputs, law).run()
+    record = ShadowLoop(inputs, law).run()
     seconds = time.perf_counter() - began
     simulated = float(record.times[-1] - record.times[0]) if len(record) else 0.0
     return Recomputation(record, compare(run.record, record), wanted, simulated, seconds)
-
-
-def heeded_inputs(run: Run) -> Inputs:
-    """Return the inputs of a run, with the tick at which each wish of its users was heeded."""
-    inputs = read_inputs(run)
-    if not all(wish.certain for wish in inputs.poses + inputs.forces):
-        ShadowLoop(scenario_of(run), inputs, None).run()
-    return inputs
 
 
 def scenario_of(run: Run) -> Scenario:
@@ -192,10 +187,7 @@ def reason(run: Run) -> str:
         return f": {'; '.join(others)}."
     if int(told.get("lost_messages", 0)):
         return f": {told['lost_messages']} messages are missing from the bag."
-    return (
-        "; a service call (enable, grasp, reset) or a live parameter, neither of which a bag "
-        "holds, or changed code may be the reason."
-    )
+    return "; changed code, or a node that was started again, may be the reason."
 
 
 def load_law(name: str) -> LawFactory:
@@ -251,12 +243,11 @@ def _compare(
 class ShadowLoop:
     """The controllers, wired by function calls as in `ClosedLoop`, fed from a recording."""
 
-    def __init__(self, scenario: Scenario, inputs: Inputs, law: LawFactory | None = None) -> None:
+    def __init__(self, inputs: Inputs, law: LawFactory | None = None) -> None:
         """Build the controllers.
 
         Args:
-            scenario: Their configuration.
-            inputs: What they hear.
+            inputs: Their configurations, inputs and commands.
             law: A law in the place of the configured one.
 
         Raises:
@@ -265,56 +256,54 @@ class ShadowLoop:
         self._inputs = inputs
         self._recorded = inputs.record
         k = len(self._recorded.finger_names)
-        regulator = SlipRegulator(scenario.slip_regulator, k)
-        self._optimizer = ForceOptimizer(scenario.force_optimizer, k)
-        self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
-        controller = Controller(scenario.manipulation_controller, law)
-        self._feels = scenario.manipulation_controller.law.observer.time > 0.0
+        self._configurations = {node: Effects(e) for node, e in inputs.configurations.items()}
+        self._requests = {node: Effects(inputs.requests.get(node, ())) for node in CONTROLLERS}
+        self._poses, self._forces = Effects(inputs.poses), Effects(inputs.forces)
+        first = {node: effects.first() for node, effects in self._configurations.items()}
+        self._regulator = SlipRegulator(first[names.REGULATOR], k)
+        self._optimizer = ForceOptimizer(first[names.OPTIMIZER], k)
+        self._cone_watch = ConeWatch(first[names.OPTIMIZER].load_time)
+        self._controller = Controller(first[names.CONTROLLER], law)
         arrays = {name: np.full_like(getattr(self._recorded, name), np.nan) for name in _ANSWERS}
         self._out = copy.copy(self._recorded)
         for name, array in arrays.items():
-            object.__setattr__(self._out, name, array)  # the copy is nobody else's yet
-        self._regulator = Heeding(
-            regulator, inputs.forces, _request, lambda row: self._agrees(row, "grasp_force")
-        )
-        self._controller = Heeding(
-            controller, inputs.poses, _command, lambda row: self._agrees(row, "command")
-        )
+            object.__setattr__(self._out, name, array)  # the copy is not shared yet
 
     def run(self) -> Record:
         """Answer all ticks."""
-        r, heeded = self._recorded, self._inputs.heeded
-        regulated, optimized = heeded(r.grasp_force), heeded(r.optimal_forces)
-        controlled = heeded(r.command)
+        r, answered = self._recorded, self._inputs.answered
+        regulated, optimized = answered(r.grasp_force), answered(r.optimal_forces)
+        controlled = answered(r.command)
         for row in range(len(r)):
             contacts = self._inputs.contacts[row]
             touched = contacts is not None and bool(self._inputs.felt[row])
             if touched and regulated[row]:
-                self._regulator.step(row, self._regulate)
+                self._regulate(row)
             if contacts is not None and optimized[row]:
                 if touched or not self._optimizer.config.cones:
                     self._optimize(row, contacts)
             if touched and controlled[row]:
-                self._controller.step(row, self._control)
+                self._control(row)
             elif np.isfinite(self._recorded.command[row]).all():
-                self._controller.step(row, self._hold)
-        self._regulator.finish()
-        self._controller.finish()
+                self._hold(row)
         return self._out
 
-    def _agrees(self, row: int, name: str) -> bool:
-        mine = np.asarray(getattr(self._out, name)[row])
-        return bool((mine == getattr(self._recorded, name)[row]).all())
-
     def _regulate(self, row: int) -> None:
-        contacts, out = self._inputs.contacts[row], self._out
-        regulator: SlipRegulator = self._regulator.block
+        contacts, out, regulator = self._inputs.contacts[row], self._out, self._regulator
         stamp = int(self._recorded.stamps[row])
+        for config in self._configurations[names.REGULATOR].until(stamp):
+            regulator.configure(config)
+        for _ in self._requests[names.REGULATOR].until(stamp):
+            regulator.reset()
+        for force in self._forces.until(stamp):
+            regulator.goal = force
         out.grasp_force[row] = regulator.step(stamp, contacts, self._recorded.forces[row])
         out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
         out.friction[row] = regulator.friction
 
     def _optimize(self, row: int, contacts: Contacts) -> None:
+        for config in self._configurations[names.OPTIMIZER].until(int(self._recorded.stamps[row])):
+            self._optimizer.configure(config)
         c, cones = self._optimizer.config, None
         if c.cones:
             cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])
@@ -328,15 +317,15 @@ class ShadowLoop:
         r, out = self._recorded, self._out
         contacts = self._inputs.contacts[row]
         assert contacts is not None
-        controller: Controller = self._controller.block
-        command = controller.step(
+        self._command(int(r.stamps[row]))
+        command = self._controller.step(
             int(r.stamps[row]),
             r.theta[row],
             r.rates[row],
             contacts,
             out.optimal_forces[row],
             float(out.grasp_force[row]),
-            r.forces[row] if self._feels else None,
+            r.forces[row],
         )
         out.command[row] = command.torque
         pose = command.pose
@@ -348,19 +337,32 @@ class ShadowLoop:
 
     def _hold(self, row: int) -> None:
         r = self._recorded
-        controller: Controller = self._controller.block
-        held = controller.hold(r.theta[row], r.rates[row], "inputs are missing")
+        self._command(int(r.stamps[row]))
+        held = self._controller.hold(r.theta[row], r.rates[row], "inputs are missing")
         self._out.command[row] = held.torque
 
+    def _command(self, stamp: int) -> None:
+        """Give the controller what took effect at a tick."""
+        controller = self._controller
+        for config in self._configurations[names.CONTROLLER].until(stamp):
+            controller.configure(config)
+        for request in self._requests[names.CONTROLLER].until(stamp):
+            _apply(controller, request)
+        for target in self._poses.until(stamp):
+            controller.schedule(target, stamp, judged=True)
 
-def _request(regulator: SlipRegulator, wish: UserCommand) -> None:
-    with contextlib.suppress(MessageError):  # the node dropped it too
-        regulator.request(wish.value)
 
-
-def _command(controller: Controller, wish: UserCommand) -> None:
-    with contextlib.suppress(PoseError):  # the node dropped it too
-        controller.command(wish.value, wish.stamp)
+def _apply(controller: Controller, request: Request) -> None:
+    """Repeat a service call."""
+    if request.service == "reset":
+        controller.reset()
+    elif request.service == "enable":
+        controller.enabled = request.value
+    elif request.value:
+        controller.grasp()
+    else:
+        with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
+            controller.release()
 
 
 _ANSWERS = tuple(name for _, name, _ in COMPARED)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -25,27 +26,34 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
-from tactile_hand_ros.closed_loop.scenario import Scenario, changed
+from tactile_hand_ros.closed_loop.scenario import changed
+from tactile_hand_ros.config.model import Config, is_live, leaves
+from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.wire import PoseCodec, stamp_of
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.parameters import to_parameters, to_params_yaml
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.ros.qos import tick_publisher_qos, tick_qos, user_qos
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import (
-    CONTROLLERS,
     Comparison,
     full_key,
-    heeded_inputs,
     scenario_of,
 )
-from tactile_hand_ros.verify.recorded_inputs import USER_FORCE, UserCommand
+from tactile_hand_ros.verify.recorded_inputs import (
+    CONTROLLERS,
+    Effects,
+    Inputs,
+    Request,
+    read_inputs,
+)
 
 _PATIENCE = 60.0  # s until the nodes must have answered
 _RESEND = 0.2  # s
@@ -54,11 +62,11 @@ Payloads = dict[str, dict[int, bytes]]
 """Bytes by topic and stamp [ns]."""
 
 
-class QuestionError(TactileHandError):
+class NoAnswerError(TactileHandError):
     """Nodes that do not answer."""
 
 
-def ask_nodes(
+def replay_through_nodes(
     run: Run,
     changes: Mapping[str, Any] | None = None,
     progress: Callable[[float], None] = lambda _: None,
@@ -76,21 +84,19 @@ def ask_nodes(
     values = {full_key(key): value for key, value in (changes or {}).items()}
     # In lockstep nothing is missing: what is late must be waited for.
     values["manipulation_controller.input_timeout"] = _PATIENCE
-    scenario = changed(scenario_of(run), values)
-    inputs = heeded_inputs(run)
+    base = scenario_of(run)
+    inputs = read_inputs(run, base).changed(base, changed(base, values))
     fingers = run.topics.fingers
     sensors = [names.JOINT_STATES, names.CONTACTS, *(names.wrench(f) for f in fingers)]
     answers = [names.GRASP_FORCE, names.GRIP_STATE, names.AUXILIARY_POSE]
     answers += [*(names.optimal_force(f) for f in fingers), names.JOINT_COMMAND]
     recorded = _payloads(run, [*sensors, *answers])
     stamps = [int(s) for s in inputs.record.stamps if int(s) in recorded[names.JOINT_COMMAND]]
-    with _nodes(scenario), _Feeder(sensors, answers) as feeder:
-        wishes = sorted([*inputs.poses, *inputs.forces], key=lambda wish: wish.first)
-        rows = {int(stamp): row for row, stamp in enumerate(inputs.record.stamps)}
+    with _nodes(inputs), _Feeder(sensors, answers) as feeder:
+        commands = _Commands(inputs, feeder)
         for count, stamp in enumerate(stamps):
-            while wishes and wishes[0].first <= rows[stamp]:
-                feeder.wish(wishes.pop(0))
-            feeder.ask(stamp, {name: recorded[name].get(stamp) for name in sensors})
+            commands.send(stamp)
+            feeder.tick(stamp, {name: recorded[name].get(stamp) for name in sensors})
             progress((count + 1) / len(stamps))
         feeder.settle({name: len(recorded[name].keys() & set(stamps)) for name in answers})
         got = feeder.got
@@ -107,13 +113,14 @@ def _payloads(run: Run, wanted: list[str]) -> Payloads:
 
 
 @contextmanager
-def _nodes(scenario: Scenario) -> Iterator[None]:
+def _nodes(inputs: Inputs) -> Iterator[None]:
     """Run the controllers in a ROS domain of their own."""
     use_sockets()
     with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         for name in CONTROLLERS:
             file = Path(folder) / f"{name}.yaml"
-            file.write_text(to_params_yaml(scenario.node_config(name), name), encoding="utf-8")
+            config = inputs.configurations[name][0].value
+            file.write_text(to_params_yaml(config, name), encoding="utf-8")
             arguments = ("--ros-args", "--params-file", str(file))
             stack.enter_context(start_executable(name, *arguments))
         yield
@@ -134,22 +141,22 @@ class _Feeder:
 
     def __enter__(self) -> _Feeder:
         context = self._stack.enter_context(private_context(int(os.environ["ROS_DOMAIN_ID"])))
-        node = Node("question", context=context)
+        node = self._node = Node("replay_through_nodes", context=context)
         self._stack.callback(node.destroy_node)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(node)
         sensors, answers = self._names
         for name in answers:
-            heard = partial(self._hear, name)
+            keep = partial(self._keep, name)
             node.create_subscription(
-                _TYPES.get(name, WrenchStamped), name, heard, tick_qos(), raw=True
+                _TYPES.get(name, WrenchStamped), name, keep, tick_qos(), raw=True
             )
         self._publishers: dict[str, Publisher] = {
             name: node.create_publisher(_TYPES.get(name, WrenchStamped), name, tick_publisher_qos())
             for name in sensors
         }
         self._pose = node.create_publisher(PoseStamped, names.DESIRED_POSE, user_qos())
-        self._force = node.create_publisher(Float64, USER_FORCE, user_qos())
+        self._force = node.create_publisher(Float64, names.USER_GRASP_FORCE, user_qos())
         met = [*self._publishers.values(), self._pose, self._force]
         self._until(lambda: all(p.get_subscription_count() for p in met), "to start")
         self._until(
@@ -160,7 +167,7 @@ class _Feeder:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def _hear(self, name: str, data: bytes) -> None:
+    def _keep(self, name: str, data: bytes) -> None:
         self.got[name][stamp_of(data)] = data
 
     def _until(self, condition: Callable[[], bool], what: str, limit: float = _PATIENCE) -> None:
@@ -168,21 +175,44 @@ class _Feeder:
         while not condition():
             self._executor.spin_once(timeout_sec=0.01)
             if time.monotonic() > end:
-                raise QuestionError(
+                raise NoAnswerError(
                     f"The nodes had {limit:g} s {what} and did not; run them by hand to see why."
                 )
 
-    def wish(self, wish: UserCommand) -> None:
-        """Send what a user asked for; it is there before the next tick is sent."""
-        if isinstance(wish.value, float):
-            self._force.publish(serialize_message(Float64(data=wish.value)))
-            self._force.wait_for_all_acked(_ACK)
-            return
-        turn = quaternion_from_rotation(wish.value.orientation)
-        self._pose.publish(PoseCodec().encode(wish.value.position, turn, wish.stamp))
+    def force(self, force: float) -> None:
+        """Request a squeeze [N]; it is there before the next tick is sent."""
+        self._force.publish(serialize_message(Float64(data=force)))
+        self._force.wait_for_all_acked(_ACK)
+
+    def pose(self, target: Target, stamp: int) -> None:
+        """Command a desired pose for a tick [ns]; it is there before the next tick is sent."""
+        turn = quaternion_from_rotation(target.orientation)
+        self._pose.publish(PoseCodec().encode(target.position, turn, stamp))
         self._pose.wait_for_all_acked(_ACK)
 
-    def ask(self, stamp: int, messages: Mapping[str, bytes | None]) -> None:
+    def configure(self, node: str, config: Config) -> None:
+        """Set the live parameters of a node."""
+        live = {name for name, field in leaves(type(config)).items() if is_live(field)}
+        parameters = [each for each in to_parameters(config) if each.name in live]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
+
+    def request(self, node: str, request: Request) -> None:
+        """Call a service of a node."""
+        name = f"{node}/{request.service}"
+        if request.service == "reset":
+            self._call(Trigger, name, Trigger.Request())
+        else:
+            self._call(SetBool, name, SetBool.Request(data=request.value))
+
+    def _call(self, kind: Any, name: str, request: Any) -> None:
+        client = self._node.create_client(kind, name)
+        self._until(client.service_is_ready, f"to offer {name}")
+        future = client.call_async(request)
+        self._until(future.done, f"to answer {name}")
+        self._node.destroy_client(client)
+
+    def tick(self, stamp: int, messages: Mapping[str, bytes | None]) -> None:
         """Send a tick, again and again if need be, until the controller has answered it."""
         end = time.monotonic() + _PATIENCE
         answered = self.got[names.JOINT_COMMAND]
@@ -194,7 +224,7 @@ class _Feeder:
             while stamp not in answered and time.monotonic() < again:
                 self._executor.spin_once(timeout_sec=0.01)
             if time.monotonic() > end:
-                raise QuestionError(
+                raise NoAnswerError(
                     f"The nodes had {_PATIENCE:g} s to answer tick {stamp} ns and did not; the bag "
                     "may lack a topic that this configuration needs."
                 )
@@ -204,6 +234,31 @@ class _Feeder:
         end = time.monotonic() + 1.0
         while time.monotonic() < end and any(len(self.got[n]) < c for n, c in counts.items()):
             self._executor.spin_once(timeout_sec=0.01)
+
+
+class _Commands:
+    """Sends everything that took effect at a tick just before that tick."""
+
+    def __init__(self, inputs: Inputs, feeder: _Feeder) -> None:
+        self._feeder = feeder
+        self._configurations = {node: Effects(e) for node, e in inputs.configurations.items()}
+        for effects in self._configurations.values():
+            effects.first()  # with which the node was started
+        self._requests = {node: Effects(e) for node, e in inputs.requests.items()}
+        self._forces, self._poses = Effects(inputs.forces), Effects(inputs.poses)
+
+    def send(self, stamp: int) -> None:
+        """Send what takes effect at a tick [ns], as the nodes apply it."""
+        for node, effects in self._configurations.items():
+            for config in effects.until(stamp):
+                self._feeder.configure(node, config)
+        for node, effects in self._requests.items():
+            for request in effects.until(stamp):
+                self._feeder.request(node, request)
+        for force in self._forces.until(stamp):
+            self._feeder.force(force)
+        for target in self._poses.until(stamp):
+            self._feeder.pose(target, stamp)
 
 
 def _compare(

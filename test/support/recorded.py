@@ -97,6 +97,51 @@ class RunWriter:
         self.bag.close()
 
 
+def parameter_event(stamp: int, node: str, values: dict[str, Any]) -> Any:
+    """Return the message with which a node publishes the configuration in force."""
+    defaults: dict[str, Any] = {"type": 0, "bool_value": False, "integer_value": 0}
+    defaults |= {"double_value": 0.0, "string_value": "", "string_array_value": []}
+    for kind, dtype in (("byte", "u1"), ("bool", "?"), ("integer", "i8"), ("double", "f8")):
+        defaults[f"{kind}_array_value"] = np.array([], dtype=dtype)
+    changed = []
+    for name, value in values.items():
+        kind, field, given = _parameter_value(value)
+        content = message(
+            "rcl_interfaces/msg/ParameterValue", **{**defaults, "type": kind, field: given}
+        )
+        changed.append(message("rcl_interfaces/msg/Parameter", name=name, value=content))
+    return message(
+        "rcl_interfaces/msg/ParameterEvent",
+        stamp=header(stamp).stamp,
+        node=f"/{node}",
+        new_parameters=[],
+        changed_parameters=changed,
+        deleted_parameters=[],
+    )
+
+
+def _parameter_value(value: Any) -> tuple[int, str, Any]:
+    """Return the type of a parameter, the field of its value and what goes into it."""
+    if isinstance(value, list | tuple):
+        return 8, "double_array_value", np.array(value, dtype=np.float64)
+    kinds = {bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value")}
+    return (*kinds.get(type(value), (4, "string_value")), value)
+
+
+def request_message(stamp: int, node: str, service: str, value: str = "") -> Any:
+    """Return the message with which a node publishes that a service call took effect."""
+    pair = message("diagnostic_msgs/msg/KeyValue", key=service, value=value)
+    status = message(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=0,
+        name=node,
+        message=service,
+        hardware_id="",
+        values=[pair],
+    )
+    return message("diagnostic_msgs/msg/DiagnosticArray", header=header(stamp, ""), status=[status])
+
+
 def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = "/") -> None:
     """Write everything of one tick, the command later than the rest."""
     stamp, names = int(record.stamps[row]), record.joint_names
@@ -141,13 +186,14 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
 def write_record(
     folder: Path, record: Record, prefix: str = "/", custom_data: dict[str, str] | None = None
 ) -> Path:
-    """Write a whole record with its first desired pose, sent before the first tick."""
+    """Write a whole record with its first desired pose."""
     with RunWriter(folder, custom_data) as bag:
         known = np.flatnonzero(np.isfinite(record.desired_position[:, 0]))
         if len(known):
             row = known[0]
-            wish = record.desired_position[row], record.desired_quaternion[row]
-            bag.write(f"{prefix}desired_pose", pose_stamped(0, *wish), START - 10**9)
+            pose = record.desired_position[row], record.desired_quaternion[row]
+            stamp = int(record.stamps[row])
+            bag.write(f"{prefix}accepted/desired_pose", pose_stamped(stamp, *pose), START)
         for row in range(len(record)):
             write_tick(bag, record, row, START + row * PERIOD, prefix)
     return folder

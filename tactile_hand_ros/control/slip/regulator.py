@@ -68,6 +68,7 @@ class SlipRegulator:
 
     Attributes:
         grasp_force: k_f, N.
+        goal: Squeeze that the user asked for last, N; used inside the limits in force.
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
             shape can hold, NaN while unknown or not looked at (mode user).
         state: `Grip` of each contact, shape (k,).
@@ -101,7 +102,7 @@ class SlipRegulator:
         """Go back to the configured squeeze and forget what was learned."""
         start = self.config.grasp_force
         self.grasp_force: float = start
-        self._asked = self._goal = start
+        self._asked = self.goal = start
         self._reflex.start(start)
         self.needed = math.nan
         self._last_stamp: int | None = None
@@ -138,7 +139,7 @@ class SlipRegulator:
                 f"requested grasp force {grasp_force} N is outside {c.minimum} to {c.maximum} N; "
                 "ask for one inside or change the limits 'minimum' and 'maximum'"
             )
-        self._goal = grasp_force
+        self.goal = grasp_force
 
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
@@ -167,7 +168,7 @@ class SlipRegulator:
 
     def _follow_user(self, dt: float) -> None:
         c = self.config
-        goal = min(max(self._goal, c.minimum), c.maximum)
+        goal = min(max(self.goal, c.minimum), c.maximum)
         rate = min(max((goal - self._asked) / c.smoothing, -c.fall_rate), c.rise_rate)
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt

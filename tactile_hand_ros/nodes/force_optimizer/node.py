@@ -31,6 +31,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.split import ConeWatch
+from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.ros.messages.wire import WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
@@ -51,9 +52,10 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
-    Once a second: `/diagnostics` with status, residual, iterations and time of the solver, and with
-    `cones` the margin that certifies f* (the least mu f_n - |f_t| per unit of squeeze) and whether
-    the cones have shaped it.
+    `accepted/force_optimizer/parameters` (rcl_interfaces/ParameterEvent: the configuration in
+    force, stamped with its first tick). Once a second: `/diagnostics` with status, residual,
+    iterations and time of the solver, and with `cones` the margin that certifies f* (the least
+    mu f_n - |f_t| per unit of squeeze) and whether the cones have shaped it.
 
     Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and `cone_share` are
     live. When the stamps jump back, the solver forgets its last answer and the load.
@@ -70,6 +72,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._fingers = len(fingers)
         self._optimizer = ForceOptimizer(self.config, self._fingers)
         self._report = OptimizerReport(self.diagnostics)
+        self._accepted = Accepted(self, names.OPTIMIZER)
         self._sent: list[bytes] = []
         self._codecs = [WrenchCodec(names.contact_frame(name)) for name in fingers]
         self._publishers = [
@@ -99,6 +102,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def on_config(self, config: ForceOptimizerConfig) -> None:
         """Take other weights or another least share."""
         self._optimizer.configure(config)
+        self._accepted.configuration(config)
 
     def on_report(self) -> None:
         """Report how the last tick was solved."""
@@ -108,6 +112,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         """Begin anew with the ticks."""
         self._optimizer.reset()
         self._cone_watch.reset()
+        self._accepted.begin(self.config)
 
     def on_tick(
         self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
@@ -118,6 +123,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
+        self._accepted.take_effect(stamp)
         self._report.note(optimal)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)

@@ -33,10 +33,11 @@ from tactile_hand_ros.control.controller import (
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -46,6 +47,12 @@ from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
+
+
+class _CommandedPose(Target):
+    """A desired pose with its message: the rotation does not give back the exact quaternion."""
+
+    message: PoseStamped
 
 
 class ManipulationControllerNode(TactileNode[ControllerConfig]):
@@ -61,7 +68,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
-    of the contacts; not while holding). Once a second: `/diagnostics` with mode, distance to the
+    of the contacts; not while holding). With the stamp of the first tick that they change:
+    `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `Accepted` lists.
+    Once a second: `/diagnostics` with mode, distance to the
     target and margins of A1 (travel on faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
@@ -88,11 +97,16 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report = ControllerReport(self, self._controller.hand)
         self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._sent = b""
+        self._accepted = Accepted(self, names.CONTROLLER, requests=True)
+        self._begin()
         hand = self._controller.hand
         self._commands = JointCodec(hand.joint_names, ("effort",))
         self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
         self._poses = PoseCodec()
         self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
+        self._accepted_publisher = self.create_publisher(
+            PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
+        )
         # First, so that of a pose and a tick that wait together the pose is handled first.
         self.subscribe(PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos())
         self._feels = self.config.law.observer.time > 0.0
@@ -104,7 +118,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             streams.forces(hand.finger_names, wanted=self._feels),
         )
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
-        self._requests = ControllerServices(self, self._controller, self._on_reset)
+        self._requests = ControllerServices(self, self._controller, self._accepted, self._on_reset)
 
     def _rehearse(self) -> None:
         hand = self._controller.hand
@@ -125,6 +139,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def on_config(self, config: ControllerConfig) -> None:
         """Take other gains."""
         self._controller.configure(config)
+        self._accepted.configuration(config)
 
     def on_report(self) -> None:
         """Report mode, missing inputs, distance to the target and the margins of the grasp."""
@@ -136,8 +151,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.on_restart()
 
     def _on_desired(self, message: PoseStamped) -> None:
-        target, stamp = Target(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
+        target, stamp = _CommandedPose(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
         self._inputs.check_stamp(stamp)
+        target.message = message
         dropped = self._controller.dropped
         self._controller.command(target, stamp)
         self._fresh.append((target, stamp))
@@ -163,9 +179,18 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             stamp, *joints, contacts, optimal_forces, grasp_force, forces
         )
         self._answer(stamp, command)
+        self._publish_accepted(stamp)
         self._report.note(command, joints.theta, contacts)
         self._fresh.clear()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _publish_accepted(self, stamp: int) -> None:
+        """Publish the pose that became the target at a tick [ns], if one did."""
+        pose = self._controller.accepted
+        if pose is not None:
+            assert isinstance(pose, _CommandedPose)
+            pose.message.header.stamp = stamp_from_ns(stamp)
+            self._accepted_publisher.publish(pose.message)
 
     def _check_fresh(self, tick: int) -> None:
         """Refuse poses of another clock that came when the time of the ticks was not known yet."""
@@ -186,12 +211,19 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Begin anew with the ticks; poses that came together with the first one are for it."""
         self._controller.reset()
         self._report.reset()
+        self._begin()
         for target, stamp in self._fresh:
             self._controller.command(target, stamp)
+
+    def _begin(self) -> None:
+        """Publish at the next tick what stays in force when ticks begin anew."""
+        self._accepted.begin(self.config)
+        self._accepted.request("enable", self._controller.enabled)
 
     def _answer(self, stamp: int, command: Command) -> None:
         self._sent = self._commands.encode(stamp, command.torque)
         self._command_publisher.publish(self._sent)
+        self._accepted.take_effect(stamp)
         self.diagnostics.tick()
         if command.pose is not None:
             turn = quaternion_from_rotation(command.pose.orientation)

@@ -27,7 +27,7 @@ class RecorderConfig(Config):
         [".*"], "regular expressions; a topic is recorded if one matches its whole name"
     )
     exclude: list[str] = param(
-        ["/parameter_events"],
+        [],
         "regular expressions; a topic is not recorded if one matches its whole name",
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")

@@ -15,6 +15,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
@@ -55,7 +57,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
     0 to 1, `Grip`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
     id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
-    0 to 1). Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
+    0 to 1). With the stamp of the first tick that they change: `accepted/user_grasp_force`
+    (geometry_msgs/WrenchStamped, an accepted squeeze in force.y, N) and what `Accepted` lists. Once
+    a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
     friction, grip and number of slips of each finger, and the worst margins of that second: A3
     (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
     end a slip).
@@ -76,6 +80,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
+        self._accepted = Accepted(self, names.REGULATOR, requests=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._rehearse(len(fingers))
         self._grips = GripCodec(fingers)
@@ -88,6 +93,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._haptic = feedback_to_ros((0.0, 0.0))
         self._sent = self._grip_sent = b""
         self._felt, self._strongest = -1, 0.0
+        self._force_publisher = self.create_publisher(
+            WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+        )
         self.subscribe(Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos())
         declared = (streams.contacts(len(fingers)), streams.forces(fingers))
         self._inputs = TickInputs(self, declared, self)
@@ -103,6 +111,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def on_config(self, config: SlipRegulatorConfig) -> None:
         """Take another mode, other limits and rates."""
         self._regulator.configure(config)
+        self._accepted.configuration(config)
 
     def on_report(self) -> None:
         """Report the squeeze and what was learned of the contacts."""
@@ -112,12 +121,17 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """Begin anew with the ticks."""
         self._regulator.reset()
         self._report.reset()
+        self._accepted.begin(self.config)
 
     def _on_user_force(self, message: Float64) -> None:
-        self._regulator.request(number_from_ros(message))
+        force = number_from_ros(message)
+        self._regulator.request(force)
+        message_at = partial(self._codec.encode, (0.0, force, 0.0))
+        self._accepted.add(self._force_publisher, message_at)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.on_restart()
+        self._accepted.request("reset")
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
@@ -132,6 +146,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         )
         self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
         self.on_repeat()
+        self._accepted.take_effect(stamp)
         self._report.note(regulator, stamp, contacts, forces, state)
         self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
         self.diagnostics.tick()

@@ -27,12 +27,12 @@ def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
     assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
 
 
-def test_everything_but_parameter_events_is_the_default() -> None:
-    """Simulated time, logs, diagnostics and namespaces are part of a recording."""
+def test_everything_is_the_default() -> None:
+    """Simulated time, logs, diagnostics, parameters and namespaces are part of a recording."""
     config = RecorderConfig(output="bag")
     selection = TopicSelection(config.topics, config.exclude)
     names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
-    assert [name in selection for name in names] == [True, True, True, True, False]
+    assert [name in selection for name in names] == 5 * [True]
 
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])

@@ -190,66 +190,42 @@ class TestRecord:
 class TestDesiredPose:
     """Ticks are 0, 10, 20, 30 and 40 ns, logged at 100, 200, 300, 400 and 500 ns."""
 
-    def in_effect(self, folder: Path, *wishes: tuple[int, int, float]) -> list[float]:
-        """Return x of the desired pose at each tick, given (log time, stamp, x)."""
+    def in_force(self, folder: Path, *poses: tuple[int, float]) -> list[float]:
+        """Return x of the desired pose at each tick, given (tick at which it took effect, x)."""
         with RunWriter(folder) as bag:
             for row in range(5):
                 tick_only(bag, 10 * row, 100 + 100 * row)
-            for at, stamp, x in wishes:
-                bag.write("/desired_pose", pose_stamped(stamp, (x, 0.0, 0.0), STRAIGHT), at)
+            for stamp, x in poses:
+                accepted = pose_stamped(stamp, (x, 0.0, 0.0), STRAIGHT)
+                bag.write("/accepted/desired_pose", accepted, 105 + 10 * stamp)
         return np.nan_to_num(Run(folder).record.desired_position[:, 0], nan=-1.0).tolist()
 
-    def test_before_the_first_tick(self, tmp_path: Path) -> None:
-        assert self.in_effect(tmp_path / "a", (50, 0, 1.0)) == [1.0] * 5
-        assert self.in_effect(tmp_path / "b", (50, 20, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
+    def test_holds_from_its_tick_on(self, tmp_path: Path) -> None:
+        assert self.in_force(tmp_path / "a", (0, 1.0)) == [1.0] * 5
+        assert self.in_force(tmp_path / "b", (20, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
+        assert self.in_force(tmp_path / "c", (10, 2.0), (30, 3.0)) == [-1.0, 2.0, 2.0, 3.0, 3.0]
 
-    def test_at_once(self, tmp_path: Path) -> None:
-        """A stamp of zero or one that is past: from the next tick on."""
-        assert self.in_effect(tmp_path / "a", (250, 0, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
-        assert self.in_effect(tmp_path / "b", (350, 10, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+    def test_of_several_at_one_tick_the_last_holds(self, tmp_path: Path) -> None:
+        assert self.in_force(tmp_path / "a", (10, 1.0), (10, 2.0)) == [-1.0, 2.0, 2.0, 2.0, 2.0]
 
-    def test_between_ticks(self, tmp_path: Path) -> None:
-        assert self.in_effect(tmp_path / "a", (150, 25, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+    def test_tick_that_is_not_in_the_bag(self, tmp_path: Path) -> None:
+        """The next one shows it; there is none after the end."""
+        assert self.in_force(tmp_path / "a", (25, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
+        assert self.in_force(tmp_path / "b", (50, 1.0)) == [-1.0] * 5
 
-    def test_the_last_one_wins(self, tmp_path: Path) -> None:
-        wishes = (50, 30, 3.0), (150, 0, 1.0), (160, 0, 2.0)
-        assert self.in_effect(tmp_path / "a", *wishes) == [-1.0, 2.0, 2.0, 3.0, 3.0]
+    def test_of_an_earlier_run_in_the_bag_it_is_forgotten(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            for stamp, at in ((0, 0), (10, 1), (0, 10**9), (10, 10**9 + 1)):
+                tick_only(bag, stamp, at)
+            bag.write("/accepted/desired_pose", pose_stamped(10, (1.0, 0.0, 0.0), STRAIGHT), 2)
+        assert np.isnan(Run(tmp_path / "bag").record.desired_position).all()
 
-    def test_of_one_tick_the_later_stamp_wins_and_of_one_stamp_the_later_word(
-        self, tmp_path: Path
-    ) -> None:
-        """A stamp that is past is none: of two such the one that was said last counts."""
-        late_first = (50, 25, 1.0), (60, 22, 2.0)
-        assert self.in_effect(tmp_path / "a", *late_first) == [-1.0, -1.0, -1.0, 1.0, 1.0]
-        past = (350, 20, 1.0), (360, 10, 2.0)
-        assert self.in_effect(tmp_path / "b", *past) == [-1.0, -1.0, -1.0, 2.0, 2.0]
-        same = (50, 30, 1.0), (60, 30, 2.0)
-        assert self.in_effect(tmp_path / "c", *same) == [-1.0, -1.0, -1.0, 2.0, 2.0]
-
-    def test_a_word_at_once_comes_after_a_stamp_that_was_due_before(self, tmp_path: Path) -> None:
-        wishes = (50, 20, 1.0), (350, 0, 2.0)
-        assert self.in_effect(tmp_path / "a", *wishes) == [-1.0, -1.0, 1.0, 2.0, 2.0]
-
-    def test_a_stamp_of_the_tick_that_was_logged_last_is_past(self, tmp_path: Path) -> None:
-        assert self.in_effect(tmp_path / "a", (350, 20, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
-        assert self.in_effect(tmp_path / "b", (300, 20, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
-        assert self.in_effect(tmp_path / "c", (350, 30, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
-        assert self.in_effect(tmp_path / "d", (350, 31, 1.0)) == [-1.0] * 4 + [1.0]
-
-    def test_after_the_end(self, tmp_path: Path) -> None:
-        assert self.in_effect(tmp_path / "a", (600, 0, 1.0), (50, 90, 2.0)) == [-1.0] * 5
-
-    def test_what_the_controller_rejects_does_not_count(self, tmp_path: Path) -> None:
-        zero = (0.0, 0.0, 0.0)
+    def test_a_bag_without_the_ticks_of_its_commands_is_refused(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             tick_only(bag, 0, 100)
-            for wish in (
-                pose_stamped(0, zero, STRAIGHT, frame="world"),
-                pose_stamped(0, (np.nan, 0.0, 0.0), STRAIGHT),
-                pose_stamped(0, zero, (0.0, 0.0, 0.0, 2.0)),
-            ):
-                bag.write("/desired_pose", wish, 50)
-        assert np.isnan(Run(tmp_path / "bag").record.desired_position).all()
+            bag.write("/desired_pose", pose_stamped(0, (0.0, 0.0, 0.0), STRAIGHT), 50)
+        with pytest.raises(BagError, match="has /desired_pose but not /accepted/desired_pose"):
+            Run(tmp_path / "bag")
 
 
 class TestFolders:

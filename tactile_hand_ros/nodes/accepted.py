@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node has accepted from its user, published with the tick at which it takes effect.
+
+A command, a service call or a parameter arrives between two ticks, and no clock says between which
+ones: only the node knows. It therefore publishes each of them once more, stamped with the first
+tick whose answer it can change. A recording of these topics tells exactly what the node did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.publisher import Publisher
+
+from tactile_hand_ros import names
+from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.parameters import to_parameters
+
+MessageAt = Callable[[int], Any]
+"""Makes a message, or its bytes, for a tick [ns]."""
+
+
+class Accepted:
+    """Publishes accepted changes at the first tick that they can change.
+
+    Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
+    configuration in force; at the first tick, when ticks begin anew and after each change;
+    transient local) and, where the node has services that change it, `accepted/<node>/requests`
+    (diagnostic_msgs/DiagnosticArray: one key, the service, with `true`, `false` or nothing).
+    """
+
+    def __init__(self, node: TactileNode[Any], name: str, *, requests: bool = False) -> None:
+        """Create the publishers.
+
+        Args:
+            node: The node.
+            name: Its name in topics, one of those in `names`.
+            requests: Whether services change what the node does.
+        """
+        self._name, self._full_name = name, node.get_fully_qualified_name()
+        self._waiting: list[tuple[Publisher, MessageAt]] = []
+        self._parameters = node.create_publisher(
+            ParameterEvent, names.accepted_parameters(name), qos.configuration_qos()
+        )
+        if requests:
+            self._requests = node.create_publisher(
+                DiagnosticArray, names.accepted_requests(name), qos.user_qos()
+            )
+
+    def begin(self, config: Config) -> None:
+        """Begin with the ticks: forget what has not taken effect, and publish the configuration."""
+        self._waiting.clear()
+        self.configuration(config)
+
+    def configuration(self, config: Config) -> None:
+        """Note that another configuration is in force."""
+        event = ParameterEvent(node=self._full_name, changed_parameters=to_parameters(config))
+
+        def message_at(stamp_ns: int) -> ParameterEvent:
+            event.stamp = stamp_from_ns(stamp_ns)
+            return event
+
+        self.add(self._parameters, message_at)
+
+    def request(self, service: str, value: bool | None = None) -> None:
+        """Note that a service was called, with the value of its request."""
+        pair = KeyValue(key=service, value="" if value is None else str(value).lower())
+        status = DiagnosticStatus(name=self._name, message=service, values=[pair])
+
+        def message_at(stamp_ns: int) -> DiagnosticArray:
+            message = DiagnosticArray(status=[status])
+            message.header.stamp = stamp_from_ns(stamp_ns)
+            return message
+
+        self.add(self._requests, message_at)
+
+    def add(self, publisher: Publisher, message_at: MessageAt) -> None:
+        """Note something else that takes effect at the next tick."""
+        self._waiting.append((publisher, message_at))
+
+    def take_effect(self, stamp_ns: int) -> None:
+        """Publish what was accepted since the last tick; call it after each answer.
+
+        Args:
+            stamp_ns: The tick that was answered [ns].
+        """
+        if self._waiting:
+            waiting, self._waiting = self._waiting, []
+            for publisher, message_at in waiting:
+                publisher.publish(message_at(stamp_ns))
