@@ -123,7 +123,7 @@ def _rotations(quaternions: Array) -> Array:
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
-    return np.asarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
 def _spread(positions: Array) -> Array:

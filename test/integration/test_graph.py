@@ -4,24 +4,29 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
-from std_srvs.srv import SetBool
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.recompute import recompute
+from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, Request, read_inputs
+from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
@@ -39,6 +44,12 @@ TICK_TOPICS = [
     names.CLOCK,
     *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
 ]
+ACCEPTED = [
+    names.ACCEPTED_POSE,
+    names.ACCEPTED_FORCE,
+    *(names.accepted_parameters(node) for node in CONTROLLERS),
+    *(names.accepted_requests(node) for node in (names.REGULATOR, names.CONTROLLER)),
+]
 RECORDED = [
     "stamps",
     "theta",
@@ -52,6 +63,8 @@ RECORDED = [
     "grasp_force",
     "auxiliary_position",
     "auxiliary_quaternion",
+    "desired_position",
+    "desired_quaternion",
     "object_position",
     "object_quaternion",
     "true_positions",
@@ -74,9 +87,9 @@ def noisy(amount: dict[str, float]) -> Scenario:
     return short(**{f"tactile_sensor.{key}": value for key, value in amount.items()})
 
 
-def record(graph: Graph, output: Path) -> Path:
-    """Run from the start to the end with a recorder."""
-    wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, names.DESIRED_POSE]]
+def record(graph: Graph, output: Path, steer: Callable[[], None] = lambda: None) -> Path:
+    """Run from the start to the end with a recorder, and steer the hand meanwhile."""
+    wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, *ACCEPTED]]
     options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
     flags = [word for option in options for word in ("-p", option)]
     graph.wait_for_readers()
@@ -85,8 +98,8 @@ def record(graph: Graph, output: Path) -> Path:
         graph.wait_for_readers(recorders=1)
         for topic in TICK_TOPICS:
             graph.wait(lambda t=topic: graph.hears("recorder", t), f"the recorder on {topic}")
-        graph.wait(lambda: graph.poses.get_subscription_count() == 2, "the recorder's reader")
-        graph.begin(*[wish.position for wish in graph.scenario.targets])
+        graph.begin(*[target.position for target in graph.scenario.targets])
+        steer()
         graph.finish()
         recorder.send(signal.SIGINT)
         assert recorder.wait() == 0, recorder.stderr
@@ -182,6 +195,50 @@ def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> N
     assert {topic: len(sent) for topic, sent in first.items()} == dict.fromkeys(first, 501)
     assert first == second
     assert first != payloads(bags["quiet"])
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
+def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
+    pacing: str, tmp_path: Path
+) -> None:
+    """Gains, weights, squeezes, poses and services: recomputed to the bit and audited."""
+    rate = 500.0 if pacing == "lockstep" else 100.0
+    scenario = short(**{"duration": 2.0, "plant.pacing": pacing, "plant.rate": rate})
+
+    def steer() -> None:
+        graph.wait(lambda: graph.time > 0.1, "movement")
+        graph.grasp_forces.publish(Float64(data=13.0))
+        assert graph.set_parameter("manipulation_controller", "law.k_p", 5.0).successful
+        assert graph.set_parameter("force_optimizer", "weights", [4.0, 1.0, 9.0]).successful
+        assert graph.set_parameter("slip_regulator", "rise_rate", 70.0).successful
+        graph.desire(P_D, stamp=500_000_000)
+        graph.wait(lambda: graph.time > 0.7, "the later pose")
+        for node in ("slip_regulator", "manipulation_controller"):
+            assert graph.call(Trigger, f"{node}/reset", Trigger.Request()).success
+        refused = {"position": (0.0, 5.0, 0.0)}
+        graph.desire(**refused)
+        graph.desire(np.add(P_D, [0.0, 0.01, 0.0]))
+
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        bag = record(graph, tmp_path / "bag", steer)
+    (tmp_path / "scenario.yaml").write_text(resolved(scenario))
+    run = Run(tmp_path)
+    inputs = read_inputs(run, scenario)
+    ticks = set(run.record.stamps.tolist())
+    assert [config.value.law.k_p for config in inputs.configurations[names.CONTROLLER]][:2] == [
+        3.0,
+        5.0,
+    ]
+    assert len(inputs.forces) == 1 and len(inputs.poses) == 3
+    assert inputs.poses[1].stamp == 500_000_000
+    calls = [request for _, request in inputs.requests[names.CONTROLLER]]
+    assert calls == [Request("enable", True), Request("enable", True), Request("reset", False)]
+    assert {effect.stamp for effect in (*inputs.forces, *inputs.poses)} <= ticks
+    assert [c for c in recompute(run).comparisons if not c.same] == []
+    assert [c for c in audit(run) if not c.ok] == []
+    if pacing == "lockstep":
+        assert [c for c in replay_through_nodes(run) if not c.same] == []
+    assert bag == run.bag
 
 
 def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> None:

@@ -175,9 +175,13 @@ class Graph:
             | {t.TRUE_SLIP: 1},
             "tactile_sensor": {t.CONTACTS: 3}
             | {t.wrench(name): 1 + shapes + observes for name in fingers},
-            "slip_regulator": {t.GRASP_FORCE: 2, t.GRIP_STATE: shapes},
-            "force_optimizer": {t.optimal_force(name): 1 for name in fingers},
-            "manipulation_controller": {t.JOINT_COMMAND: 1, t.AUXILIARY_POSE: 1},
+            "slip_regulator": {t.GRASP_FORCE: 2, t.GRIP_STATE: shapes, t.ACCEPTED_FORCE: 0}
+            | {t.accepted_parameters(t.REGULATOR): 0, t.accepted_requests(t.REGULATOR): 0},
+            "force_optimizer": {t.optimal_force(name): 1 for name in fingers}
+            | {t.accepted_parameters(t.OPTIMIZER): 0},
+            "manipulation_controller": {t.JOINT_COMMAND: 1, t.AUXILIARY_POSE: 1}
+            | {t.ACCEPTED_POSE: 0, t.accepted_requests(t.CONTROLLER): 0}
+            | {t.accepted_parameters(t.CONTROLLER): 0},
         }
 
     def _peers(self, name: str, key: str, topic: str) -> int:

@@ -75,7 +75,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._accepted = Accepted(self, names.OPTIMIZER)
         self._sent: list[bytes] = []
         self._codecs = [WrenchCodec(names.contact_frame(name)) for name in fingers]
-        self._publishers = [
+        self._force_publishers = [
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
         self._cone_watch = ConeWatch(self.config.load_time)
@@ -139,7 +139,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""
-        for publisher, message in zip(self._publishers, self._sent, strict=True):
+        for publisher, message in zip(self._force_publishers, self._sent, strict=True):
             publisher.publish(message)
 
 

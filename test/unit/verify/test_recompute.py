@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,8 @@ from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.audit import audit
-from tactile_hand_ros.verify.recompute import full_key, load_law, recompute
+from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, load_law, recompute
+from tactile_hand_ros.verify.recorded_inputs import read_inputs
 
 TICKS = 250
 TICK = 2_000_000  # ns
@@ -289,12 +291,13 @@ def test_audit_knows_an_f_that_is_feasible_but_not_optimal(tmp_path: Path) -> No
     assert by_name["torque of law (14)"].ok
 
 
+Changes = dict[int, Callable[[ClosedLoop], None]]
+
+
 class Changing(ClosedLoop):
     """A closed loop whose controllers are changed at some ticks, as users change the nodes."""
 
-    def __init__(
-        self, scenario: Scenario, changes: dict[int, Callable[[ClosedLoop], None]]
-    ) -> None:
+    def __init__(self, scenario: Scenario, changes: Changes) -> None:
         super().__init__(scenario)
         self._changes = changes
 
@@ -310,12 +313,12 @@ BLOCKS = {
     "manipulation_controller": "controller",
 }
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
-    "slip_regulator": {60: {"rise_rate": 30.0}, 180: {"mode": "shared", "minimum": 2.0}},
+    "slip_regulator": {60: {"reflex.margin": 0.3}, 180: {"mode": "user", "maximum": 30.0}},
     "force_optimizer": {90: {"weights": [5.0, 1.0, 8.0], "cone_share": 0.7}},
     "manipulation_controller": {
         70: {"law.k_p": 6.0, "law.damping": 0.1, "law.integral.k_p": 2.0},
         130: {"midpoint_hold": True, "reference_time": 0.05, "law.observer.time": 0.0},
-        200: {"gravity_compensation": True, "law.integral.k_p": 0.0, "law.observer.time": 0.02},
+        200: {"gravity_compensation": False, "law.integral.k_p": 0.0, "law.observer.time": 0.02},
     },
 }
 """Live changes of parameters, by node and row."""
@@ -324,7 +327,7 @@ LIVE: dict[str, dict[int, dict[str, Any]]] = {
 def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
     """All numbers to the bit, and the audit agrees; without the messages both find a difference."""
     scenario = load_scenario("user_grip", GRIP)
-    changes: dict[int, Callable[[ClosedLoop], None]] = {}
+    changes: Changes = {}
     events = []
     for node, rows in LIVE.items():
         values: dict[str, Any] = {}
@@ -347,47 +350,51 @@ def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
     assert differing == {"joint_command"}
     without = write(tmp_path / "without", scenario, record)
     wrong = {c.topic: c.first for c in recompute(without).comparisons if not c.same}
-    assert wrong["grasp_force"] == 100 * TICK and wrong["joint_command"] == 70 * TICK
+    assert {"grasp_force", "optimal_force", "joint_command"} <= wrong.keys()
     first = {c.name: c.first for c in audit(without) if not c.ok}
     assert first["torque of law (14)"] == 70 * TICK
+    assert first["(13) with cones, optimality conditions"] == 90 * TICK
 
 
 CALLS = {
-    40: ("enable", False),
-    60: ("enable", True),
-    90: ("reset", None),
-    120: ("grasp", False),
-    140: ("grasp", True),
+    30: ("reset", None),
+    60: ("grasp", False),
+    80: ("grasp", True),
+    230: ("enable", False),
+    240: ("enable", True),
 }
 """Service calls, by row."""
 
 
 def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
     """A hand that only damps for a while, a reset, fingers that open and close on a new grasp."""
-    scenario = load_scenario("user_grip", GRIP | {"plant.gravity": [0.0, 0.0, 0.0]})
+    scenario = load_scenario("user_grip", GRIP | {"gravity": [0.0, 0.0, 0.0]})
     topic = "manipulation_controller/requests"
     calls = [
         (row, topic, request_message(row * TICK, "", name, str(value).lower()))
         for row, (name, value) in CALLS.items()
     ]
-    calls.append((100, "slip_regulator/requests", request_message(100 * TICK, "", "reset")))
-    changes: dict[int, Callable[[ClosedLoop], None]] = {
-        40: lambda loop: setattr(loop.controller, "enabled", False),
-        60: lambda loop: setattr(loop.controller, "enabled", True),
-        90: lambda loop: loop.controller.reset(),
-        100: lambda loop: loop.regulator.reset(),
-        120: lambda loop: loop.controller.release(),
-        140: lambda loop: loop.controller.grasp(),
+    calls.append((120, "slip_regulator/requests", request_message(120 * TICK, "", "reset")))
+    changes: Changes = {
+        30: lambda loop: loop.controller.reset(),
+        60: lambda loop: loop.controller.release(),
+        80: lambda loop: loop.controller.grasp(),
+        120: lambda loop: loop.regulator.reset(),
+        230: lambda loop: setattr(loop.controller, "enabled", False),
+        240: lambda loop: setattr(loop.controller, "enabled", True),
     }
     record = Changing(scenario, changes).run(TICKS)
     drove = np.isfinite(record.auxiliary_position[:, 0])
-    assert not drove[120:150].any() and drove[-20:].all()
+    assert not drove[60:90].any() and drove[150:230].all()
     run = write(tmp_path / "with", scenario, record, *calls)
     assert [c for c in recompute(run).comparisons if not c.same] == []
     assert [c for c in audit(run) if not c.ok] == []
-    for i in range(len(calls)):
-        rest = write(tmp_path / f"without_{i}", scenario, record, *calls[:i], *calls[i + 1 :])
-        assert not recompute(rest).same
+    inputs = read_inputs(run, scenario)
+    for node, effects in inputs.requests.items():
+        for i in range(len(effects)):
+            rest = {**inputs.requests, node: [*effects[:i], *effects[i + 1 :]]}
+            answered = ShadowLoop(replace(inputs, requests=rest)).run()
+            assert not all(c.same for c in compare(run.record, answered)), effects[i]
 
 
 def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path: Path) -> None:
