@@ -255,10 +255,10 @@ def test_real_nodes_give_what_was_recorded_byte_for_byte(tmp_path: Path) -> None
     scenario = load_scenario("paper", {"duration": 0.5})
     record = ClosedLoop(scenario).run(60)
     with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
-        for wish in scenario.targets:
-            target = wish.target()
+        for command in scenario.targets:
+            target = command.target()
             quaternion = quaternion_from_rotation(target.orientation)
-            pose = pose_stamped(wish.stamp, target.position, quaternion)
+            pose = pose_stamped(command.stamp, target.position, quaternion)
             bag.write("/accepted/desired_pose", pose, START)
         for row in range(len(record)):
             write_tick(bag, record, row, START + row * PERIOD)
