@@ -3,7 +3,7 @@
 
 A command, a service call or a parameter arrives between two ticks, and no clock says between which
 ones: only the node knows. It therefore publishes each of them once more, stamped with the first
-tick whose answer it can change. A recording of these topics tells exactly what the node did.
+tick whose answer it can change. A recording of these topics is enough to repeat what the node did.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Accepted:
     """Publishes accepted changes at the first tick that they can change.
 
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
-    configuration in force; at the first tick, when ticks begin anew and after each change;
+    configuration in force; at the first tick, when ticks begin again and after each change;
     transient local) and, where the node has services that change it, `accepted/<node>/requests`
     (diagnostic_msgs/DiagnosticArray: one key, the service, with `true`, `false` or nothing).
     """

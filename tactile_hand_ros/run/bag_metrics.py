@@ -29,7 +29,7 @@ class TopicCount:
     Attributes:
         messages: Number of messages, repeated ones included.
         ticks: Number of ticks of the run for which there is one.
-        complete: Whether every tick has one; None where that is not asked for.
+        complete: Whether every tick has one; None where that is not required.
     """
 
     messages: int
@@ -105,8 +105,8 @@ def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int)
 
 def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> TopicCount:
     covered = int(np.isin(ticks, series.stamps).sum())
-    asked = topic not in {topics.full(name) for name in _NOT_EVERY_TICK}
-    return TopicCount(len(series), covered, covered == len(ticks) if asked else None)
+    required = topic not in {topics.full(name) for name in _NOT_EVERY_TICK}
+    return TopicCount(len(series), covered, covered == len(ticks) if required else None)
 
 
 def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ SCENARIO_FILE = "scenario.yaml"
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What one node said about itself.
+    """One diagnostic message of one node.
 
     Attributes:
         log_time: When it was recorded, ns since the epoch.
@@ -55,7 +55,7 @@ class Diagnosis:
 
 
 class Run:
-    """A recorded run; everything is read when it is first asked for.
+    """A recorded run; everything is read when it is first used.
 
     Attributes:
         path: What was opened.
@@ -213,7 +213,7 @@ class Run:
 
     @cached_property
     def diagnostics(self) -> list[Diagnosis]:
-        """Everything that nodes said about themselves, in order of log time."""
+        """All diagnostics of all nodes, in order of log time."""
         return [
             Diagnosis(
                 log_time=log_time,
@@ -230,7 +230,7 @@ class Run:
         """Return a pandas.DataFrame with one row a tick, indexed by time in s.
 
         Columns are called ``theta.<joint>``, ``forces.<finger>.y`` and so on; ``attrs["meaning"]``
-        tells what each array is and its unit.
+        says what each array is and its unit.
 
         Raises:
             MissingLibraryError: If pandas is not installed.

@@ -106,7 +106,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
-    """Return the fingers that topics tell of, in natural order (finger_2 before finger_10)."""
+    """Return the fingers named in topics, in natural order (finger_2 before finger_10)."""
     patterns = [re.escape(prefix) + p("([^/]+)") for p in _OF_FINGER]
     found = {
         match.group(1)

@@ -85,7 +85,7 @@ def solve(problem: Problem) -> Optimum:
 
 
 def _with_active(problem: Problem, active: tuple[int, ...]) -> tuple[Flags, Array, Array]:
-    """Solve with some bounds active; tell where the optimality conditions hold."""
+    """Solve with some bounds active; return where the optimality conditions hold."""
     n, _, size = problem.equal.shape
     k, held = size // 3, list(active)
     bounds = np.zeros((n, len(held), size))

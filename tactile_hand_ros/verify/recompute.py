@@ -143,10 +143,10 @@ def scenario_of(run: Run) -> Scenario:
     """Return the scenario of a run.
 
     Raises:
-        BagError: If the bag does not tell it, or tells one of another version.
+        BagError: If the bag does not hold it, or holds one of another version.
     """
     if run.scenario is None:
-        reason = run.scenario_problem or "the bag does not tell it"
+        reason = run.scenario_problem or "the bag does not hold it"
         raise BagError(
             f"The configuration of {run.bag} is needed but not known ({reason}); record with "
             "`scenario`, or put scenario.yaml beside the bag."
@@ -177,16 +177,16 @@ def full_key(key: str) -> str:
 
 def reason(run: Run) -> str:
     """Return in words what may be the reason that a run is not reproduced."""
-    told = run.summary.custom_data
+    data = run.summary.custom_data
     others = [
-        f"{name} {told[f'version_{name}']} then, {version} now"
+        f"{name} {data[f'version_{name}']} then, {version} now"
         for name, version in versions().items()
-        if told.get(f"version_{name}", version) != version
+        if data.get(f"version_{name}", version) != version
     ]
     if others:
         return f": {'; '.join(others)}."
-    if int(told.get("lost_messages", 0)):
-        return f": {told['lost_messages']} messages are missing from the bag."
+    if int(data.get("lost_messages", 0)):
+        return f": {data['lost_messages']} messages are missing from the bag."
     return "; changed code, or a node that was started again, may be the reason."
 
 
@@ -217,7 +217,7 @@ def load_law(name: str) -> LawFactory:
 
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:
-    """Compare what controllers said, tick by tick."""
+    """Compare the answers of controllers, tick by tick."""
     return [
         _compare(topic, unit, recorded.stamps, getattr(recorded, name), getattr(other, name))
         for topic, name, unit in COMPARED

@@ -189,7 +189,7 @@ def _configurations(run: Run, node: str, config: Config) -> list[Effect]:
         Effect(_ns(event.stamp), config.changed(_values(event)))
         for _, _, event in read_messages(run.bag, [topic])
     ]
-    # A late subscriber gets the last ones of earlier runs too, so that log times say nothing.
+    # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
     stamps = np.array([effect.stamp for effect in effects], dtype=np.int64)
     return effects[last_reset(stamps) :] or [Effect(0, config)]
 

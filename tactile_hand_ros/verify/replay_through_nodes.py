@@ -264,7 +264,7 @@ class _Commands:
 def _compare(
     name: str, recorded: Mapping[int, bytes], got: Mapping[int, bytes], stamps: list[int]
 ) -> Comparison:
-    """Compare payloads; how far apart they are is for the other comparison to say."""
+    """Compare payloads; `recompute` shows how far apart they are."""
     known = [stamp for stamp in stamps if stamp in recorded or stamp in got]
     wrong = [stamp for stamp in known if recorded.get(stamp) != got.get(stamp)]
     first, same = wrong[0] if wrong else None, len(known) - len(wrong)
