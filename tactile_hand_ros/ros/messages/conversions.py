@@ -59,6 +59,12 @@ def stamp_to_ns(stamp: Time) -> int:
     return int(stamp.sec) * _SECOND + int(stamp.nanosec)
 
 
+def stamp_from_ns(nanoseconds: int) -> Time:
+    """Return integer nanoseconds as a message stamp."""
+    seconds, rest = divmod(nanoseconds, _SECOND)
+    return Time(sec=seconds, nanosec=rest)
+
+
 def all_finite(values: Array) -> bool:
     """Return whether a contiguous array holds neither NaN nor infinity."""
     flat = values.ravel()

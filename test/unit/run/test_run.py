@@ -110,9 +110,9 @@ class TestRecord:
                 if at not in (8, 9):
                     squeeze = recorded.wrench(tick, (0.0, float(at), 0.0))
                     bag.write("/grasp_force", squeeze, (10 + at) * second + 1)
-            for at, x in ((9.5, 1.0), (14.5, 2.0)):
-                wish = pose_stamped(0, (x, 0.0, 0.0), STRAIGHT)
-                bag.write("/desired_pose", wish, round(at * second))
+            for at, tick, x in ((10.5, 0, 1.0), (14.5, 0, 2.0)):
+                pose = pose_stamped(tick, (x, 0.0, 0.0), STRAIGHT)
+                bag.write("/accepted/desired_pose", pose, round(at * second))
         record = Run(tmp_path / "bag").record
         assert record.stamps.tolist() == [0, 2, 4, 8]
         np.testing.assert_array_equal(record.grasp_force, [7.0, np.nan, np.nan, 10.0])
@@ -126,7 +126,7 @@ class TestRecord:
                 for at, tick in enumerate([4, 0, 2]):
                     tick_only(bag, tick, at * second)
                 at = second - tenth - late
-                bag.write("/desired_pose", pose_stamped(0, (3.0, 0.0, 0.0), STRAIGHT), at)
+                bag.write("/accepted/desired_pose", pose_stamped(0, (3.0, 0.0, 0.0), STRAIGHT), at)
                 bag.write("/grasp_force", recorded.wrench(2, (0.0, 5.0, 0.0)), at)
         own, of_another = (Run(tmp_path / name).record for name in "01")
         assert own.desired_position[:, 0].tolist() == [3.0, 3.0]

@@ -123,8 +123,8 @@ def without_touch(
     out = copy.deepcopy(record)
     regulator = SlipRegulator(scenario.slip_regulator, 3)
     controller = Controller(scenario.manipulation_controller)
-    for wish in scenario.targets:
-        controller.command(wish.target(), wish.stamp)
+    for target in scenario.targets:
+        controller.command(target.target(), target.stamp)
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
     for row, stamp in enumerate(record.stamps.tolist()):
         theta, rates, forces = record.theta[row], record.rates[row], record.forces[row]
@@ -398,32 +398,31 @@ def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
 
 
 def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path: Path) -> None:
-    """Of two that were said before the hand knew a grasp, the newer is out of reach.
+    """Of two that were sent before the hand knew a grasp, the newer is out of reach.
 
-    The older one holds a tick later. One that is said late is to hold at once, before one that
-    waits.
+    The older one holds a tick later. One that is sent late holds at once, before one that waits.
     """
-    said = [
+    sent: list[tuple[int, int, list[float]]] = [
         (0, 0, [0.0, 0.05, 0.4]),
         (0, 0, [0.0, 0.5, 0.4]),
         (20, 200_000_000, [0.01, 0.04, 0.41]),
         (80, 100_000_000, [-0.01, 0.05, 0.4]),
     ]
+    accepted: list[tuple[int, str, Any]] = []
     scenario = load_scenario("paper", {"duration": 0.5, "targets": []})
     loop, ticks = ClosedLoop(scenario), 110
     record = Record.empty(ticks, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
     for row in range(ticks):
-        for heard, stamp, position in said:
-            if heard == row:
+        for received, stamp, position in sent:
+            if received == row:
                 loop.controller.command(Target(np.array(position), np.eye(3)), stamp)
         loop.tick(record, row)
-    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
-        for heard, stamp, position in said:
-            at = START + heard * PERIOD - 1
-            bag.write("/desired_pose", pose_stamped(stamp, position, (0, 0, 0, 1)), at)
-        for row in range(ticks):
-            write_tick(bag, record, row, START + row * PERIOD)
-    run = Run(tmp_path)
+        if loop.controller.accepted is not None:
+            position = loop.controller.accepted.position
+            pose = pose_stamped(row * TICK, position, (0.0, 0.0, 0.0, 1.0))
+            accepted.append((row, "desired_pose", pose))
+    assert [row for row, *_ in accepted] == [1, 80, 100]
+    run = write(tmp_path, scenario, record, *accepted)
     assert recompute(run).same
     checks = {c.name: c for c in audit(run)}
     assert checks["torque of law (14)"].ok and checks["torque of law (14)"].ticks == ticks
