@@ -96,9 +96,9 @@ def trace_loop(scenario_name: str, until_ns: int, listener: str, after_ns: int) 
 
     from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
     from tactile_hand_ros.nodes.composed import MEMBERS
+    from tactile_hand_ros.ros.domains import isolated_domain
     from tactile_hand_ros.ros.executor import spin
     from tactile_hand_ros.ros.parameters import to_params_yaml
-    from tactile_hand_ros.ros.testing import isolated_domain
 
     seen = [0]
 
