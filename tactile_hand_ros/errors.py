@@ -32,6 +32,10 @@ class MessageError(TactileHandError):
     """A message from outside that cannot be used: wrong names, lengths, frame or NaN."""
 
 
+class UnsafeOutputError(TactileHandError):
+    """A result that must not leave a node: not finite, or outside its configured limits."""
+
+
 class HandModelError(TactileHandError):
     """A hand that cannot be built from its URDF and YAML."""
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import bisect
 import enum
 import math
 from typing import NamedTuple
@@ -30,6 +31,12 @@ Array = NDArray[np.float64]
 
 MOST_WAITING = 1000
 """Desired poses that may wait for their tick."""
+
+MOST_CHECKED = 2
+"""Desired poses whose reach is checked when they come, in one tick; that of others is checked when
+they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
+
+_NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
 _LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
 
@@ -154,6 +161,7 @@ class Controller:
         self._regrasp.finish()
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         self._grasp_force = self._more = 0.0
+        self._checked = 0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
         self._drove = False
@@ -166,6 +174,9 @@ class Controller:
     def command(self, target: Target, stamp: int = 0) -> None:
         """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
 
+        A pose that cannot be reached is refused here, or, after `MOST_CHECKED` poses in one tick,
+        when it is due.
+
         Args:
             target: Desired pose of the contact centroid's virtual frame, palm frame.
             stamp: Tick in ns from which it holds; zero or a past one means now.
@@ -173,10 +184,11 @@ class Controller:
         Raises:
             PoseError: If the present grasp cannot be carried there.
         """
-        knows_grasp = self._grasp is not None
-        if knows_grasp:
+        is_judged = self._grasp is not None and self._checked < MOST_CHECKED
+        if is_judged:
+            self._checked += 1
             self._judge(target)
-        self.schedule(target, stamp, judged=knows_grasp)
+        self.schedule(target, stamp, judged=is_judged)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
         """Queue a desired pose as `command` does, without judging now whether it is in reach.
@@ -188,16 +200,16 @@ class Controller:
         """
         if stamp <= (self._last_stamp or 0):
             stamp = 0
-        pose = _QueuedPose(stamp, target, judged)
-        self._queue = sorted([*self._queue, pose], key=lambda queued: queued.stamp)
+        bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
         if len(self._queue) > MOST_WAITING:
             del self._queue[0]
             self.dropped += 1
 
     def forget_after(self, stamp: int) -> list[int]:
         """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
-        forgotten = [queued.stamp for queued in self._queue if queued.stamp > stamp]
-        self._queue = [queued for queued in self._queue if queued.stamp <= stamp]
+        first = bisect.bisect_right(self._queue, stamp, key=_due_at)
+        forgotten = [queued.stamp for queued in self._queue[first:]]
+        del self._queue[first:]
         return forgotten
 
     def _judge(self, target: Target) -> None:
@@ -256,6 +268,7 @@ class Controller:
         dt = self._elapsed(stamp)
         self._last_stamp = stamp
         self.accepted = None
+        self._checked = 0
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active and not self._regrasped(contacts):
@@ -275,6 +288,9 @@ class Controller:
             )
         except GraspError as error:
             return self.hold(theta, rates, str(error))
+        if not np.isfinite(parts.total).all():
+            self._law.reset()
+            return self.hold(theta, rates, _NOT_FINITE)
         self._hold.release()
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
@@ -292,6 +308,7 @@ class Controller:
             grasp_force: k_f where it is known, N. The held squeeze rises with it and never falls.
         """
         self._last_torque = None
+        self._checked = 0
         self._drove = False
         self._open_stamp = None
         if not self.enabled:
@@ -365,7 +382,7 @@ class Controller:
         """
         if self.target is None:
             self.target = Target(pose.position, pose.orientation)
-        count = sum(queued.stamp <= stamp for queued in self._queue)
+        count = bisect.bisect_right(self._queue, stamp, key=_due_at)
         if not count:
             return ""
         *older, newest = self._queue[:count]
@@ -393,3 +410,8 @@ class Controller:
         if not self.config.gravity_compensation:
             return torque
         return torque + self.hand.gravity_torque(theta)
+
+
+def _due_at(queued: _QueuedPose) -> int:
+    """Return the tick from which a waiting pose holds, ns."""
+    return queued.stamp

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +71,8 @@ class Monitor:
         """Return the stamp of the newest tick that was answered [ns], -1 before the first."""
         data = take_latest(self._command)
         if data is not None:
-            self.tick = stamp_of(data)
+            with suppress(MessageError):  # the plant refuses it too, and says so
+                self.tick = stamp_of(data)
         return self.tick
 
     def look(self) -> Look:

@@ -19,7 +19,10 @@ OK, WARN, ERROR, STALE = (
 )
 
 WARN_SECONDS = 5.0
-"""How long a rejected message keeps the level at WARN [s]."""
+"""How long a rejected message keeps the level at WARN, and an error at ERROR [s]."""
+
+_LONGEST_REASON = 300
+"""Characters of a reason that are kept."""
 
 _WINDOW = 4096
 """Latest latencies of which percentiles are reported."""
@@ -52,6 +55,7 @@ class Diagnostics:
         self._reported_ticks = 0
         self._reported_at = clock()
         self._rejections: dict[str, _Rejections] = {}
+        self._errors: dict[str, _Rejections] = {}
         self._values: dict[str, Any] = {}
         self._faults: dict[str, tuple[str, bytes]] = {}
         self._latencies = np.zeros(_WINDOW)
@@ -101,10 +105,26 @@ class Diagnostics:
         Returns:
             Whether it should be logged: at most once in `WARN_SECONDS` for a topic.
         """
-        entry = self._rejections.setdefault(topic, _Rejections())
+        return self._note(self._rejections, topic, error)
+
+    @property
+    def errors(self) -> dict[str, int]:
+        """How many errors that were not foreseen were caught, by topic, service or timer."""
+        return {source: entry.count for source, entry in self._errors.items()}
+
+    def error(self, source: str, text: str) -> bool:
+        """Count an error that was not foreseen.
+
+        Returns:
+            Whether it should be logged: at most once in `WARN_SECONDS` for a source.
+        """
+        return self._note(self._errors, source, text)
+
+    def _note(self, entries: dict[str, _Rejections], key: str, error: Exception | str) -> bool:
+        entry = entries.setdefault(key, _Rejections())
         now = self._clock()
         entry.count += 1
-        entry.reason = str(error)
+        entry.reason = str(error)[:_LONGEST_REASON]
         entry.last = now
         is_due = now - entry.logged >= WARN_SECONDS
         if is_due:
@@ -123,6 +143,9 @@ class Diagnostics:
         for topic, entry in self._rejections.items():
             facts[f"rejected {topic}"] = entry.count
             facts[f"last reason {topic}"] = entry.reason
+        for source, entry in self._errors.items():
+            facts[f"errors {source}"] = entry.count
+            facts[f"last error {source}"] = entry.reason
         facts |= {f"fault {key}": text for key, (text, _) in self._faults.items()}
         pairs = [KeyValue(key=key, value=_text(value)) for key, value in facts.items()]
         return DiagnosticStatus(level=level, name=self.name, message=message, values=pairs)
@@ -130,14 +153,17 @@ class Diagnostics:
     def _worst(self, now: float, ticks: int) -> tuple[bytes, str]:
         if self._faults:
             text, level = max(self._faults.values(), key=lambda fault: fault[1])
+            if level >= ERROR:
+                return level, text
+        recent = _latest(self._errors, now)
+        if recent is not None:
+            source, entry = recent
+            return ERROR, f"{entry.count} errors in {source}: {entry.reason}"
+        if self._faults:
             return level, text
-        recent = [
-            (topic, entry)
-            for topic, entry in self._rejections.items()
-            if now - entry.last < WARN_SECONDS
-        ]
-        if recent:
-            topic, entry = max(recent, key=lambda item: item[1].last)
+        recent = _latest(self._rejections, now)
+        if recent is not None:
+            topic, entry = recent
             return WARN, f"{entry.count} messages on {topic} rejected: {entry.reason}"
         if self._ticks and not ticks:
             return STALE, f"no new tick, {self._ticks} so far"
@@ -150,6 +176,12 @@ class Diagnostics:
         marks = np.percentile(self._latencies[:count], (50.0, 99.0, 100.0)) * 1e6
         names = ("latency_p50_us", "latency_p99_us", "latency_max_us")
         return {name: f"{mark:.0f}" for name, mark in zip(names, marks, strict=True)}
+
+
+def _latest(entries: dict[str, _Rejections], now: float) -> tuple[str, _Rejections] | None:
+    """Return the newest entry of the last `WARN_SECONDS`."""
+    recent = [item for item in entries.items() if now - item[1].last < WARN_SECONDS]
+    return max(recent, key=lambda item: item[1].last, default=None)
 
 
 class Mostly:

@@ -12,9 +12,13 @@ Pieces of rclpy that are not public, all checked by `is_supported`:
 * ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
   ``handle`` of subscriptions and timers.
 * ``Subscription._callback_type``: whether a callback wants the message's info too.
+* ``Executor._take_service`` and ``_take_subscription``, which `SurvivingExecutor` overrides.
 * ``Executor._guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the base class.
 
-Where one is missing, `make_executor` falls back to the public `SingleThreadedExecutor`.
+Where one is missing, `make_executor` falls back to `SurvivingExecutor`, which is public rclpy.
+
+What the middleware throws (a request that cannot be taken, an answer that cannot be sent) goes to
+``survive`` of the nodes that have it, and does not end the loop.
 """
 
 from __future__ import annotations
@@ -25,11 +29,18 @@ from contextlib import ExitStack
 from typing import Any
 
 from rclpy.context import Context
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import (
+    Executor,
+    ExternalShutdownException,
+    ShutdownException,
+    SingleThreadedExecutor,
+)
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100
@@ -54,8 +65,10 @@ def is_supported() -> bool:
         for method in methods.split()
     )
     source = inspect.getsource(Executor.__init__)
+    takes = all(hasattr(Executor, name) for name in ("_take_service", "_take_subscription"))
     fields = ("self._guard", "self._sigint_gc", "self._tasks", "self._is_shutdown")
-    return native and all(field in source for field in fields) and _knows_callback_type()
+    known = all(field in source for field in fields)
+    return native and takes and known and _knows_callback_type()
 
 
 def _knows_callback_type() -> bool:
@@ -66,7 +79,7 @@ def _knows_callback_type() -> bool:
 
 def make_executor(context: Context | None = None) -> Executor:
     """Return the fastest single-threaded executor that this rclpy allows."""
-    kind = WaitSetExecutor if is_supported() else SingleThreadedExecutor
+    kind = WaitSetExecutor if is_supported() else SurvivingExecutor
     return kind(context=context)
 
 
@@ -94,7 +107,55 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
         chosen.shutdown()
 
 
-class WaitSetExecutor(SingleThreadedExecutor):
+class SurvivingExecutor(SingleThreadedExecutor):
+    """A single-threaded executor that passes errors to the nodes that survive them.
+
+    A request of damaged bytes makes rclpy raise while it takes it, and would leave the service and
+    its callback group locked for ever; hence the two overridden methods that are not public.
+    """
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Serve one thing."""
+        try:
+            super().spin_once(timeout_sec)
+        except (ExternalShutdownException, ShutdownException):
+            raise
+        except Exception as error:
+            self._survive("services", error)
+
+    def _take_service(self, srv: Service) -> Any:
+        try:
+            return super()._take_service(srv)
+        except Exception as error:
+            owners = [node for node in self.get_nodes() if srv in node.services]
+            self._survive(srv.srv_name, _unreadable(error), owners)
+            return None
+
+    def _take_subscription(self, sub: Subscription) -> Any:
+        try:
+            return super()._take_subscription(sub)
+        except Exception as error:
+            self._refuse(sub, error)
+            return None
+
+    def _refuse(self, subscription: Subscription, error: Exception) -> None:
+        owners = [node for node in self.get_nodes() if subscription in node.subscriptions]
+        self._survive(subscription.topic_name, _unreadable(error), owners)
+
+    def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
+        """Let the nodes that an error concerns survive it; all where that is not known."""
+        survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
+        if not survivors:
+            raise error
+        for node in survivors:
+            node.survive(source, error)
+
+
+def _unreadable(error: Exception) -> MessageError:
+    return MessageError(f"its bytes cannot be read ({type(error).__name__}).")
+
+
+class WaitSetExecutor(SurvivingExecutor):
     """A single-threaded executor that keeps its wait set.
 
     Not for use from several threads, except `create_task`, `wake` and `shutdown`.
@@ -176,7 +237,11 @@ class WaitSetExecutor(SingleThreadedExecutor):
         wanted = 1 if subscription._callback_type is Subscription.CallbackType.MessageOnly else 2
         for _ in range(_BURST):
             # A subscription that a callback destroyed must not see another message.
-            item = None if self._stale else take(kind, raw)
+            try:
+                item = None if self._stale else take(kind, raw)
+            except Exception as error:  # bytes that are not this message
+                self._refuse(subscription, error)
+                continue
             if item is None:
                 return
             self._finish(subscription.callback(*item[:wanted]))

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
@@ -23,7 +24,8 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.parameters import ConfigParameters
+from tactile_hand_ros.ros.guard import Guard
+from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
@@ -47,14 +49,19 @@ SUBSCRIPTIONS = "subscriptions"
 
 
 class TactileNode(Node, Generic[C]):
-    """A node whose parameters are one configuration and that survives bad messages.
+    """A node whose parameters are one configuration and that no callback ends.
+
+    What a callback of a subscription, service or timer throws is counted and reported; see `Guard`.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
     come or gone: that both ends of a topic exist does not mean that they know of each other yet.
 
     Attributes:
         diagnostics: Counters and facts to report.
+        fatal: Errors after which the node has nothing left to do: they end it.
     """
+
+    fatal: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, model: type[C], **kwargs: Any) -> None:
         """Create the node and declare its parameters.
@@ -67,6 +74,7 @@ class TactileNode(Node, Generic[C]):
         Raises:
             ConfigurationError: If a parameter that was given is unknown or refused.
         """
+        self._guard = Guard(self)  # first: rclpy creates services of its own
         super().__init__(name, **kwargs)
         try:
             self._config_parameters = ConfigParameters(
@@ -104,6 +112,13 @@ class TactileNode(Node, Generic[C]):
     def close(self) -> None:
         """Finish work before the node is destroyed, also after a signal; override at need."""
 
+    def to_safe_state(self, reason: str) -> None:
+        """Do what is safe after an error that was not foreseen; by default, skip the tick.
+
+        Args:
+            reason: What went wrong, in one line.
+        """
+
     def on_report(self) -> None:
         """Add what should be in the next diagnostics; override it to report once a second."""
 
@@ -121,16 +136,18 @@ class TactileNode(Node, Generic[C]):
         except TactileHandError as error:
             self.diagnostics.fault("configuration", str(error))
             self.get_logger().error(str(error))
+        except Exception as error:
+            self.survive("configuration", error)
         else:
             self.diagnostics.clear("configuration")
 
     def after_reading(self, callback: Callable[[], None]) -> None:
         """Call back once when all that has arrived is read; at once where nobody can tell."""
-        executor = self.executor
+        executor, guarded = self.executor, self._guard.wrap("ticks", callback)
         if isinstance(executor, WaitSetExecutor):
-            executor.after_reading(callback)
+            executor.after_reading(guarded)
         else:
-            callback()
+            guarded()
 
     def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
         """Create a publisher for something that carries a tick."""
@@ -146,7 +163,7 @@ class TactileNode(Node, Generic[C]):
         sensor: bool = False,
         raw: bool = False,
     ) -> Subscription:
-        """Subscribe such that a bad message is counted and reported instead of ending the node.
+        """Subscribe; a bad message is counted and reported.
 
         Args:
             message_type: Message class.
@@ -163,25 +180,44 @@ class TactileNode(Node, Generic[C]):
         return self.create_subscription(
             message_type,
             topic,
-            self._guarded(topic, callback),
+            callback,
             own,
             qos_overriding_options=options,
             raw=raw,
         )
 
-    def _guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except TactileHandError as error:
-                self.reject(topic, error)
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Subscription:
+        """Subscribe as rclpy does, with a guarded callback."""
+        guarded = self._guard.wrap(topic, callback)
+        return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
 
-        return guarded
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
+    ) -> Timer:
+        """Create a timer as rclpy does, with a guarded callback."""
+        guarded = self._guard.wrap(f"timer {_name_of(callback)}", callback)
+        return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
+    ) -> Service:
+        """Create a service as rclpy does, with a guarded callback."""
+        guarded = self._guard.wrap_service(srv_name, with_known_types(srv_type, callback))
+        return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def reject(self, topic: str, error: TactileHandError | str) -> None:
         """Count a message that could not be used, and log it now and then."""
-        if self.diagnostics.reject(topic, error):
-            self.get_logger().warning(f"rejected a message on '{topic}': {error}")
+        self.survive(topic, TactileHandError(error) if isinstance(error, str) else error)
+
+    def survive(self, source: str, error: Exception) -> None:
+        """Go on after an error, reported and in the safe state where it was not foreseen.
+
+        Raises:
+            Exception: The error itself if it is `fatal`, or if the context is being shut down.
+        """
+        self._guard.caught(source, error)
 
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""
@@ -215,6 +251,10 @@ def set_period(timer: Timer, seconds: float) -> None:
     period = round(1e9 * seconds)
     if timer.timer_period_ns != period:
         timer.timer_period_ns = period
+
+
+def _name_of(callback: Callable[..., Any]) -> str:
+    return str(getattr(callback, "__qualname__", type(callback).__name__))
 
 
 def _key(end: str, entity: Publisher | Subscription) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -16,6 +17,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -36,6 +38,7 @@ from tactile_hand_ros.config.model import (
     unit_of,
 )
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.ros.guard import described
 
 C = TypeVar("C", bound=Config)
 Type = Parameter.Type
@@ -49,6 +52,7 @@ _ARRAYS = {
 }
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _QOS_PREFIX = "qos_overrides."
+_LONGEST_REASON = 2000  # characters; a reason may repeat the value
 _INT64 = (-(2**63), 2**63 - 1)
 
 
@@ -139,7 +143,9 @@ class ConfigParameters(Generic[C]):
             if self._further_check is not None:
                 self._further_check(candidate)
         except TactileHandError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=str(error)[:_LONGEST_REASON])
+        except Exception as error:  # of the validation, such as a nesting that is too deep
+            return SetParametersResult(successful=False, reason=described(error))
         return SetParametersResult(successful=True)
 
     def _candidate(self, parameters: list[Parameter]) -> C:
@@ -172,6 +178,53 @@ class ConfigParameters(Generic[C]):
                 raise ConfigurationError(
                     f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
                 )
+
+
+def with_known_types(kind: Any, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Return a service callback that refuses parameters of a type that ROS does not have.
+
+    Args:
+        kind: Type of the service; others than those that set parameters need nothing.
+        callback: The callback of rclpy, which raises at such a parameter.
+    """
+    if kind is SetParameters:
+        return functools.partial(_set_each, callback)
+    if kind is SetParametersAtomically:
+        return functools.partial(_set_together, callback)
+    return callback
+
+
+def _set_each(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    for parameter in request.parameters:
+        refused = _unknown_type(parameter)
+        if refused is None:
+            one = SetParameters.Request(parameters=[parameter])
+            response.results += callback(one, SetParameters.Response()).results
+        else:
+            response.results.append(refused)
+    return response
+
+
+def _set_together(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    for parameter in request.parameters:
+        refused = _unknown_type(parameter)
+        if refused is not None:
+            response.result = refused
+            return response
+    return callback(request, response)
+
+
+def _unknown_type(parameter: ParameterMessage) -> SetParametersResult | None:
+    if parameter.value.type in _TYPE_NUMBERS:
+        return None
+    return SetParametersResult(
+        successful=False,
+        reason=f"the value of '{parameter.name[:80]}' has type {parameter.value.type}, expected "
+        "one of rcl_interfaces/msg/ParameterType",
+    )
+
+
+_TYPE_NUMBERS = {kind.value for kind in Type}
 
 
 def _retyped(parameter: Parameter, wanted: Parameter.Type) -> Parameter:

@@ -17,6 +17,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from support.messages import contacts_message, force_message, pose_message
@@ -332,7 +333,7 @@ def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> 
     centre = TOUCH.positions.mean(axis=0)
     for number in range(MOST_WAITING + 3):
         at = centre + [0.0, 1e-5 * number, 0.0]
-        node._on_desired(pose_message(at, np.eye(3), (number + 1) * TICK))
+        node._on_desired(serialize_message(pose_message(at, np.eye(3), (number + 1) * TICK)))
     with spinning(node, peer.node):
         peer.says(WARN, f"more than {MOST_WAITING} poses wait for their tick")
     assert peer.values["dropped_poses"] == peer.values["rejected desired_pose"] == "3"

@@ -12,7 +12,6 @@ import pytest
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -23,6 +22,7 @@ from tactile_hand_ros.ros import executor as spinning_module
 from tactile_hand_ros.ros.direct_take import take_latest
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
+    SurvivingExecutor,
     WaitSetExecutor,
     is_supported,
     make_executor,
@@ -56,7 +56,7 @@ def make_node(context):
         node.destroy_node()
 
 
-@pytest.fixture(params=[WaitSetExecutor, SingleThreadedExecutor], ids=["own", "public"])
+@pytest.fixture(params=[WaitSetExecutor, SurvivingExecutor], ids=["own", "public"])
 def spun(request, context):
     """Spin nodes in a thread with the own executor, and with the one it falls back to."""
     running = []
@@ -91,7 +91,7 @@ def test_falls_back_to_the_public_executor_when_a_piece_is_missing(context, monk
     missing = {**spinning_module._NEEDED, "WaitSet": "no_such_method"}
     monkeypatch.setattr(spinning_module, "_NEEDED", missing)
     executor = make_executor(context)
-    assert type(executor) is SingleThreadedExecutor
+    assert type(executor) is SurvivingExecutor
     executor.shutdown()
 
 

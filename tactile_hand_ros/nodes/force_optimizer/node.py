@@ -74,7 +74,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._report = OptimizerReport(self.diagnostics)
         self._accepted = Accepted(self, names.OPTIMIZER)
         self._sent: list[bytes] = []
-        self._codecs = [WrenchCodec(names.contact_frame(name)) for name in fingers]
+        self._codecs = [
+            WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
+        ]
         self._force_publishers = [
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]

@@ -7,6 +7,8 @@ when joint states come without them for `input_timeout`. The hold ends by itself
 a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
 dropped, and the old one stays. Without joint states it says nothing; then, and when it dies, the
 plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
+A tick at which anything else fails, or that would give a torque which is not finite, is answered
+with the hold too. No torque exceeds the effort limits of the URDF.
 """
 
 from __future__ import annotations
@@ -37,8 +39,9 @@ from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
@@ -47,6 +50,8 @@ from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
+
+_AT_LIMIT = "a joint is at the effort limit of the URDF; squeeze less or lower the gains"
 
 
 class _CommandedPose(Target):
@@ -97,9 +102,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report = ControllerReport(self, self._controller.hand)
         self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._sent = b""
+        self._unanswered: tuple[int, Joints] | None = None
         self._accepted = Accepted(self, names.CONTROLLER, requests=True)
         self._begin()
         hand = self._controller.hand
+        self._is_limited = False
+        self._limits = hand.effort_limits
         self._commands = JointCodec(hand.joint_names, ("effort",))
         self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
         self._poses = PoseCodec()
@@ -108,7 +116,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
         )
         # First, so that of a pose and a tick that wait together the pose is handled first.
-        self.subscribe(PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos())
+        self.subscribe(
+            PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos(), raw=True
+        )
         self._feels = self.config.law.observer.time > 0.0
         declared = (
             streams.joints(hand.joint_names),
@@ -150,7 +160,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._fresh.clear()
         self.on_restart()
 
-    def _on_desired(self, message: PoseStamped) -> None:
+    def _on_desired(self, data: bytes) -> None:
+        message = read_message(data, PoseStamped)
         target, stamp = _CommandedPose(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
         self._inputs.check_stamp(stamp)
         target.message = message
@@ -173,6 +184,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     ) -> None:
         """Answer a tick for which everything has arrived; see `Controller.step`."""
         began = time.perf_counter()
+        self._unanswered = stamp, joints
         if self._fresh:
             self._check_fresh(stamp)
         command = self._controller.step(
@@ -203,6 +215,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._answer(stamp, command)
         self._report.note(command)
 
+    def to_safe_state(self, reason: str) -> None:
+        """Hold the hand at the tick that has failed."""
+        if self._unanswered is not None:
+            (stamp, joints), self._unanswered = self._unanswered, None
+            self.on_blind_tick(stamp, joints, reason)
+
     def on_repeat(self) -> None:
         """Give the last answer again."""
         self._command_publisher.publish(self._sent)
@@ -221,13 +239,24 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._accepted.request("enable", self._controller.enabled)
 
     def _answer(self, stamp: int, command: Command) -> None:
-        self._sent = self._commands.encode(stamp, command.torque)
+        self._sent = self._commands.encode(stamp, self._limited(command.torque))
+        self._unanswered = None
         self._command_publisher.publish(self._sent)
         self._accepted.take_effect(stamp)
         self.diagnostics.tick()
         if command.pose is not None:
             turn = quaternion_from_rotation(command.pose.orientation)
             self._pose_publisher.publish(self._poses.encode(command.pose.position, turn, stamp))
+
+    def _limited(self, torque: Array) -> Array:
+        """Return a torque inside the joints' effort limits, and warn where it was not."""
+        is_over = bool((np.abs(torque) > self._limits).any())
+        if is_over:
+            self.diagnostics.fault("torque", _AT_LIMIT, WARN)
+        elif self._is_limited:
+            self.diagnostics.clear("torque")
+        self._is_limited = is_over
+        return np.clip(torque, -self._limits, self._limits) if is_over else torque
 
 
 def main(args: Sequence[str] | None = None) -> int:

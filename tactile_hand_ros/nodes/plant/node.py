@@ -70,6 +70,10 @@ class PlantNode(TactileNode[PlantConfig]):
         """Take another friction."""
         self._run.configure(config)
 
+    def to_safe_state(self, reason: str) -> None:
+        """Hold the joints."""
+        self._driver.to_safe_state(reason)
+
     def on_report(self) -> None:
         """Report mode, time, silence and the margins of contact."""
         put, state = self.diagnostics.value, self._run.state

@@ -41,6 +41,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
     Parameters: the fields of `RecorderConfig`; `output` is required.
     """
 
+    fatal = (BagError,)  # a recorder that cannot write has nothing left to do
+
     def __init__(self, is_over: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
         """Create the bag and begin.
 

@@ -30,11 +30,12 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.errors import UnsafeOutputError
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
-from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec
+from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
@@ -96,7 +97,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._force_publisher = self.create_publisher(
             WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
         )
-        self.subscribe(Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos())
+        self.subscribe(
+            Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
+        )
         declared = (streams.contacts(len(fingers)), streams.forces(fingers))
         self._inputs = TickInputs(self, declared, self)
         self.create_service(Trigger, names.RESET, self._on_reset)
@@ -123,8 +126,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._report.reset()
         self._accepted.begin(self.config)
 
-    def _on_user_force(self, message: Float64) -> None:
-        force = number_from_ros(message)
+    def _on_user_force(self, data: bytes) -> None:
+        force = number_from_ros(read_message(data, Float64))
         self._regulator.request(force)
         message_at = partial(self._codec.encode, (0.0, force, 0.0))
         self._accepted.add(self._force_publisher, message_at)
@@ -139,7 +142,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         regulator = self._regulator
-        grasp_force = regulator.step(stamp, contacts, forces)
+        grasp_force = self._checked(regulator.step(stamp, contacts, forces))
         state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
         self._grip_sent = self._grips.encode(
             stamp, state.friction, state.evidence, state.grip.astype(float)
@@ -151,6 +154,19 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _checked(self, grasp_force: float) -> float:
+        """Let a squeeze pass that may be published.
+
+        Raises:
+            UnsafeOutputError: If it is not from 0 to the limit; the tick stays without k_f.
+        """
+        if not 0.0 <= grasp_force <= self.config.maximum:
+            raise UnsafeOutputError(
+                f"k_f = {grasp_force} N is not from 0 to {self.config.maximum} N and was not "
+                "published; call ~/reset"
+            )
+        return grasp_force
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""

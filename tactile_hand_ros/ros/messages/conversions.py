@@ -24,7 +24,12 @@ from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
+LARGEST_NUMBER = 1e9
+"""Largest magnitude that a message may carry, in SI units: larger ones overflow in products."""
+
 _SECOND = 1_000_000_000
+_LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
+_LONGEST_NAME = 80  # characters of a sender's text that an error repeats
 _UNIT_TOLERANCE = 1e-3
 _NAN3 = (math.nan,) * 3
 _NAN4 = (math.nan,) * 4
@@ -55,8 +60,26 @@ class TargetPose(NamedTuple):
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """Return a message stamp as integer nanoseconds."""
-    return int(stamp.sec) * _SECOND + int(stamp.nanosec)
+    """Return a message stamp as integer nanoseconds.
+
+    Raises:
+        MessageError: If it is no time that a message can carry.
+    """
+    return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
+
+
+def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
+    """Return the two numbers of a stamp as one.
+
+    Raises:
+        MessageError: If seconds are negative or nanoseconds are not below one second.
+    """
+    if seconds < 0 or not 0 <= nanoseconds < _SECOND:
+        raise MessageError(
+            f"the stamp is {seconds} s and {nanoseconds} ns, expected seconds >= 0 and 0 to "
+            f"{_SECOND - 1} ns."
+        )
+    return seconds * _SECOND + nanoseconds
 
 
 def stamp_from_ns(nanoseconds: int) -> Time:
@@ -65,11 +88,21 @@ def stamp_from_ns(nanoseconds: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
-def all_finite(values: Array) -> bool:
-    """Return whether a contiguous array holds neither NaN nor infinity."""
+def all_usable(values: Array) -> bool:
+    """Return whether a contiguous array holds only numbers up to `LARGEST_NUMBER`."""
     flat = values.ravel()
-    # One dot product is four times faster than isfinite; overflow only costs the second look.
-    return math.isfinite(flat.dot(flat)) or bool(np.isfinite(flat).all())
+    # One dot product is faster than two comparisons; a large sum only costs the second look.
+    return bool(flat.dot(flat) <= _LARGEST_SQUARE or (np.abs(flat) <= LARGEST_NUMBER).all())
+
+
+def is_usable(number: float) -> bool:
+    """Return whether a number is finite and at most `LARGEST_NUMBER`."""
+    return -LARGEST_NUMBER <= number <= LARGEST_NUMBER
+
+
+def shown(text: str) -> str:
+    """Return a sender's text as an error repeats it: never longer than a line."""
+    return text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}..."
 
 
 class JointOrder:
@@ -81,7 +114,7 @@ class JointOrder:
     def __init__(self, names: Sequence[str]) -> None:
         """Take the joint names in the hand's order."""
         self.names = list(names)
-        self._other_names: list[str] = []
+        self._other_names: list[str] | None = None
         self._permutation = np.arange(len(self.names))
 
     def read(self, message: JointState, field: str) -> Array:
@@ -100,28 +133,30 @@ class JointOrder:
             raise MessageError(
                 f"{field} has {values.size} values, expected {len(self.names)}, one per joint."
             )
-        if not all_finite(values):
-            raise MessageError(self._not_finite(message, field, values))
+        if not all_usable(values):
+            raise MessageError(self._not_usable(message, field, values))
         return values if in_order else values[self._permutation]
 
     def _learn(self, given: Sequence[str]) -> None:
         """Remember the order of another sender."""
-        unknown = [name for name in given if name not in self.names]
-        if unknown:
-            hint = did_you_mean(unknown[0], self.names)
-            raise MessageError(f"unknown joint '{unknown[0]}'{hint}")
+        if len(given) > len(self.names):
+            raise MessageError(f"{len(given)} joints, expected each of {len(self.names)} once.")
+        unknown = next((shown(name) for name in given if name not in self.names), None)
+        if unknown is not None:
+            raise MessageError(f"unknown joint '{unknown}'{did_you_mean(unknown, self.names)}")
         missing = [name for name in self.names if name not in given]
         if missing:
             raise MessageError(f"joint '{missing[0]}' is missing, expected all {len(self.names)}.")
-        if len(given) != len(self.names):
-            raise MessageError(f"{len(given)} joints, expected each of {len(self.names)} once.")
         self._permutation = np.array([list(given).index(name) for name in self.names])
         self._other_names = list(given)
 
     @staticmethod
-    def _not_finite(message: JointState, field: str, values: Array) -> str:
-        index = int(np.flatnonzero(~np.isfinite(values))[0])
-        return f"{field} of joint '{message.name[index]}' is {values[index]}, expected a number."
+    def _not_usable(message: JointState, field: str, values: Array) -> str:
+        index = int(np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER))[0])
+        return (
+            f"{field} of joint '{message.name[index]}' is {values[index]}, expected a number up "
+            f"to {LARGEST_NUMBER:g}."
+        )
 
 
 def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME) -> ContactPoses:
@@ -153,8 +188,11 @@ def _read_contact(pose: Pose, index: int) -> tuple[tuple[float, ...], tuple[floa
     x, y, z = point.x, point.y, point.z
     if x != x and y != y and z != z:
         return _NAN3, _NAN4
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise MessageError(f"contact {index} is at ({x}, {y}, {z}), expected numbers or all NaN.")
+    if not (is_usable(x) and is_usable(y) and is_usable(z)):
+        raise MessageError(
+            f"contact {index} is at ({x}, {y}, {z}), expected numbers up to {LARGEST_NUMBER:g} or "
+            "all NaN."
+        )
     return (x, y, z), _read_quaternion(pose, f"contact {index}")
 
 
@@ -177,7 +215,8 @@ def check_frame(message: PoseArray | PoseStamped | WrenchStamped, frame: str) ->
     """
     if message.header.frame_id != frame:
         raise MessageError(
-            f"frame_id is '{message.header.frame_id}', expected '{frame}'; transform it first."
+            f"frame_id is '{shown(message.header.frame_id)}', expected '{frame}'; transform it "
+            "first."
         )
 
 
@@ -189,7 +228,7 @@ def force_from_ros(message: WrenchStamped, *, frame: str | None = None) -> Array
         frame: The frame the message must be in; None accepts any.
 
     Raises:
-        MessageError: For NaN, infinity or a wrong frame.
+        MessageError: For NaN, infinity, a number beyond `LARGEST_NUMBER` or a wrong frame.
     """
     if frame is not None:
         check_frame(message, frame)
@@ -198,8 +237,10 @@ def force_from_ros(message: WrenchStamped, *, frame: str | None = None) -> Array
 
 
 def _vector(x: float, y: float, z: float, what: str) -> Array:
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise MessageError(f"{what} is ({x}, {y}, {z}), expected three finite numbers.")
+    if not (is_usable(x) and is_usable(y) and is_usable(z)):
+        raise MessageError(
+            f"{what} is ({x}, {y}, {z}), expected three finite numbers up to {LARGEST_NUMBER:g}."
+        )
     return np.array((x, y, z), dtype=np.float64)
 
 
@@ -207,10 +248,12 @@ def number_from_ros(message: Float64) -> float:
     """Read a Float64 message.
 
     Raises:
-        MessageError: For NaN or infinity.
+        MessageError: For NaN, infinity or a number beyond `LARGEST_NUMBER`.
     """
-    if not math.isfinite(message.data):
-        raise MessageError(f"data is {message.data}, expected a finite number.")
+    if not is_usable(message.data):
+        raise MessageError(
+            f"data is {message.data}, expected a finite number up to {LARGEST_NUMBER:g}."
+        )
     return float(message.data)
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
@@ -22,13 +23,15 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.ros.messages import conversions
 from tactile_hand_ros.ros.messages.conversions import (
     ContactPoses,
     JointOrder,
-    all_finite,
+    all_usable,
     stamp_to_ns,
+    to_nanoseconds,
 )
 
 Array = NDArray[np.float64]
@@ -41,6 +44,43 @@ _LENGTH = struct.Struct("<I")
 _DOUBLE = np.dtype("<f8")
 _SECOND = 1_000_000_000
 _UNIT_TOLERANCE = 1e-3
+
+LARGEST_MESSAGE = 65_536
+"""Largest message that is read [bytes]: a hand with a thousand joints needs less."""
+
+
+def read_message(data: bytes, kind: Any) -> Any:
+    """Deserialize a message that came from outside.
+
+    Args:
+        data: Serialized message.
+        kind: Message class.
+
+    Raises:
+        MessageError: If the bytes are too many or are not a message of that class.
+    """
+    if len(data) > LARGEST_MESSAGE:
+        raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
+    try:
+        return deserialize_message(data, kind)
+    except Exception:  # the errors of the middleware have no public class
+        raise MessageError(
+            f"{len(data)} bytes that are not a {kind.__name__}; send a serialized {kind.__name__}."
+        ) from None
+
+
+def check_output(values: Array, *, nan_allowed: bool = False) -> None:
+    """Check numbers that are about to leave the node: what is sent can be read.
+
+    Raises:
+        UnsafeOutputError: If one is beyond `LARGEST_NUMBER`, or NaN where NaN is not an answer.
+    """
+    if all_usable(values) or (nan_allowed and all_usable(values[~np.isnan(values)])):
+        return
+    raise UnsafeOutputError(
+        f"the result {np.array2string(values.ravel(), threshold=12, precision=3)} is not finite "
+        "and was not published; reset the node and check its inputs and gains."
+    )
 
 
 class CdrTemplate:
@@ -109,13 +149,22 @@ class CdrTemplate:
         return bytes(self._buffer)
 
     def encode(self, stamp_ns: int, *values: Array) -> bytes:
-        """Return the bytes with a stamp [ns] and one array per block, flat and of its size."""
+        """Return the bytes with a stamp [ns] and one array per block, flat and of its size.
+
+        Raises:
+            UnsafeOutputError: If a number is not finite.
+        """
         for view, block in zip(self._views, values, strict=True):
             view[:] = block
+            check_output(view)
         return self.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]] | None:
-        """Return stamp [ns] and blocks, None if not finite or anything but the numbers differs."""
+        """Return stamp [ns] and blocks, None if a number or anything but the numbers is unusual.
+
+        Raises:
+            MessageError: If the stamp is no time.
+        """
         if len(data) != len(self._buffer) or data[:_STAMP_AT] != _LITTLE_ENDIAN:
             return None
         for where, expected in self._constant:
@@ -124,9 +173,9 @@ class CdrTemplate:
         seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
         at, count = self._numbers
         numbers = np.frombuffer(data, _DOUBLE, count, at).copy()  # aligned, and kept
-        if not all_finite(numbers):  # a length between two blocks is a tiny number
+        if not all_usable(numbers):  # a length between two blocks is a tiny number
             return None
-        return seconds * _SECOND + nanoseconds, [numbers[part] for part in self._parts]
+        return to_nanoseconds(seconds, nanoseconds), [numbers[part] for part in self._parts]
 
 
 class WrenchCodec:
@@ -137,7 +186,8 @@ class WrenchCodec:
 
         Args:
             frame: The frame that is written and that a read message must be in.
-            nan_allowed: Whether NaN is an answer (there is none) instead of a mistake.
+            nan_allowed: Whether NaN is an answer (there is none) instead of a mistake, in what is
+                read and in what is written.
             any_frame: Whether a read message may be in any frame, as where only y counts.
         """
         self._frame = None if any_frame else frame
@@ -146,20 +196,26 @@ class WrenchCodec:
         self._force = self._template.view(0)[:3]
 
     def encode(self, force: Array | Sequence[float], stamp_ns: int) -> bytes:
-        """Return the message for a force of shape (3,)."""
+        """Return the message for a force of shape (3,).
+
+        Raises:
+            UnsafeOutputError: If it is infinite, or NaN where that is not allowed.
+        """
         self._force[:] = force
+        check_output(self._force, nan_allowed=self._nan_allowed)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
         """Return stamp [ns] and force, shape (3,).
 
         Raises:
-            MessageError: For a wrong frame, infinity, or NaN where it is not allowed.
+            MessageError: For bytes of another type, a wrong frame, a number beyond
+                `LARGEST_NUMBER`, or NaN where it is not allowed.
         """
         found = self._template.decode(data)
         if found is not None:
             return found[0], found[1][0][:3]
-        message = deserialize_message(data, WrenchStamped)
+        message = read_message(data, WrenchStamped)
         vector = message.wrench.force
         if self._nan_allowed and any(map(math.isnan, (vector.x, vector.y, vector.z))):
             if self._frame is not None:
@@ -186,15 +242,20 @@ class ContactsCodec:
             positions: Contact points [m]. Shape (k, 3).
             quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
             stamp_ns: The tick [ns].
+
+        Raises:
+            UnsafeOutputError: If a number is infinite.
         """
         self._rows[:, :3], self._rows[:, 3:] = positions, quaternions
+        check_output(self._rows, nan_allowed=True)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, ContactPoses]:
         """Return stamp [ns] and contacts.
 
         Raises:
-            MessageError: For a wrong frame or length, infinity or a quaternion not of unit length.
+            MessageError: For bytes of another type, a wrong frame or length, infinity or a
+                quaternion not of unit length.
         """
         found = self._template.decode(data)
         if found is not None:
@@ -202,7 +263,7 @@ class ContactsCodec:
             turns = rows[:, 3:].copy()
             if all(map(_is_unit, turns.tolist())):
                 return found[0], ContactPoses(rows[:, :3].copy(), turns)
-        message = deserialize_message(data, PoseArray)
+        message = read_message(data, PoseArray)
         contacts = conversions.contacts_from_ros(message, self._count)
         return stamp_to_ns(message.header.stamp), contacts
 
@@ -231,19 +292,24 @@ class JointCodec:
         self._template = template.finish()
 
     def encode(self, stamp_ns: int, *values: Array) -> bytes:
-        """Return the message with one array of shape (m,) per field."""
+        """Return the message with one array of shape (m,) per field.
+
+        Raises:
+            UnsafeOutputError: If a number is not finite.
+        """
         return self._template.encode(stamp_ns, *values)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]]:
         """Return stamp [ns] and one array of shape (m,) per wanted field.
 
         Raises:
-            MessageError: For unknown, missing or repeated joints, wrong length, NaN or infinity.
+            MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
+                length, NaN or infinity.
         """
         found = self._template.decode(data)
         if found is not None:
             return found[0], found[1][: len(self._wanted)]
-        message = deserialize_message(data, JointState)
+        message = read_message(data, JointState)
         stamp = stamp_to_ns(message.header.stamp)
         return stamp, [self._order.read(message, field) for field in self._wanted]
 
@@ -262,8 +328,13 @@ class PoseCodec:
         self._row = self._template.view(0)
 
     def encode(self, position: Array, quaternion: Array, stamp_ns: int) -> bytes:
-        """Return the message for a position [m] and a quaternion (x, y, z, w)."""
+        """Return the message for a position [m] and a quaternion (x, y, z, w).
+
+        Raises:
+            UnsafeOutputError: If a number is not finite.
+        """
         self._row[:3], self._row[3:] = position, quaternion
+        check_output(self._row)
         return self._template.stamped(stamp_ns)
 
 
@@ -289,6 +360,12 @@ def clock_bytes(stamp_ns: int) -> bytes:
 
 
 def stamp_of(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that begins with a header."""
+    """Return the stamp [ns] of a serialized message that begins with a header.
+
+    Raises:
+        MessageError: If there is none, or it is no time.
+    """
+    if len(data) < _AFTER_STAMP:
+        raise MessageError(f"{len(data)} bytes, expected a message that begins with a stamp.")
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _STAMP_AT)
-    return int(seconds) * _SECOND + int(nanoseconds)
+    return to_nanoseconds(seconds, nanoseconds)

@@ -7,7 +7,13 @@ from support.grasps import moved
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import MOST_WAITING, Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.controller import (
+    MOST_CHECKED,
+    MOST_WAITING,
+    Controller,
+    ControllerConfig,
+    Mode,
+)
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import GraspError, PoseError
@@ -152,6 +158,30 @@ def test_targets_after_a_tick_can_be_forgotten(bench):
     bench.stamp = 20 * TICK
     bench.step()
     np.testing.assert_allclose(bench.controller.target.position, bench.target(8e-3, 0, 0)[0])
+
+
+def test_of_many_targets_in_one_tick_few_are_checked_and_the_newest_in_reach_counts(bench):
+    """A target out of reach takes milliseconds to recognise."""
+    bench.step()
+    far, near = bench.target(0.0, 0.0, 2.0), bench.target(0.02, 0.0, 0.0)
+    for _ in range(MOST_CHECKED):
+        with pytest.raises(PoseError):
+            bench.controller.command(far)
+    for target in (far, near, far):
+        bench.controller.command(target)  # not checked any more
+    command = bench.step()
+    assert command.mode is Mode.DRIVE and "out of reach" in command.reason
+    assert bench.step().reason == ""
+    np.testing.assert_array_equal(bench.controller.target.position, near.position)
+    with pytest.raises(PoseError):
+        bench.controller.command(far)
+
+
+def test_a_law_without_a_finite_torque_gives_the_hold(bench):
+    good = bench.step()
+    command = bench.step(rates=np.full(9, np.inf))
+    assert command.mode is Mode.HOLD and "no finite torque" in command.reason
+    np.testing.assert_allclose(bench.step().torque, good.torque, atol=1e-9)
 
 
 def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):

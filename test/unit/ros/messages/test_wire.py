@@ -15,12 +15,14 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from support.messages import contacts_message, force_message, joint_message
 
-from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.messages import conversions as c
 from tactile_hand_ros.ros.messages.wire import (
+    LARGEST_MESSAGE,
     ContactsCodec,
     JointCodec,
     PoseCodec,
+    SlipCodec,
     WrenchCodec,
     clock_bytes,
     stamp_of,
@@ -28,7 +30,7 @@ from tactile_hand_ros.ros.messages.wire import (
 
 FIELDS = ("position", "velocity", "effort")
 stamps = st.integers(0, 2**31 * 10**9 - 1)
-numbers = st.floats(allow_nan=False, allow_infinity=False)
+numbers = st.floats(-1e9, 1e9)
 names = st.lists(st.text("abc_1é", min_size=1, max_size=9), min_size=1, max_size=9, unique=True)
 
 
@@ -125,7 +127,8 @@ def test_joints_of_a_sender_with_another_order_are_sorted():
 
 def test_a_field_that_is_not_wanted_may_be_nan():
     codec = JointCodec(["a"], FIELDS, wanted=("position",))
-    _, (position,) = codec.decode(codec.encode(1, [1.0], [np.nan], [np.nan]))
+    message = JointState(name=["a"], position=[1.0], velocity=[np.nan], effort=[np.nan])
+    _, (position,) = codec.decode(serialize_message(message))
     assert position == [1.0]
 
 
@@ -152,11 +155,13 @@ def test_a_force_in_another_frame_is_refused_unless_the_frame_does_not_matter():
     assert stamp == 5 and force[1] == 7.0
 
 
-@pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_a_force_that_is_no_number_is_refused(wrong):
-    data = WrenchCodec("tip").encode((0.0, wrong, 0.0), 5)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, 1e300])
+def test_a_force_that_is_no_number_is_refused_and_not_sent(wrong):
+    data = serialize_message(force_message((0.0, wrong, 0.0), 5, "tip"))
     with pytest.raises(MessageError, match="expected three finite numbers"):
         WrenchCodec("tip").decode(data)
+    with pytest.raises(UnsafeOutputError, match="not finite"):
+        WrenchCodec("tip").encode((0.0, wrong, 0.0), 5)
 
 
 def test_nan_can_be_an_answer_but_not_infinity_or_another_frame():
@@ -164,9 +169,11 @@ def test_nan_can_be_an_answer_but_not_infinity_or_another_frame():
     stamp, force = codec.decode(codec.encode((math.nan, 0.0, 0.0), 5))
     assert stamp == 5 and np.isnan(force).all()
     with pytest.raises(MessageError):
-        codec.decode(codec.encode((math.inf, 0.0, 0.0), 5))
+        codec.decode(serialize_message(force_message((math.inf, 0.0, 0.0), 5, "tip")))
+    with pytest.raises(UnsafeOutputError):
+        codec.encode((math.nan, math.inf, 0.0), 5)
     with pytest.raises(MessageError):
-        codec.decode(WrenchCodec("other").encode((math.nan, 0.0, 0.0), 5))
+        codec.decode(serialize_message(force_message((math.nan, 0.0, 0.0), 5, "other")))
 
 
 def test_wrong_contacts_are_refused():
@@ -177,7 +184,7 @@ def test_wrong_contacts_are_refused():
     with pytest.raises(MessageError, match="length 1"):
         ContactsCodec(3).decode(ContactsCodec(3).encode(positions, 2.0 * quaternions, 1))
     positions[1, 1] = np.nan
-    with pytest.raises(MessageError, match="numbers or all NaN"):
+    with pytest.raises(MessageError, match="or all NaN"):
         ContactsCodec(3).decode(ContactsCodec(3).encode(positions, quaternions, 1))
 
 
@@ -194,3 +201,66 @@ def test_stamp_is_read_from_bytes(stamp):
     assert stamp_of(data) == stamp
     big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
     assert stamp_of(big_endian) == stamp
+
+
+CODECS = {
+    "force": WrenchCodec("tip"),
+    "f*": WrenchCodec("tip", nan_allowed=True),
+    "contacts": ContactsCodec(3),
+    "joints": JointCodec(["a", "b"], FIELDS),
+    "command": JointCodec(["a", "b"], ("effort",)),
+    "slip": SlipCodec(["a", "b"]),
+}
+
+
+@pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\x00", b"\x00\x01\x00\x00\x01\x00", b"\x00\x01\x00\x00" + b"\xff" * 500, bytes(10**6)],
+    ids=["nothing", "a byte", "cut", "lengths", "a megabyte"],
+)
+def test_bytes_that_are_no_message_are_refused(codec, data):
+    with pytest.raises(MessageError, match="bytes"):
+        codec.decode(data)
+
+
+def test_the_largest_message_is_far_beyond_a_large_hand():
+    joints = [f"left_hand_finger_{number}_joint" for number in range(500)]
+    assert len(JointCodec(joints, FIELDS).encode(0, *np.zeros((3, 500)))) < LARGEST_MESSAGE
+
+
+EXTREME = [(2**31 - 1, 2**32 - 1), (0, 10**9), (-1, 0), (-(2**31), 999_999_999)]
+
+
+@pytest.mark.parametrize(("seconds", "nanoseconds"), EXTREME)
+def test_a_stamp_that_is_no_time_is_refused(seconds, nanoseconds):
+    codec = WrenchCodec("tip")
+    data = bytearray(codec.encode((0.0, 1.0, 0.0), 0))
+    struct.pack_into("<iI", data, 4, seconds, nanoseconds)
+    for received in (bytes(data), bytes(data) + bytes(4)):  # the second is read by ROS
+        with pytest.raises(MessageError, match="the stamp is"):
+            codec.decode(received)
+
+
+def test_the_last_time_that_a_stamp_can_tell_is_read_and_written():
+    codec = WrenchCodec("tip")
+    last = 2**31 * 10**9 - 1
+    assert codec.decode(codec.encode((0.0, 1.0, 0.0), last))[0] == last
+
+
+def test_a_command_without_names_is_refused():
+    """The first message of a sender shall not define what no names mean."""
+    codec = JointCodec(["a", "b"], ("effort",))
+    for effort in ([1.0, 2.0], [math.nan, 1.0], []):
+        with pytest.raises(MessageError, match="joint 'a' is missing"):
+            codec.decode(serialize_message(JointState(effort=effort)))
+
+
+def test_no_sender_makes_an_error_long():
+    long = "x" * 10_000
+    joints, force = JointState(name=[long], effort=[1.0]), force_message((0, 0, 0), 0, long)
+    with pytest.raises(MessageError) as unknown:
+        JointCodec(["a", "b"], ("effort",)).decode(serialize_message(joints))
+    with pytest.raises(MessageError) as frame:
+        WrenchCodec("tip").decode(serialize_message(force))
+    assert max(len(str(unknown.value)), len(str(frame.value))) < 300

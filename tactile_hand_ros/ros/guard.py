@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No callback ends a node: what one throws is counted, reported and answered with the safe state.
+
+A message or request that is refused (`TactileHandError`) costs nothing but itself. Anything else,
+and a result that must not be published (`UnsafeOutputError`), was not foreseen: it is reported with
+the line of this package that failed, and the node goes to its safe state.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from rcl_interfaces.msg import SetParametersResult
+
+from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError
+from tactile_hand_ros.ros.diagnostics import Diagnostics
+
+_THIS = Path(__file__)
+_PACKAGE = _THIS.parents[1]
+
+
+class Guarded(Protocol):
+    """A node, as the guard sees it."""
+
+    diagnostics: Diagnostics
+    fatal: tuple[type[Exception], ...]
+    context: Any
+
+    def get_logger(self) -> Any:
+        """Return the node's logger."""
+
+    def to_safe_state(self, reason: str) -> None:
+        """Do what is safe after an error that nobody foresaw."""
+
+
+class Guard:
+    """Runs the callbacks of one node."""
+
+    def __init__(self, node: Guarded) -> None:
+        """Guard a node; it may still be under construction."""
+        self._node = node
+        self._is_making_safe = False
+
+    def wrap(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback that never raises while the node is running.
+
+        Args:
+            source: Topic, service or timer that is named when the callback fails.
+            callback: The callback; not a coroutine.
+        """
+        if inspect.iscoroutinefunction(callback):
+            return callback
+
+        @functools.wraps(callback)  # rclpy looks at the signature
+        def guarded(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.caught(source, error)
+                return None
+
+        return guarded
+
+    def wrap_service(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a service callback that answers a refusal where the given one raises."""
+        if inspect.iscoroutinefunction(callback):
+            return callback
+
+        @functools.wraps(callback)
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.caught(source, error)
+                return refusal(request, response, described(error))
+
+        return guarded
+
+    def caught(self, source: str, error: Exception) -> None:
+        """Count and report what a callback threw, and make the node safe if it was not foreseen.
+
+        Raises:
+            Exception: The error itself if it ends this node, or if the context is being shut down.
+        """
+        node = self._node
+        if isinstance(error, node.fatal) or not node.context.ok():
+            raise error
+        if isinstance(error, TactileHandError) and not isinstance(error, UnsafeOutputError):
+            if node.diagnostics.reject(source, error):
+                node.get_logger().warning(f"rejected a message on '{source}': {shortened(error)}")
+            return
+        reason = described(error)
+        if node.diagnostics.error(source, reason):
+            node.get_logger().error(f"error in '{source}': {reason}")
+        self._make_safe(reason)
+
+    def _make_safe(self, reason: str) -> None:
+        if self._is_making_safe:  # the safe state itself has failed
+            return
+        self._is_making_safe = True
+        try:
+            self._node.to_safe_state(reason)
+        except Exception as error:
+            self.caught("safe state", error)
+        finally:
+            self._is_making_safe = False
+
+
+def described(error: Exception) -> str:
+    """Return an error in one line: what, and where in this package."""
+    return shortened(f"{type(error).__name__} at {location(error)}: {error}")
+
+
+def location(error: BaseException) -> str:
+    """Return file and line in which an error arose: the innermost of this package, if any."""
+    inner, is_inside, trace = "unknown", False, error.__traceback__
+    while trace is not None:
+        file = Path(trace.tb_frame.f_code.co_filename)
+        is_ours = file.is_relative_to(_PACKAGE) and file != _THIS
+        if is_ours or not is_inside:
+            name = file.relative_to(_PACKAGE) if is_ours else file.name
+            inner, is_inside = f"{name}:{trace.tb_lineno}", is_ours
+        trace = trace.tb_next
+    return inner
+
+
+def shortened(text: object) -> str:
+    """Return a text in one line that no sender can make long."""
+    line = " ".join(str(text)[:1000].split())
+    return line if len(line) <= 300 else f"{line[:300]}..."
+
+
+def refusal(request: Any, response: Any, reason: str) -> Any:
+    """Fill a response so that it says no, as far as its type has words for it."""
+    no = SetParametersResult(successful=False, reason=reason)
+    if hasattr(response, "success"):
+        response.success, response.message = False, reason
+    elif hasattr(response, "results"):
+        response.results = [no for _ in request.parameters]
+    elif isinstance(getattr(response, "result", None), SetParametersResult):
+        response.result = no
+    return response

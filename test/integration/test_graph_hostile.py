@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile bytes, stamps, numbers, parameters and floods: no node ends, and the grip stays."""
+
+from __future__ import annotations
+
+import math
+import signal
+import struct
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from support.graph import Graph
+from support.messages import force_message, pose_message
+from tactile_hand_ros.ros.testing import isolated_domain
+
+from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.node import SUBSCRIPTIONS
+
+P_D = np.array(load_scenario("paper").targets[0].position)
+ENDLESS = {"duration": 86400.0, "plant.autostart": False, "plant.rate": 250.0}
+CUT = b"\x00\x01\x00\x00\x01\x00"
+NO_MESSAGES = (CUT, b"\x00\x01\x00\x00" + b"\xff" * 500, bytes(1_000_000))
+NO_TIMES = ((2**31 - 1, 2**32 - 1), (0, 10**9), (-1, 0))
+LOG_LIMIT = 60_000  # characters that a node may write during all of this
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Run the paper's scenario without end, and insist that all survive and say little."""
+    folder = tmp_path_factory.mktemp("graph")
+    with isolated_domain() as domain, Graph(load_scenario("paper", ENDLESS), domain, folder) as run:
+        run.begin(P_D)
+        run.wait(lambda: run.time > 0.1, "the first ticks")
+        yield run
+        assert set(run.end(signal.SIGINT).values()) == {0}
+        for name, process in run.processes.items():
+            assert "Traceback" not in process.stderr, name
+            assert len(process.stderr) + len(process.stdout) < LOG_LIMIT, name
+
+
+@pytest.fixture(autouse=True)
+def held(graph: Graph) -> Iterator[None]:
+    """Insist that nothing unforeseen happened, ticks go on, and all fingers still hold."""
+    yield
+    until = graph.time + 0.2
+    graph.wait(lambda: graph.time > until, "ticks after the attack")
+    normal = graph.forces[:, 1]
+    assert (normal > 0.5).all() and (normal < 20.0).all()
+    for name in NODES:
+        assert not [key for key in graph.health[f"/{name}"].values if key.startswith("errors")]
+
+
+def kind_of(topic: str) -> Any:
+    """Return the type of an input of the five nodes."""
+    if topic == names.DESIRED_POSE:
+        return PoseStamped
+    if topic == names.USER_GRASP_FORCE:
+        return Float64
+    if topic in (names.CONTACTS, names.TRUE_CONTACTS):
+        return PoseArray
+    joints = (names.JOINT_STATES, names.JOINT_COMMAND, names.TRUE_SLIP, names.GRIP_STATE)
+    return JointState if topic in joints else WrenchStamped
+
+
+def inputs(graph: Graph) -> dict[str, list[str]]:
+    """Return all topics that the five nodes read, each with its readers."""
+    found: dict[str, list[str]] = {}
+    for name in NODES:
+        for key in graph.health[f"/{name}"].values:
+            if key.startswith(f"{SUBSCRIPTIONS} "):
+                topic = key.removeprefix(f"{SUBSCRIPTIONS} /")
+                found.setdefault(topic, []).append(name)
+    return found
+
+
+def attack(graph: Graph, attacks: dict[str, list[bytes]]) -> None:
+    """Send bytes on topics and wait until every reader has refused each of them."""
+    readers = inputs(graph)
+    before = {(name, t): graph.rejected(name, t) for t in attacks for name in readers[t]}
+    made = {t: graph.node.create_publisher(kind_of(t), t, qos.user_qos()) for t in attacks}
+    watched = {t: graph.node.count_subscribers(t) for t in attacks}
+    for topic, publisher in made.items():
+        graph.wait(
+            lambda p=publisher, t=topic: p.get_subscription_count() >= watched[t],
+            f"readers of {topic}",
+        )
+    for topic, messages in attacks.items():
+        for data in (*messages, b""):  # nothing at all does not arrive; it must not hurt either
+            made[topic].publish(data)
+    for (name, topic), count in before.items():
+        wanted = count + len(attacks[topic])
+        graph.wait(lambda n=name, t=topic, k=wanted: graph.rejected(n, t) == k, f"{name}, {topic}")
+    for publisher in made.values():
+        graph.node.destroy_publisher(publisher)
+
+
+def stamped(data: bytes, seconds: int, nanoseconds: int) -> bytes:
+    """Return a serialized message with another stamp."""
+    return data[:4] + struct.pack("<iI", seconds, nanoseconds) + data[12:]
+
+
+def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> None:
+    topics = inputs(graph)
+    assert len(topics) >= 16  # of five nodes and three fingers
+    attacks = {topic: list(NO_MESSAGES) for topic in topics}
+    attacks[names.USER_GRASP_FORCE] = [CUT, CUT]  # Fast DDS sends no more than the type can have
+    attack(graph, attacks)
+
+
+def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph) -> None:
+    topics = inputs(graph)
+    topics.pop(names.USER_GRASP_FORCE)
+    blank = {topic: serialize_message(kind_of(topic)()) for topic in topics}
+    contacts = serialize_message(graph.newest(names.TRUE_CONTACTS))
+    command = serialize_message(graph.newest(names.JOINT_STATES))
+    good = {names.CONTACTS: contacts, names.TRUE_CONTACTS: contacts, names.JOINT_COMMAND: command}
+    sent = blank | good
+    attack(graph, {t: [stamped(sent[t], *when) for when in NO_TIMES] for t in topics})
+
+
+def test_numbers_that_would_overflow_are_refused(graph: Graph) -> None:
+    state = graph.newest(names.JOINT_STATES)
+    stamp = 10**9 * state.header.stamp.sec + state.header.stamp.nanosec
+    huge = [1e308] * len(state.name)
+    joints = JointState(
+        header=state.header, name=state.name, position=huge, velocity=huge, effort=huge
+    )
+    contacts = graph.newest(names.TRUE_CONTACTS)
+    contacts.poses[0].position.x = 1e308
+    force = (1e308, 1e308, 1e308)
+    attacks: dict[str, list[Any]] = {
+        names.JOINT_STATES: [joints],
+        names.JOINT_COMMAND: [joints],
+        names.CONTACTS: [contacts],
+        names.GRASP_FORCE: [force_message(force, stamp, names.PALM_FRAME)],
+        names.DESIRED_POSE: [pose_message(force, np.eye(3), 0)],
+        names.USER_GRASP_FORCE: [Float64(data=1e308)],
+    }
+    for name in graph.fingers:
+        message = force_message(force, stamp, names.contact_frame(name))
+        attacks[names.optimal_force(name)] = attacks[names.wrench(name)] = [message]
+    attack(graph, {t: [serialize_message(m) for m in sent] for t, sent in attacks.items()})
+
+
+def test_commands_without_names_are_refused(graph: Graph) -> None:
+    state = graph.newest(names.JOINT_STATES)
+    count = len(state.name)
+    efforts = ([1.0] * count, [math.nan] * count, [])
+    messages = [JointState(header=state.header, effort=effort) for effort in efforts]
+    attack(graph, {names.JOINT_COMMAND: [serialize_message(m) for m in messages]})
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_parameters_of_unknown_types_are_refused(graph: Graph, node: str) -> None:
+    odd = [
+        Parameter(name=name, value=ParameterValue(type=number))
+        for number in (99, 255)
+        for name in ("hand", "use_sim_time", "no_such", "")
+    ]
+    request = SetParameters.Request(parameters=odd)
+    results = graph.call(SetParameters, f"{node}/set_parameters", request).results
+    assert len(results) == len(odd)
+    assert not any(result.successful for result in results)
+    assert all("has type" in result.reason for result in results)
+
+
+def floods(graph: Graph) -> dict[str, tuple[str, Any]]:
+    """Return topic and message of each flood: what a user may send, far too often."""
+    ahead = round(1e9 * graph.time) + 3600 * 10**9
+    return {
+        "future poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), ahead)),
+        "poses out of reach": (names.DESIRED_POSE, pose_message((0.5, 0.5, 0.5), np.eye(3), 0)),
+        "poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0)),
+        "squeezes": (names.USER_GRASP_FORCE, Float64(data=10.0)),
+        "megabytes": (
+            names.DESIRED_POSE,
+            pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000),
+        ),
+    }
+
+
+def rate(graph: Graph, seconds: float) -> float:
+    """Return how many simulated seconds pass in one, measured over some time [s]."""
+    start, at = time.monotonic(), graph.time
+    graph.wait(lambda: time.monotonic() - start > seconds, "the measured time")
+    return (graph.time - at) / (time.monotonic() - start)
+
+
+@pytest.mark.parametrize(
+    "which", ["future poses", "poses out of reach", "poses", "squeezes", "megabytes"]
+)
+def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, which: str) -> None:
+    """At 2500 messages a second, megabytes at 50, the ticks do not stand still."""
+    topic, message = floods(graph)[which]
+    publisher = graph.node.create_publisher(type(message), topic, qos.user_qos())
+    graph.wait(lambda: publisher.get_subscription_count() > 0, f"a reader of {topic}")
+    data = serialize_message(message)
+    undisturbed = rate(graph, 0.5)
+    burst = 1 if which == "megabytes" else 25
+    sent: list[int] = []
+
+    def send() -> None:
+        sent.extend(publisher.publish(data) or 1 for _ in range(burst))
+
+    timer = graph.node.create_timer(0.02 if burst == 1 else 0.01, send)
+    flooded = rate(graph, 1.5)
+    graph.node.destroy_timer(timer)
+    graph.node.destroy_publisher(publisher)
+    assert len(sent) > (20 if burst == 1 else 1000)
+    assert flooded > 0.15 * undisturbed
