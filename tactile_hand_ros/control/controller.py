@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 MOST_WAITING = 1000
 """Desired poses that may wait for their tick."""
 
-MOST_CHECKED = 2
+MOST_CHECKED = 1
 """Desired poses whose reach is checked when they come, in one tick; that of others is checked when
 they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
 
