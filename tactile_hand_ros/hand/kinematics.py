@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -59,40 +58,3 @@ def tip_jacobians(
 def mirrored(upper: Array) -> Array:
     """Return the symmetric matrix of which the upper triangle is given, shape (m, m)."""
     return np.triu(upper) + np.triu(upper, 1).T
-
-
-@compiled
-def divide_by_inertia(upper: Array, right: Array) -> None:
-    """Solve M x = b by Cholesky's U^T U = M for each column of an array, in place.
-
-    Between joints of different fingers M is zero, and so is U: they are passed over.
-
-    Args:
-        upper: Symmetric positive definite M, of which the upper triangle counts, shape (m, m).
-        right: Columns b, shape (m, n).
-    """
-    m = len(right)
-    u = np.zeros((m, m))
-    for i in range(m):
-        for j in range(i, m):
-            total = upper[i, j]
-            for c in range(i):
-                total -= u[c, i] * u[c, j]
-            u[i, j] = math.sqrt(total) if i == j else total / u[i, i]
-    for i in range(m):
-        for c in range(i):
-            if u[c, i] != 0.0:
-                _take_away(right, i, u[c, i], c)
-        right[i] /= u[i, i]
-    for i in range(m - 1, -1, -1):
-        for c in range(i + 1, m):
-            if u[i, c] != 0.0:
-                _take_away(right, i, u[i, c], c)
-        right[i] /= u[i, i]
-
-
-@compiled
-def _take_away(rows: Array, row: int, factor: float, other: int) -> None:
-    """Take a multiple of another row from a row."""
-    for j in range(rows.shape[1]):
-        rows[row, j] -= factor * rows[other, j]

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.control.contact import compiled_contact_frame
-from tactile_hand_ros.hand.kinematics import divide_by_inertia, tip_jacobians
+from tactile_hand_ros.hand.kinematics import tip_jacobians
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import rodrigues
 from tactile_hand_ros.simulation.coulomb import solve_contacts
@@ -270,7 +271,7 @@ def _response(
     right[m + 3, c] = h * (body.wrench[3] - spin[1] * momentum[2] + spin[2] * momentum[1])
     right[m + 4, c] = h * (body.wrench[4] - spin[2] * momentum[0] + spin[0] * momentum[2])
     right[m + 5, c] = h * (body.wrench[5] - spin[0] * momentum[1] + spin[1] * momentum[0])
-    divide_by_inertia(hand.inertia, right[:m])
+    substitute(factorize(hand.inertia)[0], right[:m])
     right[m : m + 3] /= body.mass
-    divide_by_inertia(turning, right[m + 3 :])
+    substitute(factorize(turning)[0], right[m + 3 :])
     return right[:, :c].copy(), v + right[:, c]

@@ -15,7 +15,7 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.is_file())
 
 # What may be imported from everywhere.
-BASE = {"", "config", "errors", "extras", "files", "jit", "names", "rotations"}
+BASE = {"", "cholesky", "config", "errors", "extras", "files", "jit", "names", "rotations"}
 RUNS = {"hand", "control", "closed_loop", "bag", "run"}
 # Who may import whom, besides itself. Data flows down this list.
 LAYERS = {
@@ -25,6 +25,7 @@ LAYERS = {
     "names": set(),
     "config": {"errors"},
     "jit": {"config", "errors"},
+    "cholesky": {"jit"},
     "rotations": {"jit"},
     "hand": BASE,
     "control": BASE | {"hand"},
@@ -44,6 +45,7 @@ CLOCKS = {"time", "datetime"}
 # What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.
 BLIND = ("hand", "control")
 PLAIN = (
+    "cholesky",
     "errors",
     "extras",
     "files",

@@ -14,17 +14,15 @@ takes one system nearly always.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # of a force or a multiplier: no reason to exchange its bound
-_SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those before
 
 
 @compiled
@@ -76,12 +74,14 @@ def _solve_equalities(
     rows[6, 1::3], right[6] = 1.0, 1.0
     for i in range(len(active)):
         rows[7 + i, 3 * active[i] + 1], right[7 + i] = 1.0, least
-    factor = _cholesky(rows, weights)
-    if factor[-1, -1] == 0.0:
+    factor, determined = factorize(_schur_complement(rows, weights))
+    if not determined:
         return False
     multipliers, missing = np.zeros(size), right.copy()
     for _ in range(2):  # the second time removes the rounding errors of the first
-        _add_solution(factor, -2.0 * missing, multipliers)
+        change = -2.0 * missing
+        substitute(factor, change.reshape(size, 1))
+        multipliers += change
         for j in range(n):
             total = 0.0
             for i in range(size):
@@ -99,37 +99,14 @@ def _solve_equalities(
 
 
 @compiled
-def _cholesky(rows: Array, weights: Array) -> Array:
-    """Return L with L L^T = A W^-1 A^T; its last element is 0 where rows of A depend."""
+def _schur_complement(rows: Array, weights: Array) -> Array:
+    """Return A W^-1 A^T, of which the upper triangle is filled in."""
     size, n = rows.shape
     out = np.zeros((size, size))
     for i in range(size):
-        for j in range(i + 1):
+        for j in range(i, size):
             total = 0.0
             for c in range(n):
                 total += rows[i, c] * rows[j, c] / weights[c]
-            whole = total
-            for c in range(j):
-                total -= out[i, c] * out[j, c]
-            if i > j:
-                out[i, j] = total / out[j, j]
-            elif total > _SINGULAR * whole:
-                out[i, i] = math.sqrt(total)
-            else:
-                return np.zeros((1, 1))
+            out[i, j] = total
     return out
-
-
-@compiled
-def _add_solution(factor: Array, right: Array, out: Array) -> None:
-    """Add the solution of L L^T x = right to an array; overwrites the right-hand side."""
-    n = len(right)
-    for i in range(n):
-        for j in range(i):
-            right[i] -= factor[i, j] * right[j]
-        right[i] /= factor[i, i]
-    for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            right[i] -= factor[j, i] * right[j]
-        right[i] /= factor[i, i]
-    out += right

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear systems with a symmetric positive definite matrix, by Cholesky's U^T U."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+_SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those before
+
+
+@compiled
+def factorize(upper: Array) -> tuple[Array, bool]:
+    """Return U with U^T U = M, and whether M is positive definite beyond rounding.
+
+    Args:
+        upper: Symmetric M, of which the upper triangle counts, shape (m, m).
+
+    Returns:
+        U, shape (m, m), of no use where the second is False.
+    """
+    m = len(upper)
+    u = np.zeros((m, m))
+    for i in range(m):
+        for j in range(i, m):
+            total = upper[i, j]
+            for c in range(i):
+                total -= u[c, i] * u[c, j]
+            if i < j:
+                u[i, j] = total / u[i, i]
+            elif total > _SINGULAR * upper[i, i]:
+                u[i, i] = math.sqrt(total)
+            else:
+                return u, False
+    return u, True
+
+
+@compiled
+def substitute(u: Array, right: Array) -> None:
+    """Solve U^T U x = b for each column of an array, in place.
+
+    Zeros of U are passed over: where M consists of blocks, U does too.
+
+    Args:
+        u: From `factorize`, shape (m, m).
+        right: Columns b, shape (m, n).
+    """
+    m = len(right)
+    for i in range(m):
+        for c in range(i):
+            if u[c, i] != 0.0:
+                _take_away(right, i, u[c, i], c)
+        right[i] /= u[i, i]
+    for i in range(m - 1, -1, -1):
+        for c in range(i + 1, m):
+            if u[i, c] != 0.0:
+                _take_away(right, i, u[i, c], c)
+        right[i] /= u[i, i]
+
+
+@compiled
+def _take_away(rows: Array, row: int, factor: float, other: int) -> None:
+    """Take a multiple of another row from a row."""
+    for j in range(rows.shape[1]):
+        rows[row, j] -= factor * rows[other, j]

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cholesky: inertias of fingers apart and of joints together, and singular matrices."""
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.cholesky import factorize, substitute
+from tactile_hand_ros.hand.kinematics import mirrored
+
+
+@pytest.mark.parametrize("fingers", [[9], [3, 3, 3], [3, 5, 4, 1]])
+def test_it_solves_for_every_column(fingers):
+    random = np.random.default_rng(0)
+    m = sum(fingers)
+    inertia, at = np.zeros((m, m)), 0
+    for joints in fingers:
+        root = random.standard_normal((joints, joints))
+        inertia[at : at + joints, at : at + joints] = root @ root.T + 0.1 * np.eye(joints)
+        at += joints
+    right = random.standard_normal((m, m + 2))
+    expected = np.linalg.solve(inertia, right)
+    found = right.copy()
+    factor, regular = factorize(np.triu(inertia))  # nothing below the diagonal is looked at
+    substitute(factor, found)
+    assert regular
+    np.testing.assert_allclose(factor.T @ factor, inertia, atol=1e-13 * np.abs(inertia).max())
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_array_equal(mirrored(np.triu(inertia)), inertia)
+
+
+def test_rows_that_depend_on_each_other_are_found():
+    rows = np.random.default_rng(1).standard_normal((3, 5))
+    dependent = np.vstack([rows, rows[0] - 2.0 * rows[2]])
+    assert factorize(rows @ rows.T)[1]
+    assert not factorize(dependent @ dependent.T)[1]
+    assert not factorize(np.full((2, 2), np.nan))[1]
