@@ -87,21 +87,25 @@ class LawInput(NamedTuple):
 
     Attributes:
         tips: Fingertip centres and Jacobians.
-        radii: Fingertip radii, shape (k,), m.
         contacts: Contact points and frames.
         optimal_forces: f* in contact frames, shape (k, 3).
         grasp_force: k_f, N.
     """
 
     tips: Fingertips
-    radii: Array
     contacts: Contacts
     optimal_forces: Array
     grasp_force: float
 
 
 class Law(Protocol):
-    """What a law answers at one tick."""
+    """One of the laws, built once for a configuration.
+
+    Attributes:
+        seen: What it answers to; `ManipulationLaw` puts it there at every tick.
+    """
+
+    seen: LawInput
 
     def squeeze(self) -> Array:
         """Return the squeezing torques, shape (m,), N m."""
@@ -110,8 +114,8 @@ class Law(Protocol):
         """Return the torques for a wrench about the contact centroid, shape (6,)."""
 
 
-LawFactory = Callable[[LawInput, LawConfig], Law]
-"""Makes a law from what it sees at a tick; a class with that constructor is one."""
+LawFactory = Callable[[LawConfig, Array], Law]
+"""Makes a law from its gains and the radii of the fingertips; a class with that constructor."""
 
 
 class ManipulationLaw:
@@ -135,6 +139,7 @@ class ManipulationLaw:
     def configure(self, config: LawConfig) -> None:
         """Take other gains; integral and observed load stay, unless they are switched off."""
         self.config = config
+        self._law = (self._factory or LAWS[config.name])(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
         self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
         if not self._integrates:
@@ -196,8 +201,8 @@ class ManipulationLaw:
         error = pose_error(*auxiliary, *target)
         self._integrate(error, dt)
         wrench = self._gains * error
-        seen = LawInput(tips, self._radii, contacts, optimal_forces, grasp_force)
-        law = (self._factory or LAWS[c.name])(seen, c)
+        law = self._law
+        law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
         carried = self._carried(contacts, forces, dt)
         carry = np.zeros(len(rates)) if carried is None else law.drive(carried)
         return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
@@ -230,21 +235,24 @@ class ManipulationLaw:
 class KawamuraLaw:
     """Equation (8): squeeze towards the tips' centroid, turn the object by turning the tips."""
 
-    def __init__(self, seen: LawInput, config: LawConfig) -> None:
-        """Take what the law sees at a tick."""
-        self._seen, self._config = seen, config
+    seen: LawInput
+
+    def __init__(self, config: LawConfig, radii: Array) -> None:
+        """Build the law for fingertips of the given radii, shape (k,), m."""
+        self._reach = radii.sum()
+        self._attitude = config.k_st * np.array(config.r_ref)
 
     def squeeze(self) -> Array:
         """Return the squeezing torques, with the relative attitude term, shape (m,), N m."""
-        tips, c = self._seen.tips, self._config
-        centroid = tips.positions.sum(axis=0) / len(tips.positions)
-        pull = self._seen.grasp_force / self._seen.radii.sum() * (centroid - tips.positions)
-        attitude = np.einsum("kim,i->m", tips.angular, c.k_st * np.array(c.r_ref))
+        tips = self.seen.tips
+        middle = tips.positions.sum(axis=0) / len(tips.positions)
+        pull = self.seen.grasp_force / self._reach * (middle - tips.positions)
+        attitude = np.einsum("kim,i->m", tips.angular, self._attitude)
         return np.asarray(np.einsum("kim,ki->m", tips.linear, pull) + attitude)
 
     def drive(self, wrench: Array) -> Array:
         """Return the torques for a wrench, shape (6,), that every finger applies in full."""
-        tips = self._seen.tips
+        tips = self.seen.tips
         moving = np.einsum("kim,i->m", tips.linear, wrench[:3])
         return np.asarray(moving + np.einsum("kim,i->m", tips.angular, wrench[3:]))
 
@@ -252,14 +260,15 @@ class KawamuraLaw:
 class ContactLaw:
     """Equation (10): squeeze towards the contacts' centroid, manipulate through the grasp map."""
 
-    def __init__(self, seen: LawInput, config: LawConfig) -> None:
-        """Take what the law sees at a tick."""
-        self._seen = seen
+    seen: LawInput
+
+    def __init__(self, config: LawConfig, radii: Array) -> None:
+        """Build the law; it needs no gains of its own and no radii."""
 
     def squeezing_forces(self) -> Array:
         """Return the squeezing forces in palm axes, shape (k, 3), N."""
-        contacts = self._seen.contacts
-        return self._seen.grasp_force * (contacts.centroid - contacts.positions)
+        contacts = self.seen.contacts
+        return self.seen.grasp_force * (contacts.centroid - contacts.positions)
 
     def squeeze(self) -> Array:
         """Return the squeezing torques, shape (m,), N m."""
@@ -267,10 +276,10 @@ class ContactLaw:
 
     def drive(self, wrench: Array) -> Array:
         """Return the torques for a wrench about the contact centroid, shape (6,)."""
-        return self._pressing(wrench_forces(self._seen.contacts.positions, wrench))
+        return self._pressing(wrench_forces(self.seen.contacts.positions, wrench))
 
     def _pressing(self, forces: Array) -> Array:
-        return joint_torques(*self._seen.tips, self._seen.contacts.positions, forces)
+        return joint_torques(*self.seen.tips, self.seen.contacts.positions, forces)
 
 
 class OptimalLaw(ContactLaw):
@@ -278,7 +287,7 @@ class OptimalLaw(ContactLaw):
 
     def squeezing_forces(self) -> Array:
         """Return the squeezing forces in palm axes, shape (k, 3), N."""
-        seen = self._seen
+        seen = self.seen
         return in_palm(seen.contacts.rotations, seen.optimal_forces, seen.grasp_force)
 
 

@@ -28,15 +28,15 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
     plant = Plant(scenario.plant)
     state, hand = plant.state, plant.hand
     tips = hand.fingertips(state.theta)
-    law = scenario.manipulation_controller.law
+    config = scenario.manipulation_controller.law
+    law = LAWS[config.name](config, hand.radii)
+    law.seen = LawInput(tips, state.contacts, np.zeros((hand.fingers, 3)), grasp_force=0.0)
     points = tips.positions if at == "tips" else state.contacts.positions
     stiffness = np.empty((3, 3))
     for axis in range(3):
         wrench = np.zeros(6)
-        wrench[axis] = law.k_p  # of an error of one metre along this axis
-        none = np.zeros((hand.fingers, 3))
-        seen = LawInput(tips, hand.radii, state.contacts, none, 0.0)
-        stiffness[:, axis] = _resultant(tips, points, LAWS[law.name](seen, law).drive(wrench))
+        wrench[axis] = config.k_p  # of an error of one metre along this axis
+        stiffness[:, axis] = _resultant(tips, points, law.drive(wrench))
     return stiffness
 
 
