@@ -105,8 +105,8 @@ class ClosedLoop:
         c = self.optimizer.config
         if not c.cones:
             return None
-        friction = c.cone_share * self.regulator.friction
-        return self._cone_watch.step(self._stamp, contacts, forces, friction)
+        usable = c.cone_share * self.regulator.learned_friction
+        return self._cone_watch.step(self._stamp, contacts, forces, usable)
 
     def _write(
         self,
@@ -136,7 +136,7 @@ class ClosedLoop:
         record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
         record.true_forces[row] = true.forces
         record.true_slid[row] = state.slid
-        record.friction[row] = self.regulator.friction
+        record.friction[row] = self.regulator.learned_friction
         record.slip_evidence[row] = self.regulator.slip_likelihood
         record.grip[row] = self.regulator.state
 

@@ -47,15 +47,15 @@ def angles_between(a: Array, b: Array) -> Array:
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
-def cone_distances(forces: Array, friction: Array) -> Array:
+def cone_distances(forces: Array, learned_friction: Array) -> Array:
     """Return mu f_n - |f_t| of each contact, how far it is inside its friction cone, N.
 
     Args:
         forces: Contact forces in contact frames, shape (..., k, 3), N.
-        friction: mu, shape (..., k).
+        learned_friction: mu, shape (..., k).
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
-    return np.asarray(friction * forces[..., 1] - tangential)
+    return np.asarray(learned_friction * forces[..., 1] - tangential)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class SlipWatch:
     Attributes:
         load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
         evidence: A4, evidence for slip left before an alarm, 1 to 0.
-        cone: A4, least distance to a cone of the estimated friction, N.
+        cone: A4, least distance to a cone of the learned friction, N.
         time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
     """
 
@@ -145,7 +145,7 @@ class SlipWatch:
         stamp: int,
         contacts: Contacts,
         forces: Array,
-        friction: Array,
+        learned_friction: Array,
         grip: NDArray[np.int_],
         likelihood: Array,
     ) -> None:
@@ -155,13 +155,13 @@ class SlipWatch:
             stamp: The tick, ns.
             contacts: Contacts by touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
-            friction: Estimated mu, shape (k,).
+            learned_friction: mu as the regulator has learned it, shape (k,).
             grip: `Grip` of each contact, shape (k,).
             likelihood: Evidence for slip, 0 to 1, shape (k,).
         """
         worst = self.load, self.evidence, self.cone
         touch = contacts.positions, contacts.rotations, forces
-        noted = _noted(*worst, *touch, friction, grip, likelihood)
+        noted = _noted(*worst, *touch, learned_friction, grip, likelihood)
         self.load, self.evidence, self.cone, slips = noted
         self._time(stamp, slips)
 
@@ -181,7 +181,7 @@ def _noted(
     positions: Array,
     rotations: Array,
     forces: Array,
-    friction: Array,
+    learned_friction: Array,
     grip: NDArray[np.int_],
     likelihood: Array,
 ) -> tuple[float, float, float, bool]:
@@ -195,5 +195,5 @@ def _noted(
         slips = slips or slip
         evidence = np.fmin(evidence, 0.0 if slip else 1.0 - likelihood[i])
         tangential = math.sqrt(forces[i, 0] ** 2 + forces[i, 2] ** 2)
-        cone = np.fmin(cone, friction[i] * forces[i, 1] - tangential)
+        cone = np.fmin(cone, learned_friction[i] * forces[i, 1] - tangential)
     return load, evidence, cone, slips

@@ -100,7 +100,7 @@ def plot_columns(run: Run) -> dict[str, Array]:
         "rotation_error": np.linalg.norm(derived.rotation_error(record), axis=1),
         "force": derived.contact_forces(record),
         "expected": derived.expected_normal_forces(record),
-        "beta": derived.friction(record),
+        "beta": derived.required_friction(record),
         "friction": record.friction,
         "grip": record.grip,
         "squeeze": record.grasp_force,
@@ -132,7 +132,7 @@ def _rows(run: Run, limit: int) -> Rows:
     signals = [
         np.abs(record.rates).max(axis=1),
         derived.contact_forces(record)[:, :, 1].max(axis=1),
-        derived.friction(record).max(axis=1),
+        derived.required_friction(record).max(axis=1),
         record.grasp_force,
         run.latencies,
     ]

@@ -138,7 +138,7 @@ def _draw_friction(axes: Axes, records: Mapping[str, Record], finger: int) -> No
         shown = record.times >= START_S
         axes.plot(
             record.times[shown],
-            derived.friction(record)[shown, finger],
+            derived.required_friction(record)[shown, finger],
             color=finger_color(finger),
             linestyle=_LINES[number % len(_LINES)],
             linewidth=1.5 if number == 0 else 1.1,

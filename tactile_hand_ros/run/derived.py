@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities that follow from a record: errors, friction, contact losses, motion in the grasp."""
+"""Quantities that follow from a record: errors, required friction, losses, motion in the grasp."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.grasp import required_friction
+from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
@@ -54,11 +54,11 @@ def contact_forces(record: Record) -> Array:
     return record.true_forces if np.isnan(record.forces).all() else record.forces
 
 
-def friction(record: Record) -> Array:
+def required_friction(record: Record) -> Array:
     """Return beta of every contact, shape (n, k), NaN without contact."""
     forces = contact_forces(record)
     unknown = np.isnan(record.contact_positions[:, :, 0]) | np.isnan(forces).any(axis=2)
-    return np.where(unknown, np.nan, required_friction(forces))
+    return np.where(unknown, np.nan, grasp.required_friction(forces))
 
 
 def expected_normal_forces(record: Record) -> Array:

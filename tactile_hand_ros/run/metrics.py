@@ -142,7 +142,7 @@ def _force_metrics(record: Record) -> dict[str, Any]:
 
 
 def _friction_metrics(record: Record) -> dict[str, Any]:
-    beta = derived.friction(record)
+    beta = derived.required_friction(record)
     later = record.times >= (record.times[0] if len(record) else 0.0) + START_S
     peaks = np.array([_peak(column) for column in beta[later].T])
     return {

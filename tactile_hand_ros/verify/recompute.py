@@ -299,7 +299,7 @@ class ShadowLoop:
             regulator.goal = force
         out.grasp_force[row] = regulator.step(stamp, contacts, self._recorded.forces[row])
         out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
-        out.friction[row] = regulator.friction
+        out.friction[row] = regulator.learned_friction
 
     def _optimize(self, row: int, contacts: Contacts) -> None:
         for config in self._configurations[names.OPTIMIZER].until(int(self._recorded.stamps[row])):

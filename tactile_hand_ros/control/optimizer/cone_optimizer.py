@@ -96,14 +96,14 @@ class ConeOptimizer:
 
         Args:
             balance: G~^T for forces in contact frames, shape (3k, 6).
-            cones: Friction and load of the contacts.
+            cones: Usable friction and load of the contacts.
         """
         n, k = self._n, self._k
         rows = self._fixed.copy()
         rows[:6, :n] = balance.T
         upper = self._upper.copy()
         for i in range(k):
-            slope, cone = INSIDE * cones.friction[i], self._cone_rows(i)
+            slope, cone = INSIDE * cones.usable_friction[i], self._cone_rows(i)
             rows[cone, 3 * i + 1] = -slope
             x, normal, z = cones.load[i]
             upper[cone] = slope * normal - DIRECTIONS @ np.array([x, z])

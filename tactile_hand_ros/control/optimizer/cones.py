@@ -33,11 +33,11 @@ class Cones:
     """What the contacts can bear and what they carry.
 
     Attributes:
-        friction: mu of each contact, with whatever margin is wanted, shape (k,).
+        usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
         load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
     """
 
-    friction: Array
+    usable_friction: Array
     load: Array
 
     def holds(self, forces: Array) -> bool:
@@ -45,29 +45,29 @@ class Cones:
 
         The pyramids rather than the cones, so that f* does not jump where they begin to matter.
         """
-        return inside_pyramids(forces, self.load, self.friction)
+        return inside_pyramids(forces, self.load, self.usable_friction)
 
     def margin(self, forces: Array) -> float:
         """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
-        return cone_margin(forces, self.load, self.friction)
+        return cone_margin(forces, self.load, self.usable_friction)
 
 
 @compiled
-def cone_margin(forces: Array, load: Array, friction: Array) -> float:
+def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
     """Return the least mu f_n - |f_t| of forces and load, both in contact frames, shape (k, 3)."""
     least = np.inf
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]
-        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
+        least = min(least, usable_friction[i] * n - math.sqrt(x * x + z * z))
     return least
 
 
 @compiled
-def inside_pyramids(forces: Array, load: Array, friction: Array) -> bool:
-    """Return whether forces and load, both in contact frames, lie in the pyramids of friction."""
+def inside_pyramids(forces: Array, load: Array, usable_friction: Array) -> bool:
+    """Return whether forces and load, both in contact frames, lie in the friction pyramids."""
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]
-        bound = INSIDE * friction[i] * n
+        bound = INSIDE * usable_friction[i] * n
         for j in range(SIDES):
             if not DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z <= bound:
                 return False

@@ -181,7 +181,7 @@ class ForceOptimizer:
 
         Args:
             contacts: Contact points and frames in the palm frame.
-            cones: Friction and load of the contacts; (13) does not look at them by default.
+            cones: Usable friction and load of the contacts; (13) does not look at them by default.
 
         Returns:
             f* in contact frames, or a status that says why there is none.

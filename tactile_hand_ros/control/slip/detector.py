@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
-_BRINK = 0.95  # share of the believed friction from which on a contact may well be slipping
+_BRINK = 0.95  # share of the learned friction from which on a contact may well be slipping
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
 
 
@@ -136,7 +136,7 @@ class SlipDetector:
         return self._memory["agrees"].copy()
 
     def step(
-        self, forces: Array, squeeze: Array, own_change: float, dt: float, friction: Array
+        self, forces: Array, squeeze: Array, own_change: float, dt: float, learned_friction: Array
     ) -> NDArray[np.int64]:
         """Take the forces of a tick and return what is known of the contacts, shape (k,).
 
@@ -147,10 +147,10 @@ class SlipDetector:
             own_change: How much the hand itself has just bent its squeeze, N; some of that shows
                 across the squeeze too.
             dt: Time since the last tick, s.
-            friction: What is believed of mu, shape (k,). At the brink of that cone fewer samples
-                must agree: a false alarm there could not lower the belief.
+            learned_friction: mu as learned so far, shape (k,). At the brink of that cone fewer
+                samples must agree: a false alarm there could not lower the estimate.
         """
-        _watch(self._memory, self._config, forces, squeeze, own_change, dt, friction)
+        _watch(self._memory, self._config, forces, squeeze, own_change, dt, learned_friction)
         return self.state
 
 
@@ -162,19 +162,25 @@ def _watch(
     squeeze: Array,
     own_change: float,
     dt: float,
-    friction: Array,
+    learned_friction: Array,
 ) -> None:
     """Let each contact of a memory take its force."""
     c = config[0]
     for i in range(len(memory)):
         m = memory[i]
-        _detect(m, c, forces[i], squeeze[i], own_change, dt, friction[i])
+        _detect(m, c, forces[i], squeeze[i], own_change, dt, learned_friction[i])
         m["likelihood"] = min(m["evidence"] / c["threshold"], 1.0)
 
 
 @compiled
 def _detect(
-    m: Row, c: Row, force: Array, squeeze: Array, own_change: float, dt: float, friction: float
+    m: Row,
+    c: Row,
+    force: Array,
+    squeeze: Array,
+    own_change: float,
+    dt: float,
+    learned_friction: float,
 ) -> None:
     x, n, z = force
     last = m["last"]
@@ -194,7 +200,7 @@ def _detect(
         m["state"] = Grip.UNKNOWN
         return
     if new:
-        brink = math.sqrt(x * x + z * z) > _BRINK * friction * n
+        brink = math.sqrt(x * x + z * z) > _BRINK * learned_friction * n
         _collect(m, c, power, n, own_change, 1.0 / 3.0 if brink else 0.25)
     _decide(m, c, dt)
     if new and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):

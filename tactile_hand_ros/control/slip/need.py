@@ -68,18 +68,18 @@ class Need:
         """Forget load and shape."""
         self._memory["load"] = np.nan
 
-    def step(self, parts: Split, friction: Array, dt: float) -> float:
+    def step(self, parts: Split, usable_friction: Array, dt: float) -> float:
         """Return the least squeeze that keeps every contact inside its cone, N.
 
         Args:
             parts: Measured forces as load and squeeze; the squeeze must push.
-            friction: mu to hold with at each contact, shape (k,).
+            usable_friction: mu to hold with at each contact, shape (k,).
             dt: Time since the last tick, s.
 
         Returns:
             Infinite when no squeeze of the present shape can hold.
         """
-        return _needed(self._memory, self._config, *parts, friction, dt)
+        return _needed(self._memory, self._config, *parts, usable_friction, dt)
 
 
 @compiled
@@ -89,7 +89,7 @@ def _needed(
     load: Array,
     squeeze: Array,
     grasp_force: float,
-    friction: Array,
+    usable_friction: Array,
     dt: float,
 ) -> float:
     """Return what the neediest contact of a memory needs, N."""
@@ -103,7 +103,8 @@ def _needed(
         else:
             _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
         x, n, z = m["shape"]
-        needed = max(needed, required_squeeze(_foreseen(m, c), (x, n, z), friction[i]))
+        alone = required_squeeze(_foreseen(m, c), (x, n, z), usable_friction[i])
+        needed = max(needed, alone)
     return needed
 
 

@@ -72,7 +72,7 @@ class SlipRegulator:
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
             shape can hold, NaN while unknown or not looked at (mode user).
         state: `Grip` of each contact, shape (k,).
-        friction: Estimated mu of each contact, shape (k,).
+        learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
@@ -123,8 +123,8 @@ class SlipRegulator:
         return self._detector.likelihood
 
     @property
-    def friction(self) -> Array:
-        """Estimated friction of each contact, shape (k,)."""
+    def learned_friction(self) -> Array:
+        """Friction of each contact as slips and sticks have shown it, shape (k,)."""
         return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
@@ -222,5 +222,5 @@ class SlipRegulator:
         if parts is None or parts.grasp_force <= 0.0:
             self._need.reset()
             return math.nan
-        friction = self.friction / (1.0 + self.config.reflex.margin)
-        return self._need.step(parts, friction, dt)
+        usable_friction = self.learned_friction / (1.0 + self.config.reflex.margin)
+        return self._need.step(parts, usable_friction, dt)

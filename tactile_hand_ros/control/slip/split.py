@@ -87,14 +87,16 @@ class ConeWatch:
         self._load: Array | None = None
         self._stamp = 0
 
-    def step(self, stamp: int, contacts: Contacts, forces: Array, friction: Array) -> Cones | None:
+    def step(
+        self, stamp: int, contacts: Contacts, forces: Array, usable_friction: Array
+    ) -> Cones | None:
         """Return what the contacts can bear and carry, per unit of the squeeze that is felt now.
 
         Args:
             stamp: The tick, ns.
             contacts: Contact points and frames.
             forces: Measured forces in contact frames, shape (k, 3), N.
-            friction: mu of each contact, shape (k,).
+            usable_friction: mu that each contact may use, shape (k,).
 
         Returns:
             None where there is no grasp or no squeeze yet.
@@ -108,7 +110,7 @@ class ConeWatch:
             share = 1.0 - math.exp(-1e-9 * (stamp - self._stamp) / self._time)
             load = self._load + share * (load - self._load)
         self._load, self._stamp = load, stamp
-        return Cones(friction, load)
+        return Cones(usable_friction, load)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
@@ -121,7 +123,7 @@ def _grasp(contacts: Contacts, forces: Array) -> Split | None:
 
 @compiled
 def required_squeeze(
-    load: tuple[float, float, float], shape: tuple[float, float, float], friction: float
+    load: tuple[float, float, float], shape: tuple[float, float, float], usable_friction: float
 ) -> float:
     """Return the least k >= 0 for which load + k shape lies in a friction cone.
 
@@ -130,14 +132,14 @@ def required_squeeze(
     Args:
         load: Force of a contact (x, n, z) that does not grow with the squeeze, N.
         shape: Force of the contact per unit squeeze.
-        friction: mu.
+        usable_friction: mu of the cone.
 
     Returns:
         k in N; infinite when no squeeze of this shape puts it there.
     """
     lx, ln, lz = load
     sx, sn, sz = shape
-    square = friction * friction
+    square = usable_friction * usable_friction
     a = sx * sx + sz * sz - square * sn * sn
     b = lx * sx + lz * sz - square * ln * sn
     c = lx * lx + lz * lz - square * ln * ln

@@ -107,7 +107,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator
         regulator.step(0, *touch)
-        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
+        state = GripState(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
         self._report.note(regulator, 0, *touch, state)
         self.on_restart()
 
@@ -143,7 +143,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         began = time.perf_counter()
         regulator = self._regulator
         grasp_force = self._checked(regulator.step(stamp, contacts, forces))
-        state = GripState(regulator.friction, regulator.slip_likelihood, regulator.state)
+        state = GripState(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
         self._grip_sent = self._grips.encode(
             stamp, state.friction, state.evidence, state.grip.astype(float)
         )

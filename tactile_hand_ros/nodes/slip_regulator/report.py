@@ -71,7 +71,7 @@ class RegulatorReport:
         put("slips", int(self._slips.sum()))
         facts = zip(
             self._fingers,
-            regulator.friction,
+            regulator.learned_friction,
             self._grip,
             regulator.slip_likelihood,
             self._slips,

@@ -48,11 +48,11 @@ class Foresight(SlipRegulator):
         self._told, self._mu = round(1e9 * told), mu
 
     @property
-    def friction(self) -> Array:
+    def learned_friction(self) -> Array:
         """Friction of each contact, shape (k,)."""
         known = self._last_stamp is not None and self._last_stamp >= self._told
         mu = self._mu if known else self.config.friction.prior
-        return np.full_like(super().friction, mu)
+        return np.full_like(super().learned_friction, mu)
 
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None

@@ -116,7 +116,7 @@ for i in range(600):
     forces = np.array([1.0, 0.0, 0.7]) + 3.0 * normal + rms * random.standard_normal((4, 3))
     forces[2, 1] *= 0.2
     k_f = regulator.step(2_000_000 * i, contacts, forces if i != 300 else np.full((4, 3), np.nan))
-    out.append([k_f, regulator.needed, *regulator.friction, *regulator.slip_likelihood])
+    out.append([k_f, regulator.needed, *regulator.learned_friction, *regulator.slip_likelihood])
     out[-1].extend(regulator.state)
 assert sum(row[-1] == 2.0 for row in out) > 10  # the last contact has slipped
 print(np.array(out).tobytes().hex())

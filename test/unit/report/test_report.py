@@ -77,7 +77,7 @@ class TestDocument:
             "expected": record.grasp_force[:, None] * record.optimal_forces[:, :, 1],
             "friction": record.friction,
             "squeeze": record.grasp_force,
-            "beta": derived.friction(record),
+            "beta": derived.required_friction(record),
             "latency": run.latencies,
         }
         for name, array in expected.items():

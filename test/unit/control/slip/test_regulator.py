@@ -145,7 +145,7 @@ def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
         now = forces + rms * random.standard_normal((3, 3))
         squeeze = slip.step(i * TICK, contacts or three_faces(), now)
         likelihood = slip.slip_likelihood
-        told.append([squeeze, slip.needed, *slip.friction, *slip.state, *likelihood])
+        told.append([squeeze, slip.needed, *slip.learned_friction, *slip.state, *likelihood])
     return np.array(told)
 
 
@@ -155,10 +155,10 @@ def test_a_regulator_that_was_reset_cannot_be_told_from_a_new_one(slides):
     used.request(30.0)
     feel(used, 150, seed=1)
     feel(used, 15, slides=(0, 2), seed=2)
-    assert (used.friction != fresh.friction).all() and used.grasp_force > 8.0
+    assert (used.learned_friction != fresh.learned_friction).all() and used.grasp_force > 8.0
     assert Grip.SLIP in used.state and used.slip_likelihood.max() == 1.0
     used.reset()
-    np.testing.assert_array_equal(used.friction, [0.4, 0.4, 0.4])
+    np.testing.assert_array_equal(used.learned_friction, [0.4, 0.4, 0.4])
     assert (used.state == Grip.UNKNOWN).all() and not used.slip_likelihood.any()
     assert np.isnan(used.needed) and used.grasp_force == 8.0
     np.testing.assert_array_equal(feel(used, 150, slides), feel(fresh, 150, slides))
@@ -174,8 +174,8 @@ def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode
     known = np.hypot(FELT[:, 0], FELT[:, 2]) / FELT[:, 1] > 0.45
     for finger in range(3):
         assert slip.state[finger] == (Grip.UNKNOWN if finger == lost else Grip.STICK)
-        assert (slip.friction[finger] > 0.45) == (known[finger] and finger != lost)
-    assert slip.friction[lost] == 0.4
+        assert (slip.learned_friction[finger] > 0.45) == (known[finger] and finger != lost)
+    assert slip.learned_friction[lost] == 0.4
     assert np.isnan(slip.needed)
 
 
@@ -229,7 +229,7 @@ def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
     for i in range(400):
         if i % 37 == 0:
             slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
-        forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.friction
+        forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.learned_friction
         squeezed.append(slip.step(i * TICK, three_faces(), forces))
         bends = np.abs(np.diff(squeezed[:-1][-6:], n=2))
         bent.append(max(bends, default=0.0))

@@ -55,7 +55,7 @@ def test_contacts_closer_to_a_line_than_a_thousandth_have_no_load():
 
 def test_the_cones_are_told_the_load_per_squeeze_and_the_friction_of_each_finger():
     cones = ConeWatch(0.02).step(0, GRASP, FORCES, MU)
-    np.testing.assert_array_equal(cones.friction, MU)
+    np.testing.assert_array_equal(cones.usable_friction, MU)
     np.testing.assert_allclose(cones.load, per_squeeze(GRASP, FORCES), atol=1e-12)
 
 
@@ -68,7 +68,7 @@ def test_the_load_is_followed_by_the_time_that_has_passed():
         expected = goal + math.exp(-passed / 20.0) * (expected - goal)
         found = watch.step(stamp * MS, GRASP, forces, MU[::-1])
         np.testing.assert_allclose(found.load, expected, atol=1e-12)
-        np.testing.assert_array_equal(found.friction, MU[::-1])
+        np.testing.assert_array_equal(found.usable_friction, MU[::-1])
 
 
 def lost(watch):
