@@ -36,7 +36,8 @@ def check_scenario(scenario: Scenario) -> None:
             "fingers must touch: change initial_joints, the layout, or the object's size or place"
         )
     check_spread(contacts.positions)
-    check_joints(hand_jacobian(hand.fingertips(state.theta), contacts.positions))
+    tips = hand.fingertips(state.theta)
+    check_joints(hand_jacobian(tips, contacts.positions, contacts.rotations))
     optimal = ForceOptimizer(scenario.force_optimizer, hand.fingers).solve(contacts)
     if not optimal.ok:
         raise GraspError(optimal.reason)

@@ -7,7 +7,7 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.control.margins import SlipWatch
+from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.jit.compiled import is_complete, mark_complete
@@ -28,6 +28,8 @@ def run_every_block() -> None:
     contacts, forces = example_touch(4)
     knows = np.ones(4), np.ones(4, dtype=np.int64), np.zeros(4)  # friction, grip, evidence
     SlipWatch().note(0, contacts, forces, *knows)
+    state = loop.plant.state
+    GraspWatch(loop.plant.hand).margins(state.theta, state.contacts)
     VirtualFrame().orientation(contacts.positions)  # of more than three contacts
     loop.plant.friction[:] = 0.0
     loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))

@@ -79,6 +79,7 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
     return out
 
 
+@compiled
 def contact_frame(normal: Array) -> Array:
     """Return the contact frame of a normal.
 
@@ -91,50 +92,49 @@ def contact_frame(normal: Array) -> Array:
     Returns:
         R_C = [t_x, n, t_z], shape (3, 3).
     """
-    nx, ny, nz = float(normal[0]), float(normal[1]), float(normal[2])
-    # The projection of e on the face is e - n (n . e), written out: this runs at every step.
+    nx, ny, nz = normal
+    # The projection of e on the face is e - n (n . e), written out.
     tx, ty, tz = -nz * nx, -nz * ny, 1.0 - nz * nz
     length = (tx * tx + ty * ty + tz * tz) ** 0.5
     if length < _MIN_PROJECTION:
         tx, ty, tz = 1.0 - nx * nx, -nx * ny, -nx * nz
         length = (tx * tx + ty * ty + tz * tz) ** 0.5
     tx, ty, tz = tx / length, ty / length, tz / length
-    return np.array(
-        [
-            [ny * tz - nz * ty, nx, tx],
-            [nz * tx - nx * tz, ny, ty],
-            [nx * ty - ny * tx, nz, tz],
-        ]
-    )
+    x0, x1, x2 = cross((nx, ny, nz), (tx, ty, tz))
+    return np.array([[x0, nx, tx], [x1, ny, ty], [x2, nz, tz]])
 
 
-compiled_contact_frame = compiled(contact_frame)
-"""The same for compiled callers; for a single normal the call would cost more than it saves."""
+@compiled
+def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
+    """Return the hand Jacobian J_h,i = [I  -p_cf^] [J; J_Omega], turned into frames: R^T J_h,i.
 
-
-def skew(vectors: Array) -> Array:
-    """Return the matrices a^ with a^ b = a x b, shape (..., 3, 3)."""
-    out = np.zeros((*vectors.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
-    return out
-
-
-def hand_jacobian(tips: Fingertips, points: Array) -> Array:
-    """Return the hand Jacobian J_h = [I  -p_cf^] [J; J_Omega], equation (2).
+    The row along an axis t of a frame is t^T J + (p_cf x t)^T J_Omega.
 
     Args:
         tips: Fingertip centres and Jacobians.
         points: Contact points p_c in the palm frame, shape (k, 3), m.
+        frames: Frames R along whose axes the velocities are taken, shape (k, 3, 3): contact frames,
+            or identities for the paper's J_h in palm axes.
 
     Returns:
-        Velocities of the contact points per joint rate in palm axes, shape (k, 3, m); stacked to
-        (3k, m) it is the paper's J_h.
+        Velocities of the contact points per joint rate, shape (k, 3, m).
 
     Source: Shaw-Cortez et al., equation (2).
     """
-    return tips.linear - skew(points - tips.positions) @ tips.angular
+    centres, linear, angular = tips
+    k, _, m = linear.shape
+    out = np.empty((k, 3, m))
+    for i in range(k):
+        a, b, c = points[i] - centres[i]
+        for axis in range(3):
+            x, y, z = frames[i, 0, axis], frames[i, 1, axis], frames[i, 2, axis]
+            p, q, r = cross((a, b, c), (x, y, z))
+            for j in range(m):
+                out[i, axis, j] = (
+                    x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]
+                    + p * angular[i, 0, j] + q * angular[i, 1, j] + r * angular[i, 2, j]
+                )  # fmt: skip
+    return out
 
 
 @compiled
@@ -160,6 +160,9 @@ def joint_torques(
 ) -> Array:
     """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
 
+    A force f at the arm p_cf from the fingertip's centre acts there as f and p_cf x f, so that J_h
+    of equation (2) need not be formed.
+
     Args:
         centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
         linear: Jacobians of the fingertip centres, shape (k, 3, m).
@@ -167,7 +170,7 @@ def joint_torques(
         points: Contact points p_c, palm frame, shape (k, 3), m.
         forces: Forces f in palm axes, shape (k, 3), N.
 
-    Source: Shaw-Cortez et al., equation (2), without forming J_h.
+    Source: Shaw-Cortez et al., equation (2).
     """
     out = np.zeros(linear.shape[2])
     for i in range(len(points)):

@@ -8,9 +8,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import Contacts, centroid, skew
+from tactile_hand_ros.control.contact import centroid
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
@@ -18,54 +19,64 @@ Array = NDArray[np.float64]
 MIN_COLLINEARITY_MARGIN = 1e-3
 
 
-def grasp_map(points: Array, origin: Array) -> Array:
-    """Return the grasp map G with G_i^T = [I  -(p_c,i - origin)^].
+@compiled
+def grasp_map(arms: Array, frames: Array) -> Array:
+    """Return the grasp map G with G_i^T = [I  -d_i^], for forces along the axes of frames.
+
+    A unit force along an axis t at an arm d gives the wrench (t, d x t).
 
     Args:
-        points: Contact points p_c in the palm frame, shape (k, 3), m.
-        origin: Point about which torques are taken, shape (3,), m: the object's origin gives
-            equation (4), the contact centroid equation (11).
+        arms: Contact points d from where torques are taken, palm axes, shape (k, 3), m: from the
+            object's origin, p_c,i - p_o, for equation (4); from the contact centroid for (11).
+        frames: Frames of the forces, shape (k, 3, 3): contact frames, or identities for palm axes.
 
     Returns:
-        G, shape (6, 3k): forces in palm axes to the wrench (force, torque) on the object.
+        G, shape (6, 3k): forces to the wrench (force, torque) on the object, in palm axes.
 
     Source: Shaw-Cortez et al., equations (4) and (11).
     """
-    k = len(points)
-    out = np.empty((6, k, 3))
-    out[:3] = np.eye(3)[:, None, :]
-    out[3:] = skew(points - origin).transpose(1, 0, 2)
-    return out.reshape(6, 3 * k)
-
-
-def net_wrench(contacts: Contacts, forces: Array) -> Array:
-    """Return the wrench of contact forces about the contact centroid, shape (6,), N and N m.
-
-    Args:
-        contacts: Contact points and frames.
-        forces: Forces on the object in contact frames, shape (k, 3), N.
-    """
-    return contact_wrench(contacts.positions, contacts.rotations, forces)
+    out = np.empty((3 * len(arms), 6))
+    for i in range(len(arms)):
+        a, b, c = arms[i]
+        for axis in range(3):
+            x, y, z = frames[i, 0, axis], frames[i, 1, axis], frames[i, 2, axis]
+            row = out[3 * i + axis]
+            row[0], row[1], row[2] = x, y, z
+            row[3], row[4], row[5] = cross((a, b, c), (x, y, z))
+    return out.T
 
 
 @compiled
-def contact_wrench(points: Array, rotations: Array, forces: Array) -> Array:
-    """Return the wrench of `net_wrench` for contacts given by their arrays, shape (6,)."""
+def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
+    """Return G~ f, the wrench of contact forces about the contact centroid, shape (6,), N and N m.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        rotations: Contact frames, shape (k, 3, 3).
+        forces: Forces on the object in contact frames, shape (k, 3), N.
+
+    Source: Shaw-Cortez et al., equation (11), without forming G~.
+    """
     arms, out = centred(points), np.zeros(6)
     for i in range(len(points)):
-        f, d = rotations[i] @ forces[i], arms[i]
-        out[:3] += f
-        out[3] += d[1] * f[2] - d[2] * f[1]
-        out[4] += d[2] * f[0] - d[0] * f[2]
-        out[5] += d[0] * f[1] - d[1] * f[0]
+        x, y, z = rotations[i] @ forces[i]
+        a, b, c = arms[i]
+        p, q, r = cross((a, b, c), (x, y, z))
+        out[0] += x
+        out[1] += y
+        out[2] += z
+        out[3] += p
+        out[4] += q
+        out[5] += r
     return out
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:
     """Return the contact forces G~^+ wrench, the smallest ones that give a wrench.
 
-    About the centroid the blocks of G~ G~^T decouple, so that with d_i = p_c,i - centroid and
-    S = sum(|d_i|^2 I - d_i d_i^T) the pseudoinverse is f_i = F / k + (S^-1 T) x d_i.
+    G~ is the grasp map (11). About the centroid the blocks of G~ G~^T decouple, so that with
+    d_i = p_c,i - centroid and S = sum(|d_i|^2 I - d_i d_i^T) the pseudoinverse is
+    f_i = F / k + (S^-1 T) x d_i.
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.
@@ -138,7 +149,7 @@ def _margin(arms: Array) -> float:
         # l are the eigenvalues of the scatter; their sum is that of the squared arms.
         total = (arms * arms).sum()
         (ax, ay, az), (bx, by, bz) = arms[0], arms[1]
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        nx, ny, nz = cross((ax, ay, az), (bx, by, bz))
         product = 3.0 * (nx * nx + ny * ny + nz * nz)
         largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
         return math.sqrt(product) / largest if largest > 0.0 else 0.0

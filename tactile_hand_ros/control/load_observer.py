@@ -59,7 +59,7 @@ class LoadObserver:
             forces: Measured forces in contact frames, shape (k, 3), N.
             dt: Time since the last tick, s.
         """
-        measured = net_wrench(contacts, forces)
+        measured = net_wrench(contacts.positions, contacts.rotations, forces)
         if config.time == 0.0 or not np.isfinite(measured).all():
             return self.wrench if config.time > 0.0 else np.zeros(6)
         share = 1.0 - math.exp(-dt / config.time)

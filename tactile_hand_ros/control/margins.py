@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
-from tactile_hand_ros.control.grasp import collinearity_margin, contact_wrench, joint_margin
+from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -104,7 +104,7 @@ class GraspWatch:
             self._first = None
             return UNKNOWN_MARGINS
         tips = self._hand.fingertips(theta)
-        joint = joint_margin(hand_jacobian(tips, contacts.positions))
+        joint = joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
         seen = local_normals(contacts.normals, self._hand.tip_rotations(theta))
         if self._first is None:
             self._first = seen
@@ -186,7 +186,7 @@ def _noted(
     likelihood: Array,
 ) -> tuple[float, float, float, bool]:
     """Return the worst of margins and a tick, NaN where neither is known, and whether one slips."""
-    x, y, z = contact_wrench(positions, rotations, forces)[:3]
+    x, y, z = net_wrench(positions, rotations, forces)[:3]
     load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
     for i in range(len(grip)):
         if grip[i] == Grip.UNKNOWN:

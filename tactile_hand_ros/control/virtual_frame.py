@@ -100,9 +100,10 @@ def orientation_error(actual: Array, desired: Array) -> Array:
     for axis in range(3):
         a, b, c = actual[:, axis]
         x, y, z = desired[:, axis]
-        out[0] += b * z - c * y
-        out[1] += c * x - a * z
-        out[2] += a * y - b * x
+        p, q, r = cross((a, b, c), (x, y, z))
+        out[0] += p
+        out[1] += q
+        out[2] += r
     return out
 
 

@@ -166,9 +166,13 @@ def _on_hemisphere(record: Record, hand: Hand) -> Assumption:
 
 
 def _unloaded(record: Record) -> Assumption:
-    loads = _each(record, lambda c, row: np.linalg.norm(net_wrench(c, record.forces[row])[:3]))
+    def load(contacts: Contacts, row: int) -> float:
+        wrench = net_wrench(contacts.positions, contacts.rotations, record.forces[row])
+        return float(np.linalg.norm(wrench[:3]))
+
     return _line(
-        "A3", "no external load", "net contact force, N", record, loads, _QUIET, below=True
+        "A3", "no external load", "net contact force, N",
+        record, _each(record, load), _QUIET, below=True
     )  # fmt: skip
 
 
@@ -195,7 +199,7 @@ def _in_cones(record: Record) -> Assumption:
 def _regular(record: Record, hand: Hand) -> Assumption:
     def margin(contacts: Contacts, row: int) -> float:
         tips = hand.fingertips(record.theta[row])
-        return joint_margin(hand_jacobian(tips, contacts.positions))
+        return joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
 
     return _line(
         "A5", "the joints can move every contact", "least singular value of J_h, m/rad",
@@ -231,7 +235,8 @@ def _spread(record: Record) -> Assumption:
 def _balanced(record: Record) -> Assumption:
     def residual(contacts: Contacts, row: int) -> float:
         forces = record.optimal_forces[row]
-        return float(max(np.abs(net_wrench(contacts, forces)).max(), abs(forces[:, 1].sum() - 1.0)))
+        wrench = net_wrench(contacts.positions, contacts.rotations, forces)
+        return float(max(np.abs(wrench).max(), abs(forces[:, 1].sum() - 1.0)))
 
     return _line(
         "(13)", "f* is in balance and sums to 1", "residual, N and N m",

@@ -93,7 +93,7 @@ def json_ready(value: Any) -> Any:
 
 
 def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
-    """Measure a run.
+    """Measure a run: how near it comes to (7), and in its normal forces to (15).
 
     Args:
         record: The run; ground truth and single topics may be missing.

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.control.contact import compiled_contact_frame
-from tactile_hand_ros.hand.kinematics import tip_jacobians
+from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
+from tactile_hand_ros.control.grasp import grasp_map
+from tactile_hand_ros.hand.kinematics import Fingertips, tip_jacobians
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import rodrigues
 from tactile_hand_ros.simulation.coulomb import solve_contacts
@@ -130,7 +131,7 @@ def contact_geometry(
         distance, _ = closest_point(shape, (tips[i] - position) @ rotation, outward)
         normal = -(rotation @ outward)
         points[i] = tips[i] + radii[i] * normal
-        frames[i] = compiled_contact_frame(normal)
+        frames[i] = contact_frame(normal)
         gaps[i] = distance - radii[i]
     return points, frames, gaps
 
@@ -162,30 +163,13 @@ def observed(
 def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array) -> Array:
     """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames, (k, 3, m + 6).
 
-    Its hand part is -R_C^T J_h and its object part R_C^T G^T, equation (6).
+    Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
     """
     k, m = hand.support.shape
-    every_linear, every_angular = tip_jacobians(hand.spatial, hand.support, hand.tips)
+    tips = Fingertips(hand.tips, *tip_jacobians(hand.spatial, hand.support, hand.tips))
     out = np.empty((k, 3, m + 6))
-    for i in range(k):
-        arm = points[i] - position  # p_c - p_o
-        lever = points[i] - hand.tips[i]  # p_cf
-        for axis in range(3):
-            x, y, z = frames[i, 0, axis], frames[i, 1, axis], frames[i, 2, axis]
-            # t . (w x a) = (a x t) . w for each axis t of the frame
-            a0 = lever[1] * z - lever[2] * y
-            a1 = lever[2] * x - lever[0] * z
-            a2 = lever[0] * y - lever[1] * x
-            for j in range(m):
-                linear, angular = every_linear[i, :, j], every_angular[i, :, j]
-                out[i, axis, j] = -(
-                    x * linear[0] + y * linear[1] + z * linear[2]
-                    + a0 * angular[0] + a1 * angular[1] + a2 * angular[2]
-                )  # fmt: skip
-            out[i, axis, m], out[i, axis, m + 1], out[i, axis, m + 2] = x, y, z
-            out[i, axis, m + 3] = arm[1] * z - arm[2] * y
-            out[i, axis, m + 4] = arm[2] * x - arm[0] * z
-            out[i, axis, m + 5] = arm[0] * y - arm[1] * x
+    out[:, :, :m] = -hand_jacobian(tips, points, frames)
+    out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
     return out
 
 
@@ -201,6 +185,9 @@ def step(
     slid: Array,
 ) -> StepResult:
     """Advance velocities by a step h, in s, so that the contact laws hold at its end.
+
+    The impulses of hand (3) and object (5) are those with which their velocities meet (6) in the
+    contacts that stick, and Coulomb's law in the others.
 
     Args:
         h: Length of the step, s.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, compiled_contact_frame
+from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.jit.rows import Row, Rows, row_of
 from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
@@ -267,7 +267,7 @@ def _displace(
         centre = positions[i] - radii[i] * normal
         seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
         positions[i] = centre + radii[i] * seen
-        frames[i] = compiled_contact_frame(seen).reshape(9)
+        frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
 
 

@@ -3,8 +3,10 @@
 
 Both are computed again from the recorded inputs, by other formulas and solvers than those of the
 nodes. What they share with the nodes is the hand's kinematics, and the small filters that have a
-memory: reference and load observer. Poses, live gains and calls of `~/reset` and `~/grasp` count
-from the ticks at which the nodes published that they took effect.
+memory: reference and load observer. Grasp map and hand Jacobian are independent on purpose: a
+mistake in those that the nodes run would otherwise be made twice and look right. Poses, live gains
+and calls of `~/reset` and `~/grasp` count from the ticks at which the nodes published that they
+took effect.
 
 Where the hand did not drive, torques are not checked.
 """

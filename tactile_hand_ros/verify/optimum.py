@@ -5,6 +5,9 @@ Without cones the optimum is found by trying the sets of bounds that may be acti
 gives a linear system. With cones the optimality conditions are checked instead: f* is optimal if
 and only if non-negative multipliers of the constraints that it touches balance the gradient, which
 is a non-negative least-squares problem (Lawson and Hanson 1974).
+
+Independent on purpose, down to its own grasp map (11): a mistake in the code that the nodes run
+would otherwise be made twice and look right.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
+from support.equations import grasp_map, rotation_error
 from support.plants import plant, torque_for
 
 from tactile_hand_ros.bench.peers.reference import Reference, State, World
@@ -74,10 +75,11 @@ class PaperLaw:
 
     def __call__(self, t, s, points):
         centroid = points.mean(axis=0)
-        arms = points - centroid
-        grasp = np.vstack([np.tile(np.eye(3), 3), np.hstack([pin.skew(d) for d in arms])])
-        forces = self.k_f * (self.optimal(s, grasp) if self.name == "optimal" else -arms.ravel())
-        wrench = np.concatenate([3.0 * (TARGET - centroid), 0.5 * self.rotation_error(points)])
+        grasp = grasp_map(points, centroid)
+        inward = (centroid - points).ravel()
+        forces = self.k_f * (self.optimal(s, grasp) if self.name == "optimal" else inward)
+        turn = rotation_error(points, np.eye(3))
+        wrench = np.concatenate([3.0 * (TARGET - centroid), 0.5 * turn])
         jacobian = contact_jacobian(self.reference, s)
         return jacobian.T @ (forces + np.linalg.pinv(grasp) @ wrench) - 0.07 * s.rates
 
@@ -96,14 +98,6 @@ class PaperLaw:
         forces = spread.T @ np.linalg.solve(spread @ rows.T, np.eye(7)[6])
         assert forces[1::3].min() > 0.0
         return frames @ forces
-
-    @staticmethod
-    def rotation_error(points):
-        r_x = points[0] - points[1]
-        r_z = pin.skew(r_x) @ (points[0] - points[2])
-        r_x, r_z = r_x / np.linalg.norm(r_x), r_z * np.sign(r_z[2]) / np.linalg.norm(r_z)
-        axes = (r_x, pin.skew(r_z) @ r_x, r_z)
-        return sum(pin.skew(r) @ d for r, d in zip(axes, np.eye(3), strict=True))
 
 
 def palm_forces(record, rows):

@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from support.equations import grasp_map
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.grasp import collinearity_margin
 
@@ -41,19 +42,9 @@ def pinch() -> Contacts:
     return contacts_at(points, [[0, -1, 0], [0, -1, 0], [0, 1, 0]])
 
 
-def literal_grasp_map(points: Array, origin: Array) -> Array:
-    """Return G, written out column by column from cross products."""
-    out = np.zeros((6, 3 * len(points)))
-    for i, point in enumerate(points):
-        for axis in range(3):
-            force = np.eye(3)[axis]
-            out[:, 3 * i + axis] = [*force, *np.cross(point - origin, force)]
-    return out
-
-
 def balance_in_frames(contacts: Contacts) -> Array:
     """Return G~ for forces in contact frames, equation (11), shape (6, 3k)."""
-    in_palm = literal_grasp_map(contacts.positions, contacts.positions.mean(axis=0))
+    in_palm = grasp_map(contacts.positions, contacts.positions.mean(axis=0))
     blocks = np.hsplit(in_palm, len(contacts.positions))
     return np.hstack([g @ r for g, r in zip(blocks, contacts.rotations, strict=True)])
 

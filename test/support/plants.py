@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import hand_jacobian
+from support.equations import hand_jacobian
 from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -27,7 +27,7 @@ def jacobian(plant: Plant, state: PlantState) -> Array:
     tips = plant.hand.fingertips(state.theta)
     points = np.where(np.isfinite(state.contacts.positions), state.contacts.positions, 0.0)
     points = np.where(state.contacts.touching[:, None], points, tips.positions)
-    return hand_jacobian(tips, points).reshape(-1, plant.hand.joints)
+    return hand_jacobian(*tips, points)
 
 
 def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:

@@ -17,7 +17,7 @@ from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import grasp_map
+from tactile_hand_ros.control.grasp import centred, grasp_map
 
 Array = NDArray[np.float64]
 Problem = tuple[Array, Array, Array]
@@ -31,10 +31,7 @@ def problem(contacts: Contacts, weights: Array) -> Problem:
     """Write (13) down for any solver: min f^T W f, A f = b, normal forces not negative."""
     count = len(contacts.positions)
     rows = np.zeros((7, 3 * count))
-    rotation = np.zeros((3 * count, 3 * count))
-    for i, frame in enumerate(contacts.rotations):
-        rotation[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = frame
-    rows[:6] = grasp_map(contacts.positions, contacts.centroid) @ rotation
+    rows[:6] = grasp_map(centred(contacts.positions), contacts.rotations)
     rows[6, 1::3] = 1.0
     return weights, rows, np.array([0.0] * 6 + [1.0])
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A second, independent way to compute the paper's motion: (2) to (6) as an ODE.
 
-Nothing of the plant is used. All contacts stick on faces of the object, so that (6) holds for all
-time; its derivative, with the contact point moving on both bodies, closes the system:
+Nothing of the plant is used, so that a mistake in its contact Jacobian or grasp map shows as a
+difference and is not made twice. All contacts stick on faces of the object, so that (6) holds for
+all time; its derivative, with the contact point moving on both bodies, closes the system:
 
     p_c = p_f - r n,  rho = p_c - p_f = -r n,  n fixed in the object:  rho' = w_o x rho
     0 = d/dt [ v_f + w_f x rho - v_o - w_o x (p_c - p_o) ]

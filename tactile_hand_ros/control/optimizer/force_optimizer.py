@@ -14,14 +14,18 @@ from scipy import sparse
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN, centred, collinearity_margin
+from tactile_hand_ros.control.grasp import (
+    MIN_COLLINEARITY_MARGIN,
+    centred,
+    collinearity_margin,
+    grasp_map,
+)
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import compiled
-from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
@@ -307,23 +311,16 @@ class ForceOptimizer:
 def scaled_balance(points: Array, rotations: Array) -> Array:
     """Return G~^T for forces in contact frames, torques per size of the grasp, shape (3k, 6).
 
-    A unit force along an axis t of a contact frame is a wrench (t, d x t) about the centroid.
+    The torques of the grasp map (11) are divided by the size of the grasp, which leaves G~ f = 0 as
+    it is and makes all rows of one magnitude.
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.
         rotations: Contact frames, shape (k, 3, 3).
     """
-    k, arms = len(points), centred(points)
-    arms /= math.sqrt((arms * arms).sum() / k)
-    out = np.empty((3 * k, 6))
-    for i in range(k):
-        a, b, c = arms[i]
-        for axis in range(3):
-            x, y, z = rotations[i, 0, axis], rotations[i, 1, axis], rotations[i, 2, axis]
-            row = out[3 * i + axis]
-            row[0], row[1], row[2] = x, y, z
-            row[3], row[4], row[5] = cross((a, b, c), (x, y, z))
-    return out
+    arms = centred(points)
+    arms /= math.sqrt((arms * arms).sum() / len(points))
+    return grasp_map(arms, rotations).T
 
 
 @compiled

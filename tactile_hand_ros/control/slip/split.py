@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
-    contact_wrench,
+    net_wrench,
     spread_wrench,
 )
 from tactile_hand_ros.control.optimizer.cones import Cones
@@ -63,7 +63,7 @@ def _measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
 
 @compiled
 def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
-    spread, margin = spread_wrench(points, contact_wrench(points, rotations, forces))
+    spread, margin = spread_wrench(points, net_wrench(points, rotations, forces))
     load, squeeze, total = np.empty_like(forces), np.empty_like(forces), 0.0
     for i in range(len(forces)):
         r, (x, y, z) = rotations[i], spread[i]

@@ -33,6 +33,7 @@ from tactile_hand_ros.control.controller import (
     ControllerConfig,
 )
 from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.margins import GraspWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.nodes.accepted import Accepted
@@ -135,6 +136,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         contacts, forces = example_touch(hand.fingers)
         still = np.zeros(hand.joints)
         self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
+        GraspWatch(hand).margins(still, contacts)
         self._controller.reset()
 
     def check_config(self, config: ControllerConfig) -> None:

@@ -45,7 +45,7 @@ class Claim:
 
 
 def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims by the experiments of one layout."""
+    """Judge all claims by the experiments of one layout, Theorem 1 (9) among them."""
     return [claim(outcomes) for claim in CLAIMS]
 
 

@@ -42,6 +42,7 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
 
 def _resultant(tips: Fingertips, points: Array, torque: Array) -> Array:
     """Return the sum of the forces at points of the fingertips that joint torques amount to."""
-    jacobian = hand_jacobian(tips, points).reshape(-1, len(torque))
+    jacobian = hand_jacobian(tips, points, np.tile(np.eye(3), (len(points), 1, 1)))
+    jacobian = jacobian.reshape(-1, len(torque))
     forces = np.linalg.lstsq(jacobian.T, torque, rcond=None)[0]
     return np.asarray(forces.reshape(-1, 3).sum(axis=0))

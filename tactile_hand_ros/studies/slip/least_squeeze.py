@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import centred, grasp_map
 from tactile_hand_ros.extras import optional
 
 Array = NDArray[np.float64]
@@ -20,7 +21,7 @@ SIDES = 64
 def least_squeeze(
     contacts: Contacts, wrench: Array, friction: ArrayLike, sides: int = SIDES
 ) -> float:
-    """Return the least sum of normal forces with which contacts can carry a wrench.
+    """Return the least sum of normal forces with which contacts can carry a wrench, (12).
 
         min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
 
@@ -45,12 +46,11 @@ def least_squeeze(
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
     edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
-    forces = np.einsum("kij,ksj->ksi", frames, edges)
-    arms = points - points.mean(axis=0)
+    arms = centred(points)
     # Torques in the length of the grasp, so that all rows weigh alike.
     length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
-    torques = np.cross(arms[:, None, :], forces) / length
-    rows = np.concatenate([forces, torques], axis=2).reshape(-1, 6).T
+    blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)
+    rows = np.einsum("akj,ksj->aks", blocks, edges).reshape(6, -1)
     goal = np.concatenate([wrench[:3], np.asarray(wrench[3:]) / length])
     scale = max(float(np.abs(goal).max()), 1e-9)
     linprog = optional("scipy.optimize", "The least squeeze").linprog

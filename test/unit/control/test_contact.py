@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from support.grasps import normals, vectors
+from support import equations
+from support.grasps import normals
 
 from tactile_hand_ros.control.contact import (
     Contacts,
@@ -12,7 +13,6 @@ from tactile_hand_ros.control.contact import (
     hand_jacobian,
     in_palm,
     joint_torques,
-    skew,
 )
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -58,16 +58,6 @@ def test_palm_x_takes_over_where_the_projection_is_shorter_than_a_thousandth(up,
     np.testing.assert_allclose(t_z(0.99e-3), [1.0, 0.0, 0.0], atol=2e-3)
 
 
-@given(vectors, vectors)
-def test_skew_is_the_cross_product(a, b):
-    np.testing.assert_allclose(skew(a) @ b, np.cross(a, b), atol=1e-15)
-
-
-def test_skew_of_many_is_skew_of_each():
-    rows = np.arange(12.0).reshape(2, 2, 3)
-    np.testing.assert_array_equal(skew(rows)[1, 0], skew(rows[1, 0]))
-
-
 def frames(normals):
     return np.array([contact_frame(np.array(n)) for n in normals])
 
@@ -104,16 +94,32 @@ def test_what_travels_on_a_topic_gives_the_same_frames_back():
     np.testing.assert_allclose(contacts.centroid, np.full(3, 1 / 3))
 
 
-def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces() -> None:
-    """Written out it must be what equation (2) says, and do the work that the contacts do."""
+@pytest.fixture
+def touch():
+    """Return fingertips of the paper's hand in some posture, and points near them."""
     hand, random = Hand.load("paper"), np.random.default_rng(5)
     tips = hand.fingertips(random.uniform(0.2, 0.9, hand.joints))
-    points = tips.positions + random.normal(0.0, 0.01, (3, 3))
-    forces, rates = random.normal(size=(3, 3)), random.normal(size=hand.joints)
-    jacobian = hand_jacobian(tips, points)
+    return tips, tips.positions + random.normal(0.0, 0.01, (3, 3))
+
+
+def test_hand_jacobian_is_equation_2_turned_into_frames(touch) -> None:
+    tips, points = touch
+    turned = frames([[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.48, 0.6, -0.64]])
+    found = hand_jacobian(tips, points, turned)
+    blocks = np.vsplit(equations.hand_jacobian(*tips, points), 3)
+    expected = [frame.T @ block for frame, block in zip(turned, blocks, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch) -> None:
+    """Written out it must be what equation (2) says, and do the work that the contacts do."""
+    tips, points = touch
+    random = np.random.default_rng(6)
+    forces, rates = random.normal(size=(3, 3)), random.normal(size=9)
+    jacobian = equations.hand_jacobian(*tips, points)
     torques = joint_torques(*tips, points, forces)
-    np.testing.assert_allclose(torques, np.einsum("kim,ki->m", jacobian, forces), atol=1e-15)
-    assert torques @ rates == pytest.approx(np.sum((jacobian @ rates) * forces))
+    np.testing.assert_allclose(torques, jacobian.T @ forces.ravel(), atol=1e-15)
+    assert torques @ rates == pytest.approx((jacobian @ rates) @ forces.ravel())
 
 
 def test_forces_are_turned_into_palm_axes() -> None:

@@ -5,15 +5,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.grasps import literal_grasp_map, point_sets, rotations, vectors
+from hypothesis.extra import numpy as hnp
+from support import equations
+from support.grasps import balance_in_frames, grasps, point_sets, rotations, vectors
 
-from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import (
     check_joints,
     check_spread,
     collinearity_margin,
     grasp_map,
     joint_margin,
+    net_wrench,
     required_friction,
     wrench_forces,
 )
@@ -24,25 +26,36 @@ from tactile_hand_ros.rotations import rotation_from_vector
 LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
 
 
-@given(point_sets(), vectors)
-def test_grasp_map_is_forces_and_their_moments(points, origin):
-    np.testing.assert_allclose(
-        grasp_map(points, origin), literal_grasp_map(points, origin), atol=1e-15
-    )
+@given(grasps(), vectors)
+def test_grasp_map_is_forces_in_contact_frames_and_their_moments(contacts, origin):
+    """About any origin it is (4), about the centroid (11); each contact has a frame of its own."""
+    expected = equations.grasp_map(contacts.positions, origin)
+    found = grasp_map(contacts.positions - origin, contacts.rotations)
+    for i, frame in enumerate(contacts.rotations):
+        columns = slice(3 * i, 3 * i + 3)
+        np.testing.assert_allclose(found[:, columns], expected[:, columns] @ frame, atol=1e-14)
 
 
 @given(point_sets(), vectors, vectors, vectors)
 def test_transposed_grasp_map_is_the_velocity_of_the_points(points, origin, velocity, spin):
     """G^T [v; w] is the velocity of the rigid body at the contacts, the right side of (6)."""
     expected = velocity + np.cross(spin, points - origin)
-    found = grasp_map(points, origin).T @ np.concatenate([velocity, spin])
+    palm_axes = np.tile(np.eye(3), (len(points), 1, 1))
+    found = grasp_map(points - origin, palm_axes).T @ np.concatenate([velocity, spin])
     np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=1e-12)
+
+
+@given(grasps(), hnp.arrays(float, (5, 3), elements=st.floats(-9.0, 9.0)))
+def test_net_wrench_is_the_grasp_map_about_the_centroid_times_the_forces(contacts, forces):
+    forces = forces[: len(contacts.positions)]
+    found = net_wrench(contacts.positions, contacts.rotations, forces)
+    np.testing.assert_allclose(found, balance_in_frames(contacts) @ forces.ravel(), atol=1e-12)
 
 
 @given(point_sets(), vectors, vectors)
 def test_wrench_forces_are_the_pseudoinverse(points, force, torque):
     wrench = np.concatenate([force, torque])
-    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    about_centroid = equations.grasp_map(points, points.mean(axis=0))
     forces = wrench_forces(points, wrench).ravel()
     np.testing.assert_allclose(forces, np.linalg.pinv(about_centroid) @ wrench, atol=1e-9)
     np.testing.assert_allclose(about_centroid @ forces, wrench, atol=1e-10)
@@ -76,11 +89,11 @@ def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
 
     def jacobian(theta):
         tips = hand.fingertips(theta)
-        return hand_jacobian(tips, tips.positions)
+        return equations.hand_jacobian(*tips, tips.positions)
 
     good = jacobian(np.tile([1.047, 0.0, 1.571], 3))
-    stacked = np.linalg.svd(np.vstack(list(good)), compute_uv=False)
-    assert joint_margin(good) == pytest.approx(stacked[-1])
+    assert joint_margin(good) == pytest.approx(np.linalg.svd(good, compute_uv=False)[-1])
+    assert joint_margin(good.reshape(3, 3, 9)) == joint_margin(good)
     check_joints(good)
     stretched = np.tile([1.047, 0.0, 1.571], 3)
     stretched[5] = 0.0

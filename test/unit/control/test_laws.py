@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.grasps import literal_grasp_map, moved
+from support.equations import grasp_map, hand_jacobian, rotation_error
+from support.grasps import moved
 
-from tactile_hand_ros.control.contact import Contacts, contact_frame, hand_jacobian
-from tactile_hand_ros.control.grasp import grasp_map
+from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import CollinearContactsError
@@ -35,7 +35,7 @@ class Grip:
         frames = np.array([contact_frame(n) for n in normals])
         self.contacts = Contacts(self.tips.positions + RADII[:, None] * normals, frames)
         self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
-        self.jacobian = hand_jacobian(self.tips, self.contacts.positions).reshape(9, 9)
+        self.jacobian = hand_jacobian(*self.tips, self.contacts.positions)
         turn = rotation_from_vector(random.uniform(-0.5, 0.5, 3))
         self.target = Target(self.contacts.centroid + random.uniform(-0.1, 0.1, 3), turn)
 
@@ -61,7 +61,7 @@ class Grip:
 
     @property
     def about_centroid(self):
-        return literal_grasp_map(self.contacts.positions, self.contacts.positions.mean(axis=0))
+        return grasp_map(self.contacts.positions, self.contacts.positions.mean(axis=0))
 
     def carrying(self, wrench):
         """Return the torques of (14) for a wrench, J_h^T G~^+ wrench, shape (9,)."""
@@ -73,19 +73,6 @@ def grip():
     return Grip()
 
 
-def virtual_frame(points):
-    r_x = points[0] - points[1]
-    r_z = np.cross(r_x, points[0] - points[2])
-    r_z *= np.sign(r_z[2])
-    r_x, r_z = r_x / np.linalg.norm(r_x), r_z / np.linalg.norm(r_z)
-    return np.stack([r_x, np.cross(r_z, r_x), r_z], axis=1)
-
-
-def rotation_error(points, desired):
-    """Write r_d = r_x x r_dx + r_y x r_dy + r_z x r_dz out."""
-    return sum(np.cross(a, b) for a, b in zip(virtual_frame(points).T, desired.T))
-
-
 def test_equation_14_to_the_letter(grip):
     points = grip.contacts.positions
     error = np.concatenate(
@@ -95,7 +82,7 @@ def test_equation_14_to_the_letter(grip):
         ]
     )
     gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
-    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    about_centroid = grasp_map(points, points.mean(axis=0))
     in_palm = [r @ f for r, f in zip(grip.contacts.rotations, grip.optimal)]
     expected = (
         K_F * grip.jacobian.T @ np.concatenate(in_palm)
@@ -114,7 +101,7 @@ def test_equation_10_to_the_letter(grip):
         ]
     )
     gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
-    about_centroid = literal_grasp_map(points, points.mean(axis=0))
+    about_centroid = grasp_map(points, points.mean(axis=0))
     expected = -0.07 * grip.rates
     for i in range(3):
         block = grip.jacobian[3 * i : 3 * i + 3]
@@ -161,7 +148,7 @@ def test_stiffness_against_a_shift_is_k_p_once_or_once_per_finger(grip, name, fi
     shift = np.array([1e-3, -2e-3, 3e-3])
     drive = grip.torque(name, Target(pose.position + shift, pose.orientation), law).drive
     points = grip.tips.positions if name == "kawamura" else grip.contacts.positions
-    jacobian = hand_jacobian(grip.tips, points).reshape(9, 9)
+    jacobian = hand_jacobian(*grip.tips, points)
     for axis in np.eye(3):
         rates = np.linalg.solve(jacobian, np.tile(axis, 3))
         assert drive @ rates == pytest.approx(fingers * 3.0 * shift @ axis, abs=1e-9)

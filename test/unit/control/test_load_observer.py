@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.grasps import contacts_at, literal_grasp_map
+from support.equations import grasp_map
+from support.grasps import contacts_at
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
@@ -24,7 +25,7 @@ UNLIMITED = {"force_limit": 1e3, "torque_limit": 1e3}
 def net(forces=FORCES):
     """Return the wrench of forces in contact frames about the centroid of the grip."""
     in_palm = [r @ f for r, f in zip(GRIP.rotations, forces, strict=True)]
-    about = literal_grasp_map(GRIP.positions, GRIP.positions.mean(axis=0))
+    about = grasp_map(GRIP.positions, GRIP.positions.mean(axis=0))
     return about @ np.concatenate(in_palm)
 
 

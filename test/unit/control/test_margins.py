@@ -3,10 +3,11 @@
 
 import numpy as np
 import pytest
+from support.equations import hand_jacobian
 from support.plants import plant
 
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.control.contact import Contacts, contact_frame, hand_jacobian
+from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.margins import (
     REACTION,
     GraspWatch,
@@ -64,7 +65,7 @@ def test_the_papers_grasp_is_far_from_every_edge(grasp):
     # The last links point 30 degrees above the horizontal.
     assert margins.hemisphere == pytest.approx(np.radians(60.0), abs=2e-3)
     assert margins.face_travel == 0.0
-    jacobian = np.vstack(list(hand_jacobian(hand.fingertips(theta), contacts.positions)))
+    jacobian = hand_jacobian(*hand.fingertips(theta), contacts.positions)
     assert 0.05 < margins.joint == pytest.approx(np.linalg.svd(jacobian, compute_uv=False)[-1])
     extents = np.linalg.svd(contacts.positions - contacts.centroid, compute_uv=False)
     assert 0.5 < margins.collinearity == pytest.approx(extents[1] / extents[0])

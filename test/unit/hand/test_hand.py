@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
+from support.equations import hand_jacobian
 from support.hands import tip_rotations, write_hand
 
 from tactile_hand_ros.config.hand_config import find_hand, load_hand_config
-from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.hand import Hand
 
@@ -85,8 +85,8 @@ def test_hand_jacobian_is_the_velocity_of_the_point_of_the_tip(mixed):
         return mixed.fingertips(angles).positions + turned
 
     velocity = (points(theta + STEP * rates) - points(theta - STEP * rates)) / (2 * STEP)
-    jacobian = hand_jacobian(tips, tips.positions + arms)
-    np.testing.assert_allclose(jacobian @ rates, velocity, atol=1e-8)
+    jacobian = hand_jacobian(*tips, tips.positions + arms)
+    np.testing.assert_allclose(jacobian @ rates, velocity.ravel(), atol=1e-8)
 
 
 def test_a_finger_is_moved_by_its_own_joints_only(mixed):

@@ -3,11 +3,10 @@
 
 import numpy as np
 import pytest
+from support.equations import grasp_map
 from support.hands import tip_rotations
 from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
 
-from tactile_hand_ros.control.contact import skew
-from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.simulation.contact_step import TOUCH
 from tactile_hand_ros.simulation.disturbance import Disturbance
 
@@ -261,9 +260,9 @@ def test_contact_points_of_both_bodies_move_alike():
     torque = torque_for(world, pushes)
     for _ in range(1500):
         state = world.advance(torque)
-    arms = state.contacts.positions - state.position
-    body = state.velocity + np.einsum("kij,j->ki", -skew(arms), state.spin)
-    hand = (jacobian(world, state) @ state.rates).reshape(3, 3)
+    grasp = grasp_map(state.contacts.positions, state.position)
+    body = grasp.T @ np.concatenate([state.velocity, state.spin])
+    hand = jacobian(world, state) @ state.rates
     assert np.linalg.norm(body) > 0.05
     np.testing.assert_allclose(hand, body, atol=1e-3 * np.linalg.norm(body))
 

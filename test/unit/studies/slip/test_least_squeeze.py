@@ -83,7 +83,7 @@ def test_no_more_than_any_forces_inside_the_cones(seed: int, mu: float) -> None:
     normal, angle = random.uniform(0.1, 5.0, 3), random.uniform(0.0, 2.0 * np.pi, 3)
     side = mu * normal * random.uniform(0.0, 1.0, 3)
     forces = np.stack([side * np.cos(angle), normal, side * np.sin(angle)], axis=1)
-    least = least_squeeze(contacts, net_wrench(contacts, forces), mu)
+    least = least_squeeze(contacts, net_wrench(contacts.positions, contacts.rotations, forces), mu)
     assert 0.0 <= least <= normal.sum() * EXACT * (1 + 1e-9)
 
 
