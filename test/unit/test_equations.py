@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/equations.md names code that exists and says itself which equation it implements."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "tactile_hand_ros"
+PAGE = ROOT / "docs" / "equations.md"
+
+
+def table(heading: str) -> list[list[str]]:
+    """Return the cells of the table whose first column has a heading."""
+    lines = PAGE.read_text().splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(f"| {heading} |"))
+    rows = []
+    for line in lines[start + 2 :]:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+EQUATIONS = table("equation")
+
+
+def resolve(name: str) -> tuple[Any, Any]:
+    """Return the object of a dotted name below the package, and its module."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            module = importlib.import_module(".".join([PACKAGE, *parts[:count]]))
+        except ModuleNotFoundError:
+            continue
+        found: Any = module
+        for attribute in parts[count:]:
+            found = getattr(found, attribute)
+        return found, module
+    raise ModuleNotFoundError(name)
+
+
+def test_every_equation_has_a_home() -> None:
+    named = {row[0] for row in EQUATIONS}
+    assert {f"({number})" for number in range(1, 16)} | {"R_pov", "r_d", "beta"} <= named
+
+
+@pytest.mark.parametrize("row", EQUATIONS, ids=lambda row: f"{row[0]} {row[2]}")
+def test_the_named_code_exists_and_names_its_equation(row: list[str]) -> None:
+    equation, _, name, link = row
+    found, module = resolve(name.strip("`"))
+    assert equation in found.__doc__
+    text, target = re.fullmatch(r"\[(.+)\]\((.+)\)", link).groups()  # type: ignore[union-attr]
+    path = (PAGE.parent / target).resolve()
+    assert path == ROOT / PACKAGE / text and path.is_file()
+    assert ".".join(path.relative_to(ROOT).with_suffix("").parts) == module.__name__
+
+
+@pytest.mark.parametrize("row", table("module"), ids=lambda row: row[0])
+def test_a_second_form_says_that_it_is_independent(row: list[str]) -> None:
+    _, module = resolve(row[0].strip("`"))
+    assert "independent" in module.__doc__.lower()
+
+
+def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again() -> None:
+    """Skew matrices and cross products of many vectors are how they are written elsewhere."""
+    allowed = {f"{row[0].strip('`').replace('.', '/')}.py" for row in table("module")}
+    allowed |= {"report/scene.py", "simulation/solid.py", "studies/slip/survival.py"}  # geometry
+    found = {
+        str(path.relative_to(ROOT / PACKAGE))
+        for path in (ROOT / PACKAGE).rglob("*.py")
+        if re.search(r"\bskew\(|np\.cross\(", path.read_text())
+    }
+    assert found <= allowed
