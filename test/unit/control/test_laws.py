@@ -8,7 +8,7 @@ from support.equations import grasp_map, hand_jacobian, rotation_error
 from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
-from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, OptimalLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.hand.hand import Hand
@@ -122,6 +122,30 @@ def test_equation_8_to_the_letter(grip):
         expected = expected + 3.0 * linear @ (grip.target.position - tips.mean(axis=0))
         expected = expected + 0.5 * angular @ turn
     np.testing.assert_allclose(grip.torque("kawamura").total, expected, atol=1e-11)
+
+
+def test_a_law_is_built_for_a_configuration_and_not_for_a_tick(grip):
+    built = []
+
+    class Counted(OptimalLaw):
+        def __init__(self, config, radii):
+            built.append((config.k_p, *radii))
+            super().__init__(config, radii)
+
+    law = ManipulationLaw(LawConfig(k_p=3.0), RADII, Counted)
+    for _ in range(3):
+        grip.torque("optimal", law=law)
+    law.configure(LawConfig(k_p=4.0))
+    grip.torque("optimal", law=law)
+    assert built == [(3.0, *RADII), (4.0, *RADII)]
+
+
+def test_other_gains_of_law_8_act_at_once(grip):
+    law = ManipulationLaw(LawConfig(name="kawamura", k_st=0.1), RADII)
+    grip.torque("kawamura", law=law)
+    law.configure(LawConfig(name="kawamura", **GAINS))
+    expected = grip.torque("kawamura").squeeze
+    np.testing.assert_array_equal(grip.torque("kawamura", law=law).squeeze, expected)
 
 
 def rigid_rates(grip, twist):
