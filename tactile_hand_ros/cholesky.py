@@ -51,21 +51,18 @@ def substitute(u: Array, right: Array) -> None:
         u: From `factorize`, shape (m, m).
         right: Columns b, shape (m, n).
     """
-    m = len(right)
+    m, n = right.shape
     for i in range(m):
         for c in range(i):
             if u[c, i] != 0.0:
-                _take_away(right, i, u[c, i], c)
-        right[i] /= u[i, i]
+                for j in range(n):
+                    right[i, j] -= u[c, i] * right[c, j]
+        for j in range(n):
+            right[i, j] /= u[i, i]
     for i in range(m - 1, -1, -1):
         for c in range(i + 1, m):
             if u[i, c] != 0.0:
-                _take_away(right, i, u[i, c], c)
-        right[i] /= u[i, i]
-
-
-@compiled
-def _take_away(rows: Array, row: int, factor: float, other: int) -> None:
-    """Take a multiple of another row from a row."""
-    for j in range(rows.shape[1]):
-        rows[row, j] -= factor * rows[other, j]
+                for j in range(n):
+                    right[i, j] -= u[i, c] * right[c, j]
+        for j in range(n):
+            right[i, j] /= u[i, i]
