@@ -36,7 +36,7 @@ def layers() -> Edges:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith(f"{PACKAGE}."):
                 uses.setdefault(own, set()).add(_folder(tuple(str(node.module).split("."))))
-    plain = {"", "config", "errors", "extras", "jit", "names", "rotations"}
+    plain = {"", "cholesky", "config", "errors", "extras", "jit", "names", "rotations"}
     graph = {name: {u for u in used if u not in {*plain, name}} for name, used in uses.items()}
     graph = {name: used for name, used in graph.items() if name not in plain}
     return {
