@@ -238,6 +238,7 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
     turned = Target(bench.target(0.05).position, rotation_from_vector([0.0, 0.0, 0.01]))
     for other in (bench.target(0.04), turned):
         bench.controller.command(other)
+        bench.step()
     assert len(checks) == 3
 
 
@@ -247,6 +248,7 @@ def test_a_refused_pose_is_judged_anew_when_it_is_said_again(bench, checks):
     for _ in range(2):
         with pytest.raises(PoseError):
             bench.controller.command(bench.target(*FAR))
+        bench.step()
     assert len(checks) == 2
 
 
@@ -284,6 +286,7 @@ def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     bench.step()
     waiting, again = bench.target(0.04), bench.target(0.05)
     bench.controller.command(waiting, stamp=4 * TICK)
+    bench.step()
     bench.controller.command(again, stamp=9 * TICK)
     bench.controller.release()
     bench.step()
