@@ -46,6 +46,7 @@ class Hand:
         radii: Fingertip radii r, shape (k,), m.
         description: URDF text of the hand in the chosen layout.
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
+        velocity_limits: Largest speed of each joint, shape (m,), rad/s; infinite where unset.
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
         bases: Where the first joint of each finger is, palm frame, shape (k, 3), m.
         spans: How far each fingertip can ever be from there, shape (k,), m.
@@ -76,6 +77,8 @@ class Hand:
         self.joint_names = list(self._model.names[1:])
         limits = self._model.effortLimit
         self.effort_limits = np.where(limits > 0.0, limits, np.inf)
+        speeds = self._model.velocityLimit
+        self.velocity_limits = np.where(speeds > 0.0, speeds, np.inf)
         self.position_limits = (
             self._model.lowerPositionLimit.copy(),
             self._model.upperPositionLimit.copy(),

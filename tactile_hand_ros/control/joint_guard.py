@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The last line of defence: what torque reaches the joints, judged where torque meets the joints.
+
+It runs in the plant and belongs into the driver of a real hand. It knows joint states, commands and
+the model of the hand, nothing else, and reads no clock: time is in the stamps.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.joint_hold import JointHold, JointHoldConfig, JointTerms
+from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+NO_COMMAND = "no command yet"
+LATE = "the command is too old"
+AHEAD = "the command is ahead of the newest tick"
+WRONG_SHAPE = "the command has the wrong number of torques"
+NOT_FINITE = "the command is not finite"
+TOO_FAST = "a joint is too fast"
+BLIND = "the joint states are not finite"
+
+_CALM = 0.8  # share of the speed limit below which a joint counts as slow again
+
+
+class GuardConfig(Config):
+    """Which commands reach the joints, and what happens otherwise."""
+
+    age_limit: int = param(
+        3, "ticks by which a command may be older than the newest tick", unit="ticks", ge=0, le=1000
+    )
+    torque_rate: float = param(
+        0.0, "fastest change of a commanded torque, 0 for any", unit="N m/s", ge=0.0
+    )
+    speed_limit: float = param(
+        0.0, "joint speed from which the joints are held, 0 for the URDF's", unit="rad/s", ge=0.0
+    )
+    blend_time: float = param(
+        0.02, "time in which commands take over from a hold", unit="s", gt=0.0, le=10.0
+    )
+    hold: JointHoldConfig = JointHoldConfig()
+
+
+class TorqueCommand(NamedTuple):
+    """Torques for the joints, shape (m,), N m, and the stamp of the tick they answer, ns."""
+
+    stamp: int
+    torque: Array
+
+
+class _Sample(NamedTuple):
+    """A past tick: stamp in ns, joint rates there, and the torque that acted from it on."""
+
+    stamp: int
+    rates: Array
+    torque: Array
+
+
+class JointGuard:
+    """Decides at each tick what torque reaches the joints.
+
+    Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
+    finite, of the wrong shape or refused, and joints that are too fast, begin a hold; see
+    `JointHold`. Good commands take over again within `blend_time`.
+
+    Attributes:
+        reason: Why the joints are held; empty while commands act.
+        held: How many ticks were held since the reset.
+        holds: How many holds have begun since the reset, by reason.
+        age: Age of the last judged command, ticks; -1 before the first.
+    """
+
+    def __init__(self, config: GuardConfig, hand: Hand, tick: int) -> None:
+        """Take model and limits.
+
+        Args:
+            config: Limits of age, speed and change of torque, and the hold.
+            hand: Model of the hand, with the gravity that acts on it.
+            tick: Length of a tick, ns.
+        """
+        self._config, self._hand, self._tick = config, hand, tick
+        self._hold = JointHold(config.hold, hand, 1e-9 * tick)
+        self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
+        self._change = 1e-9 * tick * config.torque_rate or np.inf
+        self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, as at the start."""
+        self._past.clear()
+        self._share = 1.0  # of the command in the torque; less than 1 in a hold
+        self._last: Array | None = None  # commanded torque inside the limits
+        self.reason = ""
+        self.held = 0
+        self.holds: Counter[str] = Counter()
+        self.age = -1
+
+    @property
+    def holding(self) -> bool:
+        """Whether the joints are held, or commands are still taking over."""
+        return self._share < 1.0
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        command: TorqueCommand | None,
+        refused: str = "",
+    ) -> Array:
+        """Return the torque to apply from this tick on, shape (m,), N m.
+
+        Args:
+            stamp: The newest tick, ns.
+            theta: Joint angles at this tick, shape (m,), rad.
+            rates: Joint rates at this tick, shape (m,), rad/s.
+            command: The newest command; None before the first.
+            refused: Why no command may act now, such as a second sender; empty if they may.
+        """
+        if not (np.isfinite(theta).all() and np.isfinite(rates).all()):
+            self._note(BLIND)
+            return self._past[-1].torque if self._past else np.zeros(self._hand.joints)
+        reason = refused or self._judge(stamp, rates, command)
+        if not reason and not self.holding:
+            assert command is not None
+            torque = self._limited(command.torque)
+        else:
+            torque = self._guarded(stamp, theta, rates, command, reason)
+        self._past.append(_Sample(stamp, rates, torque))
+        return torque
+
+    def _judge(self, stamp: int, rates: Array, command: TorqueCommand | None) -> str:
+        """Return why a command may not act; empty if it may."""
+        if command is None:
+            return NO_COMMAND
+        self.age = -((command.stamp - stamp) // self._tick)
+        if self.age < 0:
+            return AHEAD
+        if self.age > self._config.age_limit:
+            return LATE
+        if command.torque.shape != rates.shape:
+            return WRONG_SHAPE
+        if not np.isfinite(command.torque).all():
+            return NOT_FINITE
+        limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
+        return TOO_FAST if (np.abs(rates) > limit).any() else ""
+
+    def _limited(self, torque: Array) -> Array:
+        """Return a commanded torque inside the limits of the joints and of its change."""
+        limit = self._hand.effort_limits
+        torque = np.minimum(np.maximum(torque, -limit), limit)
+        if self._last is not None and self._change < np.inf:
+            change = np.minimum(np.maximum(torque - self._last, -self._change), self._change)
+            torque = self._last + change
+        self._last = torque
+        return torque
+
+    def _guarded(
+        self, stamp: int, theta: Array, rates: Array, command: TorqueCommand | None, reason: str
+    ) -> Array:
+        """Hold the joints, or let a good command take over a little more."""
+        terms = JointTerms(*self._hand.dynamics(theta, rates))
+        pressed = self._pressed(stamp, rates, terms)
+        if reason:
+            self._engage(theta, rates, pressed, reason)
+        else:
+            self._share = min(1.0, self._share + 1e-9 * self._tick / self._config.blend_time)
+            self.reason = ""
+        torque = self._hold.step(theta, rates, terms, pressed)
+        if not reason:
+            assert command is not None
+            torque = torque + self._share * (self._limited(command.torque) - torque)
+        limit = self._hand.effort_limits
+        return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
+
+    def _engage(self, theta: Array, rates: Array, pressed: Array, reason: str) -> None:
+        """Begin a hold, or return to the one that commands were taking over from."""
+        if not self.holding:
+            self._hold.engage(theta, rates, pressed)
+        elif self._share > 0.0:
+            self._hold.brake(theta, rates)
+        self._share = 0.0
+        self._note(reason)
+
+    def _note(self, reason: str) -> None:
+        self.held += 1
+        self.holds[reason] += reason != self.reason
+        self.reason = reason
+        self._last = None
+
+    def _pressed(self, stamp: int, rates: Array, terms: JointTerms) -> Array:
+        """Return the torque with which the contacts pressed, tau - M theta'' - bias, shape (m,).
+
+        The mean over the last ticks; while holding, over the last one, which the hold averages.
+        """
+        samples = list(self._past)[-1:] if self.holding else list(self._past)
+        if not samples or stamp <= samples[0].stamp:
+            return np.zeros(self._hand.joints)
+        first = samples[0]
+        acceleration = (rates - first.rates) / (1e-9 * (stamp - first.stamp))
+        torque = np.mean([sample.torque for sample in samples], axis=0)
+        return np.asarray(torque - terms.inertia @ acceleration - terms.bias)
