@@ -38,6 +38,7 @@ they are due. A pose out of reach takes milliseconds, and a flood of them must n
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
+_LONGEST_GAP = 0.05  # s; over a longer pause nothing is integrated and no reference moves on
 _LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
 
 
@@ -359,7 +360,7 @@ class Controller:
         """Return the time since the last tick in s; nothing is integrated over an interruption."""
         if self._last_stamp is None or not self._drove:
             return 0.0
-        return max(0.0, 1e-9 * (stamp - self._last_stamp))
+        return min(max(0.0, 1e-9 * (stamp - self._last_stamp)), _LONGEST_GAP)
 
     def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
         if not contacts.all_touching:

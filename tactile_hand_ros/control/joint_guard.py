@@ -128,11 +128,14 @@ class JointGuard:
             self._note(BLIND)
             return self._past[-1].torque if self._past else np.zeros(self._hand.joints)
         reason = refused or self._judge(stamp, rates, command)
-        if not reason and not self.holding:
+        if not reason:
+            self._share = min(1.0, self._share + 1e-9 * self._tick / self._config.blend_time)
+            self.reason = ""
+        if reason or self.holding:
+            torque = self._guarded(stamp, theta, rates, command, reason)
+        else:
             assert command is not None
             torque = self._limited(command.torque)
-        else:
-            torque = self._guarded(stamp, theta, rates, command, reason)
         self._past.append(_Sample(stamp, rates, torque))
         return torque
 
@@ -170,10 +173,7 @@ class JointGuard:
         pressed = self._pressed(stamp, rates, terms)
         if reason:
             self._engage(theta, rates, pressed, reason)
-        else:
-            self._share = min(1.0, self._share + 1e-9 * self._tick / self._config.blend_time)
-            self.reason = ""
-        torque = self._hold.step(theta, rates, terms, pressed)
+        torque = self._hold.step(theta, rates, terms, pressed if reason else None)
         if not reason:
             assert command is not None
             torque = torque + self._share * (self._limited(command.torque) - torque)

@@ -116,16 +116,18 @@ class JointHold:
         """Come to rest from this posture and these rates, with the squeeze as it is."""
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
 
-    def step(self, theta: Array, rates: Array, terms: JointTerms, pressed: Array) -> Array:
+    def step(self, theta: Array, rates: Array, terms: JointTerms, pressed: Array | None) -> Array:
         """Return the holding torque, shape (m,), N m.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             terms: The model at this posture.
-            pressed: Torque with which the contacts pressed in the last tick, shape (m,), N m.
+            pressed: Torque with which the contacts pressed in the last tick, shape (m,), N m; None
+                while a command takes over, whose drive is no load.
         """
-        self._squeeze_with_load(terms.tips, pressed)
+        if pressed is not None:
+            self._squeeze_with_load(terms.tips, pressed)
         posture, speed, acceleration = self._reference()
         w = self._bandwidth
         wanted = acceleration + 2.0 * w * (speed - rates) + w * w * (posture - theta)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -86,11 +87,16 @@ class PlantConfig(Config):
     )
     autostart: bool = param(True, "run at once; otherwise wait for the run service")
     command_timeout: float = param(
-        1.0, "silence of the controller after which the joints are held", unit="s", gt=0.0, le=60.0
+        1.0,
+        "silence in lockstep after which the joints are held; in real time see guard.age_limit",
+        unit="s",
+        gt=0.0,
+        le=60.0,
     )
     resend_after: float = param(
         0.1, "silence in lockstep after which a tick is sent again", unit="s", gt=0.0, le=10.0
     )
+    guard: GuardConfig = GuardConfig()
 
     @property
     def steps_per_tick(self) -> int:

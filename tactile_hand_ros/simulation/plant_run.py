@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the plant: ticks, their stamps, the end, and the safe hold when nobody commands."""
+"""A run of the plant: ticks, their stamps, the end, and the guard in front of the joints."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
+from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -14,14 +14,13 @@ Array = NDArray[np.float64]
 
 
 class PlantRun:
-    """Moves a plant tick by tick and keeps the joints safe between commands.
+    """Moves a plant tick by tick; the joints get only what the guard lets through.
 
     Attributes:
         plant: The plant.
+        guard: Judges each command at each tick.
         state: Hand and object at the present tick.
         stamp: The present tick, ns.
-        commanded: Whether a torque was commanded since the start.
-        held: How many ticks were run in safe hold.
     """
 
     def __init__(self, config: PlantConfig) -> None:
@@ -31,21 +30,24 @@ class PlantRun:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self._hold = SafeHold(HoldConfig())
+        self.guard = JointGuard(config.guard, self.plant.hand, config.tick)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
-        self.held = 0
-        # The first step of a process loads compiled code; that shall not make the first tick late.
-        self.plant.advance(np.zeros(self.plant.hand.joints))
+        self._load_compiled_code()
         self.reset()
+
+    def _load_compiled_code(self) -> None:
+        """Step once, so that neither the first tick nor the first held one is late."""
+        state = self.plant.state
+        self.plant.advance(self.guard.step(0, state.theta, state.rates, None))
 
     def reset(self) -> None:
         """Go back to the start, at stamp 0 and without torque."""
         self.state = self.plant.reset()
+        self.guard.reset()
         self.stamp = 0
-        self.commanded = False
-        self._torque = np.zeros(self.plant.hand.joints)
-        self._hold.release()
+        self._command: TorqueCommand | None = None
+        self._refused = ""
 
     def configure(self, config: PlantConfig) -> None:
         """Take another friction, for now and for after a reset."""
@@ -58,29 +60,30 @@ class PlantRun:
         return 0 < self._end <= self.stamp
 
     @property
-    def holding(self) -> bool:
-        """Whether the joints are in safe hold."""
-        return self._hold.active
+    def commanded(self) -> bool:
+        """Whether a torque was commanded since the start."""
+        return self._command is not None
 
-    def command(self, torque: Array) -> None:
-        """Take a torque, shape (m,), N m; it acts from now on and ends a safe hold."""
-        self._hold.release()
-        self._torque = torque
-        self.commanded = True
+    @property
+    def refusing(self) -> bool:
+        """Whether all commands are refused."""
+        return bool(self._refused)
 
-    def hold(self) -> None:
-        """Hold the joints where they are, on top of the last torque."""
-        self._hold.engage(self.state.theta, self._torque)
+    def command(self, stamp: int, torque: Array) -> None:
+        """Take the torque, shape (m,), N m, that answers a tick, ns; the guard judges it."""
+        self._command = TorqueCommand(stamp, torque)
+
+    def hold(self, reason: str) -> None:
+        """Refuse all commands from now on, so that the joints are held."""
+        self._refused = reason
 
     def release(self) -> None:
-        """End a safe hold; the last torque acts again."""
-        self._hold.release()
+        """Let good commands act again."""
+        self._refused = ""
 
     def advance(self) -> None:
         """Move one tick ahead."""
-        torque = self._torque
-        if self._hold.active:
-            torque = self._hold.torque(self.state.theta, self.state.rates)
-            self.held += 1
+        theta, rates = self.state.theta, self.state.rates
+        torque = self.guard.step(self.stamp, theta, rates, self._command, self._refused)
         self.state = self.plant.advance(torque)
         self.stamp += self._tick

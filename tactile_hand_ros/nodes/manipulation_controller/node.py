@@ -44,6 +44,7 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.publishers import report_publishers
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
 from tactile_hand_ros.ros.ticks.inputs import DAY_NS, TickInputs, far_ahead
@@ -156,6 +157,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def on_report(self) -> None:
         """Report mode, missing inputs, distance to the target and the margins of the grasp."""
         self._inputs.report()
+        report_publishers(self, names.JOINT_STATES)
         self._report.report(self._controller.target)
 
     def _on_reset(self) -> None:

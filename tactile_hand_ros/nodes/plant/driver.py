@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -11,11 +12,17 @@ from rclpy.clock_type import ClockType
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.nodes.plant.pacing import Pace
+from tactile_hand_ros.nodes.plant.senders import SenderWatch
 from tactile_hand_ros.nodes.plant.topics import PlantTopics
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import Array, PlantRun
+
+CONFLICT = "two senders of joint_command answer the same ticks differently; stop one of them"
+
+_TELL_PERIOD = 0.1
+"""Shortest time between two announcements of what the guard does [s]."""
 
 
 class PlantDriver:
@@ -23,7 +30,8 @@ class PlantDriver:
 
     In lockstep a tick waits for its command: it is sent again after a short silence, and after a
     long one the joints are held and time follows the wall clock until a command comes. In real time
-    the last command acts until a newer one comes, for as long as the same long silence.
+    the last command acts until a newer one comes, or until the guard finds it too old. While two
+    senders disagree the joints are held, whatever they send.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -39,7 +47,9 @@ class PlantDriver:
         self._config = c = node.config
         self._is_lockstep = c.pacing == "lockstep"
         self._is_on, self._is_finished = c.autostart, False
-        self._resent = self._late = 0
+        self._resent = self._late = self._too_old = 0
+        self._senders = SenderWatch()
+        self._told, self._told_at = "", -math.inf
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -55,7 +65,8 @@ class PlantDriver:
             return "finished"
         if not self._is_on:
             return "paused"
-        return "holding" if self._run.holding else "running"
+        is_held = self._run.refusing or self._run.guard.reason
+        return "holding" if is_held else "running"
 
     def begin(self) -> None:
         """Publish the present tick and wait for its command; in real time let the clock run.
@@ -63,6 +74,7 @@ class PlantDriver:
         What changes the mode is told at once, not when the next diagnostics are due.
         """
         self._run.release()
+        self._senders.reset()
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
         self._answered_at = self._sent_at = time.monotonic()
@@ -89,22 +101,47 @@ class PlantDriver:
     def command(self, stamp: int, torque: Array) -> None:
         """Take the torque that answers a tick; what comes too late or unasked changes nothing."""
         run = self._run
-        if not self._is_on or self._is_finished or not self._answered < stamp <= run.stamp:
+        if not self._is_on or self._is_finished or not 0 <= stamp <= run.stamp:
             return
-        self._answered, self._answered_at = stamp, time.monotonic()
-        if run.holding:
-            run.release()
-            self._let_time_pass(not self._is_lockstep)
+        if self._senders.note(stamp, torque):
+            self._hold(CONFLICT)
+        if stamp <= self._answered or self._senders.in_conflict:
+            return
+        self._answered = stamp
+        if self._is_too_old(stamp):
+            self._too_old += 1
+            return
+        self._answered_at = time.monotonic()
+        if run.refusing:
+            self._resume()
         self._diagnostics.clear("state")
         if self._is_lockstep and stamp < run.stamp:
             return  # the controller is back; its answer to the present tick is on its way
-        run.command(torque)
+        run.command(stamp, torque)
         if stamp == run.stamp:
             self._diagnostics.latency(self._answered_at - self._sent_at)
         # A tick that others have followed is older than the newest by their number.
         self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
         if self._is_lockstep:
             self._advance(1)
+
+    def _is_too_old(self, stamp: int) -> bool:
+        """Return whether the guard would refuse a command by its age; in lockstep time waits."""
+        c = self._config
+        return not self._is_lockstep and self._run.stamp - stamp > c.guard.age_limit * c.tick
+
+    def _hold(self, reason: str) -> None:
+        """Hold the joints whatever is commanded, while time follows the wall clock."""
+        if not self._run.refusing:
+            self._run.hold(reason)
+            if self._is_lockstep:
+                self._let_time_pass(True)
+
+    def _resume(self) -> None:
+        """Let commands act again."""
+        self._run.release()
+        if self._is_lockstep:
+            self._let_time_pass(False)
 
     def _let_time_pass(self, passes: bool) -> None:
         self._pace.start()
@@ -126,6 +163,18 @@ class PlantDriver:
                 self._stop(str(error))
                 return
         self._publish()
+        self._tell_hold()
+
+    def _tell_hold(self) -> None:
+        """Tell at once when the joints begin or cease to be held, but not all the time."""
+        reason = self._run.guard.reason
+        if reason == self._told:
+            return
+        now = time.monotonic()
+        if now - self._told_at >= _TELL_PERIOD:
+            self._told, self._told_at = reason, now
+            self._diagnostics.judge("hold", bool(reason), f"{reason}; the joints are held")
+            self._node.publish_diagnostics()
 
     def _publish(self) -> None:
         self._topics.publish(self._run.state, self._run.stamp)
@@ -160,24 +209,27 @@ class PlantDriver:
         if not self._is_on or self._is_finished:
             self._watcher.cancel()  # until it begins again
             return
-        if run.holding:
-            return
         now = time.monotonic()
+        if run.refusing:
+            if self._senders.ended():
+                self._answered_at = now
+                self._resume()
+            return
+        if not self._is_lockstep:
+            return
         if now - self._answered_at >= c.command_timeout:
             self._on_long_silence()
-        if self._is_lockstep and not run.holding and now - self._sent_at >= c.resend_after:
+        if not run.refusing and now - self._sent_at >= c.resend_after:
             self._topics.repeat()
             self._sent_at = now
             self._resent += 1
 
     def _on_long_silence(self) -> None:
         text = f"no usable joint_command for {self._config.command_timeout:g} s"
-        if self._is_lockstep and not self._run.commanded:
+        if self._run.commanded:
+            self._hold(f"{text}, expected one for each tick")
+        else:
             self._diagnostics.fault("state", f"{text}, waiting at the first tick", WARN)
-            return
-        self._run.hold()
-        self._let_time_pass(True)
-        self._announce(f"{text}, expected one for each tick; the joints are held", ERROR)
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an error that was not foreseen, until the next good command."""
@@ -195,6 +247,12 @@ class PlantDriver:
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)
         put("resent_ticks", self._resent)
-        put("held_ticks", self._run.held)
+        guard = self._run.guard
+        put("held_ticks", guard.held)
+        put("command_age_ticks", guard.age)
+        for reason, count in guard.holds.items():
+            put(f"holds: {reason}", count)
         put("late_commands", self._late)
+        put("too_old_commands", self._too_old)
+        put("conflicting_commands", self._senders.conflicts)
         self._pace.report(put)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: the simulated hand and object.
 
-Safe state: without a good command for `command_timeout` (silence, or nothing but commands with
-unknown joints, missing joints or NaN) the joints are held where they are on top of the last torque,
-so that the object is neither dropped nor crushed; time then follows the wall clock and the level in
-`/diagnostics` is ERROR. In lockstep time stands still at the first tick until the first command:
-there is no torque yet to hold with. Where the simulation diverges, under torques that are far too
-late, time stands still too, with an ERROR, until `~/reset` and `~/run`. A plant that dies stops the
-ticks, and with them everybody.
+Safe state: a `JointGuard` stands in front of the joints, as in the driver of a real hand. In real
+time it holds them when the newest command is more than `guard.age_limit` ticks old, and in
+lockstep, where time waits for the command, after `command_timeout` of silence; time then follows
+the wall clock. It also holds them while two senders of `joint_command` answer the same ticks
+differently and when a joint is faster than its limit. Commands with unknown joints, missing joints
+or NaN count as silence. The squeeze is kept and raised with the load, the joints come to rest, and
+the level in `/diagnostics` is ERROR. In lockstep time stands still at the first tick until the
+first command. Where the simulation diverges, time stands still too, with an ERROR, until `~/reset`
+and `~/run`. Without a plant there are no ticks, and no node answers.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import PlantDriver
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.publishers import report_publishers
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
@@ -78,6 +81,8 @@ class PlantNode(TactileNode[PlantConfig]):
         """Report mode, time, silence and the margins of contact."""
         put, state = self.diagnostics.value, self._run.state
         self._driver.report(put)
+        for topic in (names.JOINT_COMMAND, names.JOINT_STATES):
+            report_publishers(self, topic)
         put("touching", int(state.contacts.touching.sum()))
         put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
         put("contact_residual", self._run.plant.contact_residual)

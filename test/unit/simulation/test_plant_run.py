@@ -32,28 +32,44 @@ def test_without_a_duration_no_tick_is_the_last():
 def test_the_commanded_torque_acts_as_in_the_plant():
     run, plant = PlantRun(config()), Plant(config())
     torque = np.linspace(0.1, 0.9, plant.hand.joints)
-    run.command(torque)
+    run.command(0, torque)
     run.advance()
     np.testing.assert_array_equal(run.state.theta, plant.advance(torque).theta)
 
 
-def test_held_joints_stay_where_they_are_on_top_of_the_last_torque():
-    free, held = PlantRun(config()), PlantRun(config())
-    torque = np.full(free.plant.hand.joints, 0.5)
-    for run in (free, held):
-        run.command(torque)
+def test_without_commands_the_joints_are_held_where_they_are():
+    run = PlantRun(config())
+    torque = np.full(run.plant.hand.joints, 0.5)
+    for _ in range(4):
+        run.command(run.stamp, torque)
         run.advance()
-    held.hold()
-    at = held.state.theta
-    np.testing.assert_allclose(held.state.torque, torque)
+    assert not run.guard.reason
+    for _ in range(3):  # the age limit
+        run.advance()
+    assert not run.guard.reason
+    run.advance()
+    assert run.guard.reason and run.guard.held == 1
     for _ in range(200):
-        free.advance()
-        held.advance()
-    assert held.holding and held.held == 200 and free.held == 0
-    moved, kept = np.abs(free.state.theta - at).max(), np.abs(held.state.theta - at).max()
-    assert kept < 0.3 * moved
-    held.command(torque)
-    assert not held.holding
+        run.advance()
+    at = run.state.theta
+    for _ in range(200):
+        run.advance()
+    assert run.guard.held == 401
+    np.testing.assert_allclose(run.state.theta, at, atol=1e-6)
+
+
+def test_a_refused_sender_moves_nothing_until_it_is_released():
+    run = PlantRun(config())
+    torque = np.full(run.plant.hand.joints, 0.5)
+    run.hold("two senders")
+    run.command(0, torque)
+    run.advance()
+    assert run.refusing and run.guard.reason == "two senders"
+    assert np.abs(run.state.torque).max() < 0.1
+    run.release()
+    run.command(run.stamp, torque)
+    run.advance()
+    assert not run.refusing and not run.guard.reason
 
 
 def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
@@ -61,15 +77,15 @@ def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
     torque = np.full(run.plant.hand.joints, 0.5)
 
     def end():
-        run.command(torque)
         for _ in range(20):
+            run.command(run.stamp, torque)
             run.advance()
         return run.state.theta
 
     first = end()
-    run.hold()
+    run.hold("two senders")
     run.reset()
-    assert run.stamp == 0 and not run.holding and not run.commanded
+    assert run.stamp == 0 and not run.refusing and not run.commanded and not run.guard.reason
     np.testing.assert_array_equal(end(), first)
     run.configure(config().changed({"object.friction": 0.25}))
     assert (run.plant.friction == 0.25).all()
