@@ -30,6 +30,10 @@ class ClosedLoop:
     A tick runs them in the order in which messages travel: touch is sampled, k_f and f* follow from
     it, the controller answers, and the plant moves on with that torque. Contacts pass through the
     quaternions of the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
+
+    Attributes:
+        state: Hand and object at the present tick.
+        stamp: The present tick, ns.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -46,8 +50,8 @@ class ClosedLoop:
         self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
         self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
         self.controller = Controller(scenario.manipulation_controller)
-        self._state = self.plant.state
-        self._stamp = 0
+        self.state = self.plant.state
+        self.stamp = 0
         self._wishes = sorted(scenario.user_forces, key=lambda wish: wish.time)
         self._desired: tuple[Array, Array] | None = None
         self._targets = list(scenario.targets)
@@ -74,7 +78,16 @@ class ClosedLoop:
 
     def tick(self, record: Record, row: int) -> None:
         """Run one tick and write it into a row of the record."""
-        state, stamp = self._state, self._stamp
+        self.advance(self.answer(record, row).torque)
+
+    def advance(self, torque: Array) -> None:
+        """Move the plant one tick ahead with a torque, shape (m,), N m."""
+        self.state = self.plant.advance(torque)
+        self.stamp += self.scenario.plant.tick
+
+    def answer(self, record: Record, row: int) -> Command:
+        """Return the controller's answer to the present tick, and write both into a row."""
+        state, stamp = self.state, self.stamp
         true = true_reading(state)
         self._ask()
         sliding = sliding_speeds(state)
@@ -93,12 +106,11 @@ class ClosedLoop:
         )
         self._write(record, row, true, touch, grasp_force, optimal, command)
         record.true_sliding[row] = sliding
-        self._state = self.plant.advance(command.torque)
-        self._stamp += self.scenario.plant.tick
+        return command
 
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""
-        while self._wishes and self._wishes[0].stamp <= self._stamp:
+        while self._wishes and self._wishes[0].stamp <= self.stamp:
             self.regulator.request(self._wishes.pop(0).force)
 
     def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
@@ -106,7 +118,7 @@ class ClosedLoop:
         if not c.cones:
             return None
         usable = c.cone_share * self.regulator.learned_friction
-        return self._cone_watch.step(self._stamp, contacts, forces, usable)
+        return self._cone_watch.step(self.stamp, contacts, forces, usable)
 
     def _write(
         self,
@@ -118,8 +130,8 @@ class ClosedLoop:
         optimal: OptimalForces,
         command: Command,
     ) -> None:
-        state = self._state
-        record.stamps[row] = self._stamp
+        state = self.state
+        record.stamps[row] = self.stamp
         record.theta[row], record.rates[row] = state.theta, state.rates
         record.torque[row], record.command[row] = state.torque, command.torque
         record.contact_positions[row] = touch.positions
@@ -141,7 +153,7 @@ class ClosedLoop:
         record.grip[row] = self.regulator.state
 
     def _write_desired(self, record: Record, row: int) -> None:
-        while self._targets and self._targets[0].stamp <= self._stamp:
+        while self._targets and self._targets[0].stamp <= self.stamp:
             target = self._targets.pop(0).target()
             self._desired = target.position, quaternion_from_rotation(target.orientation)
         if self._desired is not None:

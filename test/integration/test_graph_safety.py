@@ -236,6 +236,26 @@ def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph)
     assert_held(graph)
 
 
+def test_two_senders_that_disagree_are_answered_with_a_hold(graph: Graph) -> None:
+    """A second controller that was started by mistake, say; what it sends moves nothing."""
+    publisher = stranger(graph, JointState, names.JOINT_COMMAND)
+    at = graph.position()
+
+    def disagree() -> bool:
+        publisher.publish(effort(graph))
+        return says(graph, "plant", ERROR, "two senders of joint_command")
+
+    graph.wait(disagree, "the plant's word")
+    assert graph.says("plant", "mode", "holding")
+    graph.node.destroy_publisher(publisher)
+    graph.wait(lambda: graph.says("plant", "mode", "running"), "the end of the disagreement")
+    assert int(graph.health["/plant"].values["conflicting_commands"]) > 0
+    assert np.linalg.norm(graph.position() - at) < 0.02
+    assert_held(graph)
+    far = distance(graph)
+    graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
+
+
 def test_a_live_parameter_acts_and_others_are_refused_with_the_reason(graph: Graph) -> None:
     graph.grasp_forces.publish(Float64(data=20.0))
     wait_for_grasp_force(graph, 20.0)

@@ -18,6 +18,7 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.backlog import Backlog
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
 from tactile_hand_ros.ros.ticks.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.ticks.one_sender import OneSender
 from tactile_hand_ros.ros.ticks.streams import Decode, Stream
 
 DAY_NS = 86_400_000_000_000
@@ -71,6 +72,7 @@ class TickInputs:
         self._streams = streams
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
         self._trigger = topics[0]
+        self._senders = OneSender()
         self._backlog: Backlog[tuple[Any, ...]] = Backlog()
         self._matcher = StampMatcher(topics, on_restart=self._restart)
         self._watch = None if silence is None else InputWatch(silence)
@@ -102,6 +104,8 @@ class TickInputs:
 
     def _take(self, topic: str, decode: Decode, data: bytes) -> None:
         stamp, value = decode(data)
+        if topic == self._trigger and self._is_contested(stamp, data):
+            return
         matched = self._matcher.put(topic, stamp, value)
         if matched is REPEAT:
             if not self._backlog:  # else a newer answer is about to be given
@@ -110,6 +114,16 @@ class TickInputs:
             self._complete(stamp, matched)
         elif self._watch is not None and topic == self._trigger:
             self._wait(self._watch, stamp, value)
+
+    def _is_contested(self, stamp: int, data: bytes) -> bool:
+        """Return whether two senders publish the trigger; which one is right cannot be known.
+
+        Without a trigger the node is silent, and the next one, in the end the driver, holds.
+        """
+        contested = self._senders.disagree(stamp, data)
+        text = f"two senders of {self._trigger} publish the same ticks differently; stop one"
+        self._diagnostics.judge("senders", contested, text)
+        return contested
 
     def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:
         if self._watch is not None and self._watch.complete():

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In real time, at the defaults: a hand whose controller dies while it moves keeps the object."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+from support.graph import Graph
+
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.ros.diagnostics import ERROR
+from tactile_hand_ros.ros.domains import isolated_domain
+
+SCENARIO = load_scenario(
+    "paper",
+    {
+        "duration": 86400.0,
+        "plant.autostart": False,
+        "plant.rate": 200.0,
+        "plant.pacing": "realtime",
+    },
+)
+P_D = np.array(SCENARIO.targets[0].position)
+
+
+def holds(graph: Graph) -> bool:
+    """Return whether the plant says that it holds because commands are too old."""
+    health = graph.health["/plant"]
+    return (
+        graph.says("plant", "mode", "holding")
+        and health.level == ERROR
+        and "too old" in health.message
+    )
+
+
+def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> None:
+    with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
+        graph.begin(P_D)
+        start = graph.position()
+        graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")
+        graph.kill("manipulation_controller")
+        graph.wait(lambda: holds(graph), "the plant's word")
+        at, until = graph.position(), graph.time + 1.0
+        graph.wait(lambda: graph.time > until, "a second of the hold")
+        assert np.linalg.norm(graph.position() - at) < 0.003
+        assert np.isfinite(graph.contacts).all()
+        assert 8.0 < graph.forces[:, 1].sum() < 48.0
+        graph.start("manipulation_controller")
+        graph.wait(lambda: graph.says("plant", "mode", "running"), "commands")
+        graph.wait(lambda: graph.hears("manipulation_controller", "desired_pose"), "its readiness")
+        graph.desire(P_D)
+        graph.wait(lambda: np.linalg.norm(graph.position() - at) > 0.02, "the motion")
+        assert np.isfinite(graph.contacts).all()
+        assert set(graph.end(signal.SIGINT).values()) == {0}

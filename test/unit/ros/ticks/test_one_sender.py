@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two senders of the same ticks are told by what they send; one that repeats itself is not two."""
+
+from tactile_hand_ros.ros.ticks.one_sender import OneSender
+
+TICK = 2_000_000
+
+
+def test_one_sender_may_repeat_its_ticks():
+    made = OneSender()
+    for tick in (1, 2, 2, 3, 2):
+        assert not made.disagree(tick * TICK, b"%d" % tick)
+
+
+def test_two_senders_disagree_until_half_a_second_after_the_last_difference():
+    made = OneSender()
+    assert not made.disagree(TICK, b"one")
+    assert made.disagree(TICK, b"other")
+    assert made.disagree(250 * TICK, b"one")
+    assert not made.disagree(252 * TICK, b"one")
+
+
+def test_time_that_starts_over_is_no_second_sender():
+    made = OneSender()
+    for tick in range(1, 4):
+        made.disagree(tick * TICK, b"first")
+    for tick in range(4):
+        assert not made.disagree(tick * TICK, b"second")
