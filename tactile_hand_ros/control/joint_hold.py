@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.hand.kinematics import Fingertips
 
@@ -35,7 +34,7 @@ FELT_TIME = 0.005
 """Time over which the torque of the contacts is averaged [s]."""
 
 _FASTEST = 0.25  # largest w T: the hold stays damped with a tick of delay, see docs/safe_hold.md
-_LEAST_SQUEEZE = 0.02  # N at a tip; a finger that presses less does not squeeze
+_LEAST_SQUEEZE = 0.05  # N; fingers that press less in all do not squeeze
 
 
 class JointHoldConfig(Config):
@@ -94,8 +93,8 @@ class JointHold:
         """
         self._pressed = self._felt = pressed.copy()
         tips = self._hand.fingertips(theta)
-        self._load, internal = split_forces(tips, tip_forces(tips, pressed))
-        self._squeezing = np.linalg.norm(internal, axis=1)
+        self._load, internal = split_forces(tip_forces(tips, pressed))
+        self._squeezing = float(np.linalg.norm(internal, axis=1).sum())
         self._squeeze = joint_torque(tips, internal)
         self._most = self._largest_factor()
         self._factor = min(1.0 + self._config.reserve, self._most)
@@ -103,13 +102,15 @@ class JointHold:
 
     def _largest_factor(self) -> float:
         """Return s at the limit of the squeeze or of a joint, at least 1."""
-        total = float(self._squeezing.sum())
-        if total < _LEAST_SQUEEZE:
+        if self._squeezing < _LEAST_SQUEEZE:
             return 1.0
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._squeeze)
         joints = room[moved > 0.0] / moved[moved > 0.0]
-        factors = [self._config.squeeze_limit / total, 1.0 + float(np.min(joints, initial=np.inf))]
+        factors = [
+            self._config.squeeze_limit / self._squeezing,
+            1.0 + float(np.min(joints, initial=np.inf)),
+        ]
         return max(1.0, min(factors))
 
     def brake(self, theta: Array, rates: Array) -> None:
@@ -139,12 +140,11 @@ class JointHold:
         """Raise the squeeze by what the load has grown; it never falls while holding."""
         share = 1.0 - math.exp(-self._tick / FELT_TIME)
         self._felt = self._felt + share * (pressed - self._felt)
-        load, _ = split_forces(tips, tip_forces(tips, self._felt))
-        grown = np.linalg.norm(load - self._load, axis=1)
-        is_squeezing = self._squeezing > _LEAST_SQUEEZE
-        needed = grown[is_squeezing] / (self._config.friction * self._squeezing[is_squeezing])
-        factor = 1.0 + self._config.reserve + float(np.max(needed, initial=0.0))
-        self._factor = min(max(self._factor, factor), self._most)
+        if self._squeezing > _LEAST_SQUEEZE:
+            load, _ = split_forces(tip_forces(tips, self._felt))
+            grown = float(np.linalg.norm(load - self._load))
+            factor = 1.0 + grown / (self._config.friction * self._squeezing)
+            self._factor = min(max(self._factor, factor), self._most)
 
     def _reference(self) -> tuple[Array, Array, Array]:
         """Return posture, rates and accelerations on the way to rest, which begin without a jerk.
@@ -174,13 +174,11 @@ def joint_torque(tips: Fingertips, forces: Array) -> Array:
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
 
 
-def split_forces(tips: Fingertips, forces: Array) -> tuple[Array, Array]:
-    """Return the tip forces that carry and those that only squeeze, both of shape (k, 3), N.
+def split_forces(forces: Array) -> tuple[Array, Array]:
+    """Return the load that tip forces carry, shape (3,), N, and the forces without it, (k, 3).
 
-    With G the grasp map about the centroid of the tips: G^+ G f, and f without it.
+    The load is their sum, which all tips share alike. Torques on the object are not told from the
+    squeeze: for that one must know where the contacts are, and here only the tips are known.
     """
-    positions = tips.positions
-    g = grasp_map(positions, positions.mean(axis=0))
-    flat = forces.ravel()
-    carrying = np.linalg.pinv(g, rcond=1e-6) @ (g @ flat)
-    return carrying.reshape(-1, 3), (flat - carrying).reshape(-1, 3)
+    load = forces.sum(axis=0)
+    return load, forces - load / len(forces)

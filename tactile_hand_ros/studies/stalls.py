@@ -139,7 +139,7 @@ class Watch:
 
 
 def stall(case: Case, seconds: float, config: GuardConfig) -> Outcome:
-    """Return what a stall does; the distance is that during it, the rest includes half a second after.
+    """Return what a stall does: the distance moved in it, and the rest until half a second after.
 
     Args:
         case: When it begins.

@@ -38,8 +38,8 @@ def test_tip_forces_are_those_of_the_torque():
 
 def test_a_load_is_told_from_a_squeeze():
     load = np.tile([0.0, 0.0, -2.0], (3, 1))
-    carrying, squeezing = split_forces(TIPS, SQUEEZE + load)
-    assert_allclose(carrying, load, atol=1e-12)
+    carried, squeezing = split_forces(SQUEEZE + load)
+    assert_allclose(carried, [0.0, 0.0, -6.0], atol=1e-12)
     assert_allclose(squeezing, SQUEEZE, atol=1e-12)
 
 
@@ -82,11 +82,11 @@ def squeeze_under(made, load: float, ticks: int = 50) -> float:
 
 
 def test_the_squeeze_grows_with_the_load_and_never_falls():
-    least = np.linalg.norm(SQUEEZE, axis=1).min()
+    total = np.linalg.norm(SQUEEZE, axis=1).sum()
     made = hold(reserve=0.0, friction=0.5)
-    assert squeeze_under(made, -1.0) == pytest.approx(1.0 + 1.0 / (0.5 * least), rel=1e-3)
+    assert squeeze_under(made, -1.0) == pytest.approx(1.0 + 3.0 / (0.5 * total), rel=1e-3)
     torque = made.step(THETA, STILL, terms(THETA, STILL), PRESSED)
-    assert torque @ PRESSED / (PRESSED @ PRESSED) > 1.0 + 0.9 / (0.5 * least)
+    assert torque @ PRESSED / (PRESSED @ PRESSED) > 1.0 + 2.7 / (0.5 * total)
 
 
 def test_the_squeeze_ends_at_its_limit_and_at_the_joints():
