@@ -122,7 +122,7 @@ class TickInputs:
         """
         contested = self._senders.disagree(stamp, data)
         text = f"two senders of {self._trigger} publish the same ticks differently; stop one"
-        self._diagnostics.judge("senders", contested, text)
+        self._node.diagnostics.judge("senders", contested, text)
         return contested
 
     def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:

@@ -371,3 +371,21 @@ def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
     for callback in node.waiting:
         callback()
     assert node.kinds() == [("tick", 0)]
+
+
+def test_while_two_senders_of_the_trigger_disagree_no_tick_is_answered() -> None:
+    """Which joints are the right ones cannot be known; the driver holds, for it gets no answer."""
+    ear = Ear()
+    ear.joints(1)
+    ear.others(1)
+    assert ear.kinds() == [("tick", 1)]
+    other = JOINTS.encode(1 * MS, THETA, RATES, 0.0 * THETA)
+    ear.callbacks[names.JOINT_STATES](other)
+    assert "two senders of joint_states" in ear.diagnostics.status().message
+    ear.joints(2)
+    ear.others(2)
+    assert ear.kinds() == []
+    ear.joints(600)
+    ear.others(600)
+    assert ear.kinds() == [("tick", 600)]
+    assert ear.diagnostics.status().level != ERROR
