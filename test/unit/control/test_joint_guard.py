@@ -104,6 +104,19 @@ def test_at_rest_the_hold_answers_with_the_torque_that_was_there():
     np.testing.assert_allclose(step(made, last + 9, TORQUE, answers=last), TORQUE, atol=1e-12)
 
 
+def test_the_posture_of_the_first_held_tick_is_kept():
+    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    last = follow(made) - 1
+    step(made, last + 4, TORQUE, answers=last)
+    pushed = THETA + 0.01
+    for late in range(5, 9):
+        answer = step(made, last + late, TORQUE, answers=last, theta=pushed)
+    spring = 100.0**2 * HAND.dynamics(pushed, STILL)[1] @ np.full(9, -0.01)
+    change = HAND.gravity_torque(pushed) - HAND.gravity_torque(THETA)
+    limit = HAND.effort_limits
+    np.testing.assert_allclose(answer, np.clip(TORQUE + change + spring, -limit, limit), atol=1e-9)
+
+
 def test_before_the_first_command_gravity_is_carried():
     np.testing.assert_allclose(step(guard(), 0), HAND.gravity_torque(THETA), atol=1e-12)
 
