@@ -39,12 +39,12 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
+from tactile_hand_ros.nodes.publishers import report_publishers
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.publishers import report_publishers
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
 from tactile_hand_ros.ros.ticks.inputs import DAY_NS, TickInputs, far_ahead

@@ -25,9 +25,9 @@ from std_srvs.srv import SetBool, Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import PlantDriver
+from tactile_hand_ros.nodes.publishers import report_publishers
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.publishers import report_publishers
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
