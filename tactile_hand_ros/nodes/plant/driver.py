@@ -233,11 +233,10 @@ class PlantDriver:
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an error that was not foreseen, until the next good command."""
-        is_idle = not self._is_on or self._is_finished or self._run.holding
+        is_idle = not self._is_on or self._is_finished or self._run.refusing
         if is_idle or (self._is_lockstep and not self._run.commanded):
             return
-        self._run.hold()
-        self._let_time_pass(True)
+        self._hold(reason)
         self._announce(f"{reason}; the joints are held", ERROR)
 
     def report(self, put: Callable[[str, object], None]) -> None:
