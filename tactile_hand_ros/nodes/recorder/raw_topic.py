@@ -18,6 +18,9 @@ from tactile_hand_ros.ros.messages.types import message_class
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
 
+_DISCOVERY = 2.0
+"""A publisher discovered so soon after subscribing may be older than the subscription [s]."""
+
 
 def adapted_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """Return the strictest quality of service that every publisher satisfies.
@@ -79,7 +82,9 @@ class RawTopic:
         self._node = node
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
-        self._sequence = SequenceTracker(len(publishers))
+        self._known = {bytes(publisher.endpoint_gid) for publisher in publishers}
+        self._settled = time.monotonic() + _DISCOVERY
+        self._sequence = SequenceTracker(len(publishers), self._look)
 
     @property
     def latched(self) -> bool:
@@ -88,7 +93,11 @@ class RawTopic:
 
     @property
     def lost(self) -> int:
-        """Number of messages that were published after the first received one and never came."""
+        """Number of messages that never came.
+
+        Counted are those of publishers that are older than the subscription from the first received
+        one on, and all of publishers that appeared later.
+        """
         return self._sequence.lost
 
     def drain(self, sink: Sink) -> int:
@@ -105,7 +114,8 @@ class RawTopic:
         A latched topic is subscribed anew only before its first message: later its publishers'
         histories would arrive a second time.
         """
-        self.publishers = self._sequence.publishers = len(publishers)
+        self.publishers = len(publishers)
+        self._count_publishers(publishers)
         qos = adapted_qos(publishers, self._qos.depth)
         upgrade = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL != self._qos.durability
         downgrade = _weaker(qos, self._qos)
@@ -116,6 +126,23 @@ class RawTopic:
         self.drain(sink)
         self._subscription = new
         self._node.destroy_subscription(old)
+
+    def _look(self) -> None:
+        """Find publishers that appeared since the last adaptation."""
+        self._count_publishers(self._node.get_publishers_info_by_topic(self.name))
+
+    def _count_publishers(self, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Tell apart publishers that may be older than the subscription and those that are not.
+
+        Of a latched topic a late subscription gets the last messages only, by design.
+        """
+        present = {bytes(publisher.endpoint_gid) for publisher in publishers}
+        new = len(present - self._known)
+        self._known |= present
+        if self.latched or time.monotonic() < self._settled:
+            self._sequence.change(len(present), older=new)
+        else:
+            self._sequence.change(len(present), younger=new)
 
     def _subscribe(self) -> Subscription:
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 
 class SequenceTracker:
@@ -14,19 +15,36 @@ class SequenceTracker:
     publisher; any other number is a gap in the nearest publisher below it. For one publisher the
     count is exact; for several that lose at once it is an estimate.
 
-    The first message of a publisher that was there before the recorder starts its numbering: while
-    fewer publishers were heard than there are, a number out of order is the first of another one.
+    A publisher that may be older than the subscription can start with any number. One that appears
+    later starts with 1: what it publishes before it finds the subscription is lost.
 
     Attributes:
         lost: Number of messages that never came.
-        publishers: How many publishers the topic has.
     """
 
-    def __init__(self, publishers: int = 1) -> None:
-        """Start before the first message."""
+    def __init__(self, publishers: int = 1, look: Callable[[], None] = lambda: None) -> None:
+        """Start before the first message.
+
+        Args:
+            publishers: How many publishers are older than the subscription.
+            look: Called before a number out of order is judged; may call `change`.
+        """
         self.lost = 0
-        self.publishers = publishers
+        self._look = look
+        self._older = publishers  # of which nothing was received yet
+        self._younger = 0
         self._next: Counter[int] = Counter()
+
+    def change(self, present: int, older: int = 0, younger: int = 0) -> None:
+        """Account for publishers that came or went.
+
+        Args:
+            present: How many there are now.
+            older: How many were discovered that may be older than the subscription.
+            younger: How many were discovered that are not.
+        """
+        self._older = min(self._older + older, present)
+        self._younger = min(self._younger + younger, present)
 
     def see(self, number: int) -> None:
         """Account for one received message.
@@ -35,20 +53,28 @@ class SequenceTracker:
             number: Sequence number, from 1.
         """
         if not self._next[number]:
+            self._look()
             self._open(number)
-        self._next[number] -= 1
-        if not self._next[number]:
-            del self._next[number]
+        self._take(number)
         self._next[number + 1] += 1
 
     def _open(self, number: int) -> None:
         """Make `number` an expected one: of a new publisher, or behind a gap."""
-        below = [expected for expected, count in self._next.items() if count and expected < number]
         del self._next[number]
-        if number > 1 and below and self._next.total() >= self.publishers:
+        below = [expected for expected in self._next if expected < number]
+        if self._older:
+            self._older -= 1
+        elif self._younger:
+            self._younger -= 1
+            self.lost += number - 1
+        elif number > 1 and below:
             nearest = max(below)
             self.lost += number - nearest
-            self._next[nearest] -= 1
-            if not self._next[nearest]:
-                del self._next[nearest]
+            self._take(nearest)
         self._next[number] += 1
+
+    def _take(self, number: int) -> None:
+        """Remove one publisher of which `number` was expected."""
+        self._next[number] -= 1
+        if not self._next[number]:
+            del self._next[number]

@@ -50,3 +50,37 @@ def test_publisher_that_spoke_before_the_recorder_came_is_no_loss() -> None:
     assert lost([1, 2, 7, 3, 8, 9, 4], publishers=2) == 0
     assert lost([1, 2, 7, 3, 8, 10, 4], publishers=2) == 1
     assert lost([1, 2, 7, 8]) == 4
+
+
+def test_all_of_a_publisher_that_appears_later_count() -> None:
+    """A restarted publisher sends at once, but takes time to find the subscription."""
+    appeared: list[int] = []
+    tracker = SequenceTracker(1, lambda: tracker.change(1, younger=len(appeared)))
+    for number in (50, 51, 52):
+        tracker.see(number)
+    appeared.append(1)
+    tracker.see(187)
+    appeared.clear()
+    for number in (188, 190):
+        tracker.see(number)
+    assert tracker.lost == 187
+
+
+def test_a_publisher_that_may_be_older_starts_anywhere() -> None:
+    """Discovery takes time, also of publishers that were there first."""
+    tracker = SequenceTracker(0)
+    tracker.change(2, older=2)
+    for number in (70, 30, 71, 31):
+        tracker.see(number)
+    assert tracker.lost == 0
+    tracker.see(33)
+    assert tracker.lost == 1
+
+
+def test_a_publisher_that_left_unheard_is_not_waited_for() -> None:
+    """The number out of order is a gap of the one that stayed."""
+    tracker = SequenceTracker(publishers=2)
+    tracker.see(1)
+    tracker.change(0)
+    tracker.see(4)
+    assert tracker.lost == 2
