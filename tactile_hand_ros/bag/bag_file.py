@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ class BagFile:
 
     Attributes:
         path: The file.
-        span: Number and times of its messages.
+        span: Number and times of its messages; after a failure, of those that reached the disk.
     """
 
     def __init__(
@@ -63,6 +63,7 @@ class BagFile:
         self.span = Span()
         self._stream = ChunkStream(path)
         self._whole = 0
+        self._written = Span()
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._writer = Writer(
             self._stream,  # type: ignore[arg-type]
@@ -87,14 +88,15 @@ class BagFile:
         """Add a schema if it is new; return its number."""
         key = name, encoding, text
         if key not in self._schemas:
-            self._schemas[key] = int(self._do(self._writer.register_schema, *key))
+            self._schemas[key] = int(self._fill(self._writer.register_schema, *key))
         return self._schemas[key]
 
     def add_channel(
         self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
     ) -> int:
         """Add a channel and return its number; they count from 1."""
-        return int(self._do(self._writer.register_channel, topic, encoding, schema, dict(metadata)))
+        register = self._writer.register_channel
+        return int(self._fill(register, topic, encoding, schema, dict(metadata)))
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
@@ -110,21 +112,30 @@ class BagFile:
         self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int = 0
     ) -> None:
         """Append a message; times in ns."""
-        self._do(self._writer.add_message, channel, log_time, data, publish_time, sequence)
         self.span.add(log_time)
+        self._fill(self._writer.add_message, channel, log_time, data, publish_time, sequence)
 
     def flush(self) -> None:
         """Finish the chunk in progress."""
-        self._do(self._writer.flush)
+        self._fill(self._writer.flush)
 
     def finish(self) -> None:
         """Write the index and close the file."""
-        self._do(self._writer.finish)
+        self._fill(self._writer.finish)
         self._stream.close()
 
     def abandon(self) -> None:
         """Cut the file back to its last whole record and close it."""
         self._stream.abandon(self._whole)
+        self.span = self._written
+
+    def _fill(self, call: Callable[..., Any], *args: Any) -> Any:
+        """Call what adds to the chunk in progress, and note when it has been written."""
+        before = self._whole
+        result = self._do(call, *args)
+        if self._whole > before:
+            self._written = replace(self.span)
+        return result
 
     def _do(self, call: Callable[..., Any], *args: Any) -> Any:
         try:

@@ -48,6 +48,7 @@ class RecoveredBag:
         metadata: Files and topics of the whole bag.
         left: Bytes of messages that were cut off or damaged.
         kept: Where the broken files are now, if they were renamed.
+        oversized: What was left because it is too large, empty if nothing.
     """
 
     source: Path
@@ -55,6 +56,7 @@ class RecoveredBag:
     metadata: BagMetadata
     left: int
     kept: tuple[Path, ...] = ()
+    oversized: str = ""
 
     @property
     def messages(self) -> int:
@@ -66,6 +68,8 @@ class RecoveredBag:
         """The outcome in words."""
         topics = sum(1 for topic in self.metadata.topics if topic.message_count)
         lost = f"{self.left} bytes could not be used" if self.left else "nothing was left behind"
+        if self.oversized:
+            lost += f" ({self.oversized})"
         where = (
             f"the broken file is kept as {', '.join(map(str, self.kept))}"
             if self.kept
@@ -434,7 +438,8 @@ def _finish(
         {"recovered_bytes_left": str(left)},
     )
     replace_text(target / FILE_NAME, metadata.file_text())
-    return RecoveredBag(source, target, metadata, left, kept)
+    oversized = (copy.tally.oversized for copy in copies)
+    return RecoveredBag(source, target, metadata, left, kept, next(filter(None, oversized), ""))
 
 
 def _renamed(file: FileMetadata) -> FileMetadata:

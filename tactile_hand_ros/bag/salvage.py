@@ -3,7 +3,8 @@
 
 The file is walked from the front, record by record, without its index. Of a chunk that was cut off
 in the middle everything that decompresses is used. A chunk whose checksum is wrong is left out:
-which of its bytes are wrong cannot be known.
+which of its bytes are wrong cannot be known. No size that a file announces is trusted: records and
+chunks of more than `LARGEST` bytes are left out, so that memory stays bounded.
 
 Source: MCAP specification, section "Records".
 """
@@ -18,12 +19,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 
+from tactile_hand_ros.bag.decompression import LARGEST, unpack
 from tactile_hand_ros.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -32,7 +32,7 @@ _CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compres
 _FOOTER = struct.Struct("<BQQQI8s")  # start of the index, of its index, checksum; and the magic
 _UNCHECKED = 12  # bytes of the footer behind those that its checksum covers
 _COMPRESSIONS = ("", "zstd", "lz4")
-_PIECE = 512  # bytes that are decompressed at a time where the rest may be broken
+_PIECE = 2**20  # bytes that are read at a time where they are not kept
 
 
 @dataclass
@@ -45,6 +45,8 @@ class Tally:
         complete: Whether the file has its end, so that it was not cut off.
         compression: That of the first chunk, empty for none.
         by_topic: Number of messages of each topic.
+        oversized: Where the first record or chunk is that is too large, and how large; empty if
+            there is none.
     """
 
     messages: int = 0
@@ -52,6 +54,7 @@ class Tally:
     complete: bool = False
     compression: str = ""
     by_topic: dict[str, int] = field(default_factory=dict)
+    oversized: str = ""
 
     @property
     def intact(self) -> bool:
@@ -60,11 +63,15 @@ class Tally:
 
 
 class _Frame(NamedTuple):
-    """A record before it is parsed; `length` is the announced one, `body` may be shorter."""
+    """A record before it is parsed; `length` is the announced one, `body` may be shorter.
+
+    `start` is where it begins in the file or in the data of a chunk.
+    """
 
     opcode: int
     length: int
     body: bytes
+    start: int
 
 
 _PARSERS: dict[int, Callable[[ReadDataStream, int], McapRecord]] = {
@@ -125,7 +132,9 @@ class _Salvage:
             if frame.opcode == Opcode.CHUNK:
                 yield from self._chunk(frame)
             elif len(frame.body) < frame.length:
-                self._tally.left += size - at
+                self._tally.left += file.tell() - at
+                if frame.length > LARGEST:
+                    self._refuse("record", at, frame.length)
             else:
                 yield from self._record(frame)
 
@@ -142,9 +151,11 @@ class _Salvage:
         if self._compression is None and compression in _COMPRESSIONS:
             self._compression = self._tally.compression = compression
         cut = len(frame.body) < frame.length
-        data = _unpack(packed, compression, size)
-        # A damaged head must not announce more than there can be.
-        expected = size if size < 2**40 else len(packed)
+        expected = size
+        if size > LARGEST:
+            self._refuse("chunk", frame.start, size)
+            expected = len(packed)
+        data = unpack(packed, compression, min(size, LARGEST)) if size <= LARGEST or cut else b""
         if not cut and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
             self._tally.left += expected
             return
@@ -153,6 +164,12 @@ class _Salvage:
             used = end
             yield from self._record(inner)
         self._tally.left += max(0, expected - used)
+
+    def _refuse(self, what: str, at: int, size: int) -> None:
+        """Note something that is too large to be read."""
+        self._tally.oversized = self._tally.oversized or (
+            f"the {what} at byte {at} announces {size} bytes, at most {LARGEST} are read"
+        )
 
     def _record(self, frame: _Frame) -> Iterator[McapRecord]:
         parser = _PARSERS.get(frame.opcode)
@@ -193,19 +210,33 @@ def _has_index(file: BinaryIO, size: int) -> bool:
     opcode, _, start, _, checksum, magic = _FOOTER.unpack(file.read())
     if opcode != Opcode.FOOTER or magic != MAGIC or start > size:
         return False
+    return not (start and checksum) or _checksum(file, start, size - _UNCHECKED) == checksum
+
+
+def _checksum(file: BinaryIO, start: int, end: int) -> int:
+    """Return the CRC of a part of a file."""
     file.seek(start)
-    return not (start and checksum) or zlib.crc32(file.read()[:-_UNCHECKED]) == checksum
+    checksum = 0
+    while piece := file.read(max(0, min(end - file.tell(), _PIECE))):
+        checksum = zlib.crc32(piece, checksum)
+    return checksum
 
 
 def _next(file: BinaryIO, size: int) -> _Frame | None:
-    """Read the next record as far as it goes; None where there is none."""
+    """Read the next record as far as it goes, or pass over what is too large; None at the end."""
+    start = file.tell()
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size:
         return None
     opcode, length = _HEAD.unpack(head)
     if opcode == 0:  # no record: a disk that lost power leaves zeros
         return None
-    return _Frame(opcode, length, file.read(min(length, size - file.tell())))
+    if length > LARGEST and opcode != Opcode.CHUNK:
+        file.seek(min(size, file.tell() + length))
+        return _Frame(opcode, length, b"", start)
+    body = file.read(min(length, size - file.tell(), LARGEST))
+    file.seek(min(size, start + _HEAD.size + length))
+    return _Frame(opcode, length, body, start)
 
 
 def _frames(data: bytes) -> Iterator[tuple[_Frame, int]]:
@@ -214,36 +245,6 @@ def _frames(data: bytes) -> Iterator[tuple[_Frame, int]]:
     while at + _HEAD.size <= len(data):
         opcode, length = _HEAD.unpack_from(data, at)
         start, at = at + _HEAD.size, at + _HEAD.size + length
-        if at > len(data):
+        if at > len(data) or opcode == 0:
             return
-        yield _Frame(opcode, length, data[start:at]), at
-
-
-def _unpack(packed: bytes, compression: str, size: int) -> bytes:
-    """Decompress as far as possible; nothing if nobody knows how."""
-    if compression == "":
-        return packed
-    if compression not in _COMPRESSIONS:
-        return b""
-    try:
-        if compression == "zstd":
-            return zstandard.decompress(packed, size)
-        return bytes(lz4.frame.decompress(packed))
-    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError):
-        return _unpack_front(packed, compression)
-
-
-def _unpack_front(packed: bytes, compression: str) -> bytes:
-    """Decompress piece by piece, until the data ends or makes no sense."""
-    decoder = (
-        zstandard.ZstdDecompressor().decompressobj()
-        if compression == "zstd"
-        else lz4.frame.LZ4FrameDecompressor()
-    )
-    out = bytearray()
-    try:
-        for at in range(0, len(packed), _PIECE):
-            out += decoder.decompress(packed[at : at + _PIECE])
-    except (zstandard.ZstdError, RuntimeError, EOFError):
-        pass  # what came before is good
-    return bytes(out)
+        yield _Frame(opcode, length, data[start:at], start - _HEAD.size), at

@@ -308,11 +308,12 @@ class BagWriter:
 
     def _failure(self, error: OSError) -> BagError:
         """Close the bag at its last whole record."""
-        count = self.message_count
         if self._file is not None:
             self._file.abandon()
             self._files.append(self._file.metadata)
-            self._finished_count, self._file = count, None
+            self._finished_count += self._file.span.count
+            self._file = None
+        count = self._finished_count
         self._closed = True
         return BagError(
             f"The bag {self.folder} could not be written: {error.strerror or error}; recording "

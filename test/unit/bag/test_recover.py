@@ -8,11 +8,15 @@ import os
 import resource
 import shutil
 import signal
+import struct
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
+import lz4.frame
 import pytest
 import yaml
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -552,3 +556,53 @@ def test_file_that_grows_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Mon
         repair(tmp_path / "run")
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
     assert file.stat().st_size == 9004
+
+
+def packed_zeros(compression: str, size: int) -> bytes:
+    """Return zeros, compressed without the size in the frame."""
+    if compression == "lz4":
+        return bytes(lz4.frame.compress(bytes(size), store_size=False))
+    parameters = zstandard.ZstdCompressionParameters(write_content_size=0)
+    return zstandard.ZstdCompressor(compression_params=parameters).compress(bytes(size))
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("announced", [2**20, 2**28 + 1, 2**39, 2**63])
+def test_a_chunk_that_decompresses_to_too_much_is_left(
+    tmp_path: Path, compression: str, announced: int
+) -> None:
+    """A file of kilobytes must not fill the memory; the messages around the chunk come back."""
+    sent = write_bag(tmp_path / "run")
+    file = tmp_path / "run" / "run_0.mcap"
+    packed = packed_zeros(compression, 2**26)
+    body = struct.pack("<QQQII", 0, 1, announced, 0, len(compression)) + compression.encode()
+    body += struct.pack("<Q", len(packed)) + packed
+    records = list(cut_into_records(file.read_bytes()))
+    records.insert(4, struct.pack("<BQ", 0x06, len(body)) + body)
+    file.write_bytes(MAGIC + b"".join(records) + MAGIC)
+    tracemalloc.start()
+    recovery = recover(tmp_path / "run")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert [m.data for m in read_raw(recovery.target)] == sent
+    assert peak < 50e6
+    assert recovery.left == (announced if announced <= 2**28 else len(packed))
+    told = f"announces {announced} bytes, at most {2**28} are read"
+    assert (told in recovery.sentence) == (announced > 2**28)
+
+
+def test_a_record_that_is_too_large_is_passed_over(tmp_path: Path) -> None:
+    """Its length is what a damaged byte makes of it; it is not read to find that out."""
+    write_bag(tmp_path / "run")
+    file = tmp_path / "run" / "run_0.mcap"
+    with file.open("ab") as stream:
+        stream.truncate(9000)
+        stream.write(struct.pack("<BQ", 0x0C, 2**40))
+        stream.truncate(2**33)  # a hole: it takes no place on the disk
+    tracemalloc.start()
+    tally = Tally()
+    count = sum(1 for _ in salvage(file, tally))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert count > 0 and not tally.complete
+    assert peak < 50e6
