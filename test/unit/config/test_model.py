@@ -92,13 +92,13 @@ def test_values_are_read_into_their_types(tmp_path):
         ("body: 3", "body", ["body is 3", "a mapping of mass, size"]),
         ("- 1", "", ["the content is [1]", "a mapping of body, law"]),
         ("noisy: true\nfingers: 5", "", ["noise is supported for up to 4 fingers"]),
-        ("law: [", "line 1", ["not valid YAML"]),
+        ("law: [", "line 2", ["not valid YAML"]),
         ("law: proposed\nlaw: kawamura", "line 2", ["the key 'law' appears twice"]),
         ("law: {[1, 2]: 3}", "line 1, column 7", ["a sequence is no key, expected a text"]),
         ("fingers: 3\n? {a: 1}\n: 2", "line 2, column 3", ["a mapping is no key"]),
         ("law: 2024-13-01", "line 1, column 6", ["'2024-13-01' is no timestamp", "month"]),
         ("fingers: !!int three", "line 1, column 10", ["'three' is no int"]),
-        ("gains: " + 2000 * "[", "", ["nested too deeply"]),
+        ("gains: " + 50_000 * "[", "line 1, column 57", ["nested more than 50 deep"]),
     ],
 )
 def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, words):
