@@ -4,21 +4,36 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from tactile_hand_ros.config.model import Config, load_yaml, param
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import HandModelError
 
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,59}")
+_MOST_FINGERS = 32
+
 
 class FingerConfig(Config):
     """One finger: the link whose origin is the centre of its hemispherical tip."""
 
-    name: str = param(..., "name of the finger in topics and frames", min_length=1)
+    name: str = param(..., "name of the finger in topics and frames")
     tip: str = param(..., "link at the centre of the fingertip", min_length=1)
     radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
+
+    @field_validator("name")
+    @classmethod
+    def _fits_into_a_topic(cls, name: str) -> str:
+        """Refuse what ROS does not take as part of a topic's name."""
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                f"{name[:60]!r} is not a finger's name, expected at most 60 letters, digits and "
+                "underscores that do not begin with a digit"
+            )
+        return name
 
 
 class MountConfig(Config):
@@ -33,7 +48,9 @@ class HandConfig(Config):
 
     urdf: str = param(..., "URDF file, relative to this file", min_length=1)
     palm: str = param("palm", "link whose frame all positions refer to")
-    fingers: list[FingerConfig] = param(..., "fingers in the order of all arrays", min_length=3)
+    fingers: list[FingerConfig] = param(
+        ..., "fingers in the order of all arrays", min_length=3, max_length=_MOST_FINGERS
+    )
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(
         default_factory=dict, description="placements of fixed joints, by layout and joint"

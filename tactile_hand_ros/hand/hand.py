@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tactile_hand_ros.config.hand_config import HandConfig, MountConfig, load_hand_config
+from tactile_hand_ros.config.hand_config import HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.kinematics import Fingertips, mirrored, tip_jacobians
+from tactile_hand_ros.hand.urdf import describe
 
 Array = NDArray[np.float64]
 
@@ -63,7 +62,7 @@ class Hand:
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
-        self.description = _describe(config, config.layout(layout))
+        self.description = describe(config.folder / config.urdf, config.layout(layout))
         self._model = _model(self.description, config)
         self._data = self._model.createData()
         self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
@@ -214,32 +213,6 @@ def _reaches(model: pin.Model, tips: list[int]) -> tuple[Array, Array]:
     return bases, spans
 
 
-def _describe(config: HandConfig, layout: Mapping[str, MountConfig]) -> str:
-    """Return the URDF text with the fixed joints of the layout moved."""
-    path = config.folder / config.urdf
-    try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise HandModelError(
-            f"cannot read the hand's URDF '{path}' ({error.strerror}); correct 'urdf' in its YAML"
-        ) from error
-    except ElementTree.ParseError as error:
-        raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
-    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
-    for name, mount in layout.items():
-        if name not in joints:
-            raise HandModelError(
-                f"the layout moves joint '{name}', which is not a fixed joint of '{path.name}'; "
-                f"fixed joints: {', '.join(str(j) for j in joints)}"
-            )
-        origin = joints[name].find("origin")
-        if origin is None:
-            origin = ElementTree.SubElement(joints[name], "origin")
-        origin.set("xyz", " ".join(map(repr, mount.xyz)))
-        origin.set("rpy", " ".join(map(repr, mount.rpy)))
-    return ElementTree.tostring(root, encoding="unicode")
-
-
 def _model(description: str, config: HandConfig) -> pin.Model:
     try:
         model = pin.buildModelFromXML(description)
@@ -250,16 +223,39 @@ def _model(description: str, config: HandConfig) -> pin.Model:
             f"'{config.urdf}' has joints with more than one degree of freedom or without limits "
             "(continuous); use revolute or prismatic joints"
         )
-    if not model.existFrame(config.palm) or not _is_root(model, config.palm):
+    if not model.existFrame(config.palm, pin.BODY) or not _is_root(model, config.palm):
         raise HandModelError(
             f"palm link '{config.palm}' is not the root link of '{config.urdf}'; "
             "name the root link as 'palm' in the hand's YAML"
         )
+    _check_inertia(model, config.urdf)
     return model
 
 
+def _check_inertia(model: pin.Model, urdf: str) -> None:
+    """Refuse joints that move nothing heavy: M_h of equation (3) must have an inverse.
+
+    Raises:
+        HandModelError: If M_h is not positive definite.
+    """
+    posture = 0.3 + 0.1 * np.arange(model.nv)  # any, but not stretched
+    inertia = mirrored(pin.crba(model, model.createData(), posture))
+    light = [name for name, own in zip(model.names[1:], inertia.diagonal()) if not own > 0.0]
+    if light:
+        raise HandModelError(
+            f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
+            "with mass and inertia"
+        )
+    least, *_, most = np.linalg.eigvalsh(inertia)
+    if not least > 1e-12 * most:
+        raise HandModelError(
+            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {least:.3g}, "
+            "expected all above 0; check mass, centre and inertia of every <inertial>"
+        )
+
+
 def _is_root(model: pin.Model, link: str) -> bool:
-    frame = model.frames[model.getFrameId(link)]
+    frame = model.frames[model.getFrameId(link, pin.BODY)]
     return bool(frame.parentJoint == 0 and frame.placement.isIdentity(1e-12))
 
 

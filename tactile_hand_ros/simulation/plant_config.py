@@ -14,6 +14,7 @@ from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
 Vector = tuple[float, float, float]
+_MOST_VERTICES = 500  # each contact is looked for on all faces, at each step
 
 
 class ObjectConfig(Config):
@@ -22,7 +23,9 @@ class ObjectConfig(Config):
     size: Vector = param(
         (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
     )
-    vertices: list[float] = param([], "corners x, y, z of a convex polyhedron", unit="m")
+    vertices: list[float] = param(
+        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MOST_VERTICES
+    )
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
     inertia: Vector = param(
         (0.0014, 0.0014, 0.0014), "principal inertia, object axes", unit="kg m^2"

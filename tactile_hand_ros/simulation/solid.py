@@ -177,9 +177,11 @@ def _hull(points: Array) -> tuple[Array, Array]:
 
 def _merge_coplanar(equations: Array) -> Array:
     """Return each plane once; Qhull lists it for every triangle of a face."""
-    kept: list[Array] = []
+    kept = np.empty_like(equations)
+    count = 0
     for plane in equations:
         # Tighter than the tolerance that finds a face's corners, or faces would lose some.
-        if not any(np.abs(plane - other).max() < 1e-9 for other in kept):
-            kept.append(plane)
-    return np.array(kept)
+        if not (np.abs(plane - kept[:count]).max(axis=1, initial=0.0) < 1e-9).any():
+            kept[count] = plane
+            count += 1
+    return kept[:count].copy()

@@ -172,11 +172,45 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.urdf", '<link name="f1_base"/>', "", r"hand.urdf.*not a usable URDF"),
         ("hand.urdf", 'type="revolute"', 'type="continuous"', r"revolute or prismatic"),
         ("hand.urdf", 'type="revolute"', 'type="floating"', r"revolute or prismatic"),
+        ("hand.yaml", "urdf: hand.urdf", "urdf: /dev/zero", r"/dev/zero.*a device.*correct 'urdf'"),
+        ("hand.yaml", "urdf: hand.urdf", 'urdf: "a\\0b"', r"cannot use.*correct 'urdf'"),
+        ("hand.urdf", "<robot", "<!DOCTYPE a><robot", r"declares a DOCTYPE"),
+        ("hand.urdf", "</robot>", "<a>" * 9999 + "</a>" * 9999 + "</robot>", r"nested too deeply"),
+        ("hand.urdf", "</robot>", '<link name="x"/>' * 500 + "</robot>", r"links; at most 500"),
+        ("hand.urdf", "<mass value=", '<mass value="nan" x=', r"'f1_.*mass value has 'nan'"),
+        ("hand.urdf", "<mass value=", '<mass value="-1" x=', r"'f1_.*mass is -1, expected .*>= 0"),
+        ("hand.urdf", " ixx=", ' ixx="-1" x=', r"'f1_.*principal moments -1"),
+        ("hand.urdf", "<axis xyz=", '<axis xyz="inf 0 0" x=', r"'f1_joint_1'.*axis xyz has 'inf'"),
+        ("hand.urdf", "inertial>", "nothing>", r"'f1_joint_1' of .* moves no mass.*<inertial>"),
     ],
 )
 def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
     with pytest.raises(HandModelError, match=message):
         Hand.load(edited(tmp_path, old, new, file))
+
+
+def test_half_a_surrogate_pair_is_not_text(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_bytes(urdf.read_bytes().replace(b"</robot>", b"\xed\xa0\x80</robot>"))
+    with pytest.raises(HandModelError, match="not UTF-8 text, see byte"):
+        Hand.load(str(path))
+
+
+def test_joints_may_be_named_like_the_palm_or_a_tip(tmp_path):
+    """Joints and links have names of their own; Pinocchio keeps them in one list."""
+    plain = Hand.load(edited(tmp_path, "f1_joint_1", "f1_joint_1")).fingertips(np.ones(9))
+    for name in ("palm", "f1_tip"):
+        hand = Hand.load(edited(tmp_path, "f1_joint_1", name))
+        assert hand.joint_names[0] == name
+        np.testing.assert_array_equal(hand.fingertips(np.ones(9)).linear, plain.linear)
+
+
+@pytest.mark.parametrize("name", ["a/b", "1st", "", "a b", "ä", "x" * 61, '"a\\nb"'])
+def test_a_finger_has_a_name_that_fits_into_a_topic(tmp_path, name):
+    path = edited(tmp_path, "name: f2", f"name: {name or chr(34) * 2}", "hand.yaml")
+    with pytest.raises(ConfigurationError, match="fingers.1..name .*digits and underscores"):
+        Hand.load(path)
 
 
 def test_a_layout_may_move_only_fixed_joints(tmp_path):

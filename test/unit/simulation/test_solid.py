@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The object's shape: faces, edges, corners, and what spans no solid."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -115,6 +117,15 @@ def test_what_spans_no_solid_is_refused(points):
         ConvexPolyhedron(points)
 
 
+def test_many_corners_take_no_minutes():
+    """3000 took more than one."""
+    points = np.random.default_rng(1).normal(size=(3000, 3))
+    start = time.process_time()
+    solid = ConvexPolyhedron(points / np.linalg.norm(points, axis=1)[:, None])
+    assert time.process_time() - start < 10.0
+    assert len(solid.normals) == 5996
+
+
 def test_the_object_is_a_box_unless_corners_are_given():
     assert len(ObjectConfig(size=(0.1, 0.2, 0.3)).solid().vertices) == 8
     tetrahedron = [0.0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0]
@@ -127,6 +138,7 @@ def test_the_object_is_a_box_unless_corners_are_given():
         ({"size": (0.1, 0.0, 0.1)}, "all three edges must be positive"),
         ({"inertia": (1.0, -1.0, 1.0)}, "all three values must be positive"),
         ({"vertices": [1.0, 2.0]}, "expected x, y, z of every corner"),
+        ({"vertices": [0.1] * 1503}, "with at most 1500 items"),
         ({"mass": 0.0}, "mass is 0.0"),
         ({"friction": -1.0}, "friction is -1.0"),
     ],

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The URDF of a hand as XML: read within bounds, and checked where Pinocchio would not complain."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from tactile_hand_ros.config.hand_config import MountConfig
+from tactile_hand_ros.config.untrusted import read_text
+from tactile_hand_ros.errors import ConfigurationError, HandModelError
+
+_MOST_LINKS = 500
+_LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_OF_LINKS = {"inertial/origin": ("xyz", "rpy"), "inertial/mass": ("value",)}
+_OF_JOINTS = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity"),
+}
+
+
+def describe(path: Path, layout: Mapping[str, MountConfig]) -> str:
+    """Return the text of a URDF with the fixed joints of a layout moved.
+
+    Raises:
+        HandModelError: If the file is not a URDF of which a hand can be built, or lacks a joint.
+    """
+    root = _parsed(path)
+    _check(root, path.name)
+    _move(root, layout, path.name)
+    try:
+        return ElementTree.tostring(root, encoding="unicode")
+    except RecursionError:
+        raise HandModelError(f"'{path}' is nested too deeply; expected a URDF") from None
+
+
+def _parsed(path: Path) -> Element:
+    try:
+        text = read_text(path)
+        if "<!DOCTYPE" in text:  # a few entities can stand for gigabytes
+            raise HandModelError(f"'{path}' declares a DOCTYPE; expected a URDF, which has none")
+        return ElementTree.fromstring(text)
+    except ConfigurationError as error:
+        raise HandModelError(
+            f"cannot use the hand's URDF {str(error).rstrip('.')}; correct 'urdf' in its YAML"
+        ) from None
+    except ElementTree.ParseError as error:
+        raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
+
+
+def _check(root: Element, name: str) -> None:
+    links = root.findall("link")
+    if len(links) > _MOST_LINKS:
+        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MOST_LINKS} are read")
+    for joint in root.findall("joint"):
+        for _ in _numbers(joint, _OF_JOINTS, name):
+            pass
+    for link in links:
+        for tag, attribute, value in _numbers(link, _OF_LINKS, name):
+            if attribute == "value" and value < 0.0:
+                raise _wrong(link, name, f"{tag} is {value:g}", "a mass >= 0 kg")
+        if (inertia := link.find("inertial/inertia")) is not None:
+            _check_inertia(link, inertia, name)
+
+
+def _check_inertia(link: Element, inertia: Element, name: str) -> None:
+    """Refuse what no distribution of mass has; the triangle inequality is left to others."""
+    found = _numbers(link, {"inertial/inertia": _INERTIA}, name)
+    given = {attribute: value for _, attribute, value in found}
+    xx, yy, zz, xy, xz, yz = (given.get(key, 0.0) for key in _INERTIA)
+    moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    if moments[0] < -1e-9 * np.abs(moments).max():
+        text = ", ".join(f"{moment:.3g}" for moment in moments)
+        wrong = f"inertial/inertia has the principal moments {text}"
+        raise _wrong(link, name, wrong, "none below 0 kg m^2")
+
+
+def _numbers(
+    parent: Element, places: Mapping[str, tuple[str, ...]], name: str
+) -> Iterator[tuple[str, str, float]]:
+    """Yield tag, attribute and value of all numbers at some places of a link or joint.
+
+    Raises:
+        HandModelError: If one is not a number, not finite or far too large.
+    """
+    for tag, attributes in places.items():
+        for element in parent.findall(tag):
+            for attribute in attributes:
+                for word in element.get(attribute, "").split():
+                    yield tag, attribute, _number(word, f"{tag} {attribute}", parent, name)
+
+
+def _number(word: str, place: str, parent: Element, name: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = np.nan
+    if not abs(value) <= _LARGEST_NUMBER:
+        raise _wrong(
+            parent, name, f"{place} has '{word[:40]}'", f"a number of at most {_LARGEST_NUMBER:g}"
+        )
+    return value
+
+
+def _wrong(parent: Element, name: str, found: str, expected: str) -> HandModelError:
+    label = f"{parent.tag} '{parent.get('name')}'"
+    return HandModelError(f"'{name}', {label}: {found}, expected {expected}; correct the URDF")
+
+
+def _move(root: Element, layout: Mapping[str, MountConfig], name: str) -> None:
+    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
+    for moved, mount in layout.items():
+        if moved not in joints:
+            raise HandModelError(
+                f"the layout moves joint '{moved}', which is not a fixed joint of '{name}'; "
+                f"fixed joints: {', '.join(str(j) for j in joints)}"
+            )
+        origin = joints[moved].find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(joints[moved], "origin")
+        origin.set("xyz", " ".join(map(repr, mount.xyz)))
+        origin.set("rpy", " ".join(map(repr, mount.rpy)))
