@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from tactile_hand_ros.bag.yaml_text import dump
+from tactile_hand_ros.bag.yaml_text import dump, load
 
 INFINITE = 2**63 - 1  # ns, what the middleware reports for "no limit"
 
@@ -74,7 +74,7 @@ def parse_qos(text: str) -> tuple[OfferedQos, ...]:
     Bags of older versions name the policies by the numbers of rmw.
     """
     try:
-        profiles = yaml.safe_load(text) if text.strip() else []
+        profiles = load(text) if text.strip() else []
         return tuple(_offer(profile) for profile in profiles)
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return ()

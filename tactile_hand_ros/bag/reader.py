@@ -4,20 +4,38 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.reader import make_reader
+from mcap.records import Metadata
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, storage_mcap
 from rosbags.typesys import Stores, get_typestore
 
+from tactile_hand_ros.bag.decompression import LARGEST, unpack
 from tactile_hand_ros.bag.metadata import FILE_NAME
+from tactile_hand_ros.bag.metadata_file import check_metadata, check_regular
 from tactile_hand_ros.bag.provenance import RECORD_NAME
+from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.errors import BagError
+
+
+def _bounded(compression: str) -> Callable[[bytes, int], bytes]:
+    """Return a decompressor of chunks for rosbags, which by itself knows no limit."""
+
+    def decompress(packed: bytes, size: int) -> bytes:
+        if size > LARGEST:
+            raise ValueError(f"a chunk announces {size} bytes, at most {LARGEST} are read")
+        return unpack(packed, compression, size)
+
+    return decompress
+
+
+storage_mcap.DECOMPRESSORS.update({name: _bounded(name) for name in ("lz4", "zstd")})
 
 
 class RecordedMessage(NamedTuple):
@@ -61,6 +79,7 @@ def open_bag(path: Path | str) -> Iterator[AnyReader]:
     """
     path = Path(path)
     _check_present(path)
+    _check_content(path)
     reader = _open(path)
     try:
         yield reader
@@ -198,6 +217,16 @@ def _check_present(path: Path) -> None:
     )
 
 
+def _check_content(path: Path) -> None:
+    if not path.is_dir():
+        check_regular(path)
+        return
+    try:
+        check_metadata(path)
+    except BagError as error:
+        raise _broken(path, error) from None
+
+
 def _broken(path: object, error: Exception) -> BagError:
     reason = str(error).rstrip(".") or type(error).__name__
     return BagError(
@@ -216,6 +245,12 @@ def _provenance_inside(path: Path) -> dict[str, str]:
     """Return what a single file says of its origin; it has no metadata.yaml beside it."""
     if path.is_dir() or path.suffix != ".mcap":
         return {}
-    with path.open("rb") as file:
-        records = make_reader(file).iter_metadata()
-        return next((dict(each.metadata) for each in records if each.name == RECORD_NAME), {})
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            # Without a summary mcap would decompress chunks of any size.
+            found = reader.iter_metadata() if reader.get_summary() else salvage(path, Tally())
+            records = (each for each in found if isinstance(each, Metadata))
+            return next((dict(each.metadata) for each in records if each.name == RECORD_NAME), {})
+    except Exception as error:  # damaged data can fail anywhere in the parsers
+        raise _broken(path, error) from error

@@ -26,9 +26,11 @@ from tactile_hand_ros.bag.metadata import (
     TopicMetadata,
     merge_topics,
 )
+from tactile_hand_ros.bag.metadata_file import check_regular, read_metadata
 from tactile_hand_ros.bag.qos import parse_qos
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.stream import is_being_written
+from tactile_hand_ros.bag.yaml_text import load
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.files import replace_text
 
@@ -156,9 +158,8 @@ def _walk(file: Path) -> Tally:
 def _old_metadata(bag: Path) -> dict[str, Any]:
     """Return what ``metadata.yaml`` says, nothing if it is missing or makes no sense."""
     try:
-        tree = yaml.safe_load((bag / FILE_NAME).read_text(encoding="utf-8"))
-        return dict(tree["rosbag2_bagfile_information"])
-    except (FileNotFoundError, NotADirectoryError, yaml.YAMLError, KeyError, TypeError, ValueError):
+        return read_metadata(bag)
+    except BagError:
         return {}
 
 
@@ -249,6 +250,7 @@ def _files_of(bag: Path) -> list[Path]:
         raise BagError(f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered.")
     _refuse_compressed(bag, _old_metadata(bag))
     for file in files:
+        check_regular(file)
         if is_being_written(file):
             raise BagError(
                 f"The bag {bag} is being recorded at this moment; stop the recorder, which "
@@ -398,7 +400,7 @@ class _Copier:
 def _tree(record: Mapping[str, str]) -> dict[str, Any]:
     """Return the writer's own metadata, nothing if it makes no sense."""
     try:
-        return dict(yaml.safe_load(record[RECORD_KEY]))
+        return dict(load(record[RECORD_KEY]))
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return {}
 

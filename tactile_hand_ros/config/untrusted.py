@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import stat
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -52,7 +53,7 @@ def _unreadable(path: str | Path, reason: str) -> ConfigurationError:
     return ConfigurationError(f"{name}: cannot be read: {reason}.", source=name)
 
 
-def check_yaml(text: str) -> None:
+def check_yaml(text: str, most: int = MOST_VALUES) -> None:
     """Refuse YAML text that is small but expands to much, before anything is built from it.
 
     Raises:
@@ -78,10 +79,11 @@ def check_yaml(text: str) -> None:
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor in anchors:
                 raise _refusal(event, f"'*{event.anchor}' refers to what it is part of")
-            sizes[-1] += known.get(event.anchor, 1)
-        if sizes[-1] > MOST_VALUES:
-            raise _refusal(event, f"it holds more than {MOST_VALUES} values")
+            sizes[-1] += known.get(str(event.anchor), 1)
+        if sizes[-1] > most:
+            raise _refusal(event, f"it holds more than {most} values")
 
 
 def _refusal(event: yaml.Event, problem: str) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+    mark: Any = event.start_mark
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)

@@ -606,3 +606,37 @@ def test_a_record_that_is_too_large_is_passed_over(tmp_path: Path) -> None:
     tracemalloc.stop()
     assert count > 0 and not tally.complete
     assert peak < 50e6
+
+
+def test_in_place_follows_no_link_that_somebody_planted(tmp_path: Path) -> None:
+    """Neither under the name of a draft nor under that of a file to keep."""
+    write_bag(tmp_path / "run")
+    cut(tmp_path / "run", 9000)
+    secret = tmp_path / "secret"
+    secret.write_text("mine")
+    for name in (".metadata.yaml", "metadata.yaml.broken", ".run_0.mcap", "run_0.mcap.broken"):
+        (tmp_path / "run" / name).symlink_to(secret)
+    assert recover(tmp_path / "run", in_place=True).messages > 0
+    assert secret.read_text() == "mine"
+    assert is_whole(tmp_path / "run")
+
+
+def test_a_pipe_among_the_files_is_refused(tmp_path: Path) -> None:
+    """It would be read for ever."""
+    write_bag(tmp_path / "run")
+    os.mkfifo(tmp_path / "run" / "run_1.mcap")
+    for call in (recover, is_whole, repair):
+        with pytest.raises(BagError, match="run_1.mcap is a folder, device, pipe"):
+            call(tmp_path / "run")
+
+
+def test_metadata_that_expands_to_much_keeps_no_message_back(tmp_path: Path) -> None:
+    """Its texts are not expanded, its numbers not believed and its names not opened."""
+    sent = write_bag(tmp_path / "run")
+    links = "".join(f"k{i}: &k{i} [{', '.join([f'*k{i - 1}'] * 9)}]\n  " for i in range(1, 9))
+    told = f"rosbag2_bagfile_information:\n  k0: &k0 [ha]\n  {links}custom_data: {{a: *k8}}\n"
+    for text in (told, 50_000 * "[", "rosbag2_bagfile_information: {relative_file_paths: [../x]}"):
+        (tmp_path / "run" / "metadata.yaml").write_text(text)
+        recovery = recover(tmp_path / "run", tmp_path / "out")
+        assert [m.data for m in read_raw(recovery.target)] == sent
+        shutil.rmtree(tmp_path / "out")
