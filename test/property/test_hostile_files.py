@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever a file holds, reading it ends in time, with a result or an error of this package."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from tactile_hand_ros.bag.reader import read_messages, summarize
+from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.closed_loop.scenario import find_scenario, load_scenario
+from tactile_hand_ros.config.hand_config import find_hand
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.hand.hand import Hand
+
+LONGEST = 5.0
+"""Most processor time that one hostile file may take [s]."""
+
+HOSTILE = settings(
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+OF_BAGS = settings(HOSTILE, max_examples=30)
+FILES = {"scenario": find_scenario("pull"), "hand": find_hand("paper")}
+URDF = (FILES["hand"].parent / "paper.urdf").read_text()
+NASTY = (
+    ["", "~", "[", "]", "{}", "[]", "&a [*a]", "*a", "!!python/object:os.system ''", "? [a]", "\0"]
+    + ["\\", "/", "..", "a/b", "-1", "0", "nan", ".nan", ".inf", "1e308", "-1e308", "1e-320"]
+    + ["9" * 400, "0x" + "f" * 5000, "9" * 5000, "1:1:1", "2024-13-01", "true", "'", '"', "<", ">"]
+    + ["\ud7ff", "\x85", "\u2028", "%YAML 9.9", "---", "- " * 200, "[" * 5000, "{a: " * 5000]
+)
+
+
+@contextmanager
+def refused_in_time() -> Iterator[None]:
+    """Accept an error of this package, in time and in text that can be printed."""
+    start = time.process_time()
+    try:
+        yield
+    except TactileHandError as error:
+        str(error).encode()
+        assert 0 < len(str(error)) < 20_000
+    assert time.process_time() - start < LONGEST
+
+
+@st.composite
+def mutated(draw: st.DrawFn, text: str) -> str:
+    """Return a text in which some words or lines are replaced, repeated or gone."""
+    words = text.split(" ")
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, len(words) - 1))
+        what = draw(st.sampled_from(["replace", "insert", "cut", "repeat"]))
+        nasty = draw(st.one_of(st.sampled_from(NASTY), st.text(max_size=8)))
+        if what == "replace":
+            words[at] = nasty
+        elif what == "insert":
+            words.insert(at, nasty)
+        elif what == "cut":
+            del words[at : at + draw(st.integers(1, 20))]
+        else:
+            words[at:at] = words[at : at + 20] * draw(st.integers(1, 9))
+        words = words or [""]
+    return " ".join(words)
+
+
+def leaves_of(tree: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the places of a tree."""
+    items = (
+        tree.items()
+        if isinstance(tree, dict)
+        else enumerate(tree)
+        if isinstance(tree, list)
+        else ()
+    )
+    for key, value in items:
+        yield (*path, key)
+        yield from leaves_of(value, (*path, key))
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(),
+        st.floats(),
+        st.sampled_from([1e308, -1e308, 1e-320, 10**400, 2**63, 2**64]),
+        st.text(max_size=6),
+        st.dates(),
+        st.binary(max_size=4),
+    ),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@st.composite
+def with_other_values(draw: st.DrawFn, text: str) -> str:
+    """Return YAML text in which some values are of other kinds."""
+    tree = yaml.safe_load(text)
+    for _ in range(draw(st.integers(1, 3))):
+        *parents, last = draw(st.sampled_from(sorted(leaves_of(tree), key=str)))
+        place = tree
+        with suppress(KeyError, IndexError, TypeError):  # an earlier change has taken it away
+            for key in parents:
+                place = place[key]
+            place[last] = draw(VALUES)
+    return str(yaml.safe_dump(tree, allow_unicode=True))
+
+
+def yaml_like(text: str) -> st.SearchStrategy[str]:
+    """Return texts like a good one, and some unlike it."""
+    return mutated(text) | with_other_values(text) | st.text(max_size=40)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a good hand."""
+    for name in ("paper.yaml", "paper.urdf"):
+        shutil.copy(FILES["hand"].parent / name, tmp_path / name)
+    return tmp_path
+
+
+def write(path: Path, text: str) -> Path:
+    """Write text as it is; what cannot be encoded is written as its bytes."""
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    return path
+
+
+@HOSTILE
+@given(text=yaml_like(FILES["scenario"].read_text()))
+@example(text="name: &a [ha, ha]\nplant: {object: {vertices: [" + "0.1, " * 9000 + "]}}")
+def test_scenario(folder: Path, text: str) -> None:
+    with refused_in_time():
+        scenario = load_scenario(str(write(folder / "x.yaml", text)))
+        scenario.plant.object.solid()
+
+
+@HOSTILE
+@given(text=yaml_like(FILES["hand"].read_text()))
+def test_hand(folder: Path, text: str) -> None:
+    with refused_in_time():
+        Hand.load(str(write(folder / "x.yaml", text)))
+
+
+@HOSTILE
+@given(text=mutated(URDF.replace('"', ' " ')) | st.text(max_size=40))
+@example(text='<robot name="a">' + "<link>" * 5000)
+@example(text="<robot/>")
+def test_urdf(folder: Path, text: str) -> None:
+    write(folder / "paper.urdf", text)
+    with refused_in_time():
+        Hand.load(str(folder / "paper.yaml"))
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag of two files."""
+    folder = tmp_path_factory.mktemp("bag") / "bag"
+    with BagWriter(folder, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
+        for name in ("Float64", "String"):
+            channel = writer.add_channel(f"/{name}", f"std_msgs/msg/{name}")
+            for i in range(20):
+                writer.write(channel, b"\0\1\0\0\4\0\0\0abc\0" + bytes(4), i, i)
+            writer.split()
+    return folder
+
+
+def copied(bag: Path, to: Path) -> Path:
+    """Return a fresh copy of a bag."""
+    shutil.rmtree(to, ignore_errors=True)
+    shutil.copytree(bag, to / "bag")
+    return to / "bag"
+
+
+def use(bag: Path) -> None:
+    """Do with a bag what the commands do, each whether or not the one before was refused."""
+    calls: list[Callable[[], object]] = [
+        lambda: summarize(bag),
+        lambda: list(read_messages(bag)),
+        lambda: recover(bag, bag.parent / "out"),
+        lambda: recover(bag, in_place=True),
+    ]
+    for call in calls:
+        with refused_in_time():
+            call()
+
+
+@OF_BAGS
+@given(data=st.data())
+def test_metadata(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
+    copy = copied(bag, tmp_path / "work")
+    file = copy / "metadata.yaml"
+    write(file, data.draw(yaml_like(file.read_text())))
+    use(copy)
+    outside = {path.name for path in (tmp_path / "work").iterdir()}
+    assert outside <= {"bag", "out"}
+    assert {path.name for path in tmp_path.iterdir()} == {"work"}
+
+
+@OF_BAGS
+@given(data=st.data())
+def test_mcap(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
+    """Bytes and the sizes that they announce are changed, parts are missing or come twice."""
+    copy = copied(bag, tmp_path / "work")
+    file = copy / data.draw(st.sampled_from(["bag_0.mcap", "bag_1.mcap"]))
+    content = bytearray(file.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        size = data.draw(st.integers(0, 40))
+        new = data.draw(
+            st.binary(min_size=size, max_size=size)
+            | st.sampled_from([b"", b"\xff" * 8, b"\xff\xff\xff\x7f", bytes(9), content[-40:]])
+            | st.just(bytes(content[at - size : at]))
+        )
+        content[at : at + size] = new
+        content = content or bytearray(b"\0")
+    file.write_bytes(content)
+    use(copy)
