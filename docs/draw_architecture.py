@@ -36,7 +36,7 @@ def layers() -> Edges:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith(f"{PACKAGE}."):
                 uses.setdefault(own, set()).add(_folder(tuple(str(node.module).split("."))))
-    plain = {"", "cholesky", "config", "errors", "extras", "jit", "names", "rotations"}
+    plain = {"", "cholesky", "config", "errors", "extras", "files", "jit", "names", "rotations"}
     graph = {name: {u for u in used if u not in {*plain, name}} for name, used in uses.items()}
     graph = {name: used for name, used in graph.items() if name not in plain}
     return {
@@ -107,9 +107,9 @@ def trace_loop(scenario_name: str, until_ns: int, listener: str, after_ns: int) 
         call = f"{type(owner).__name__}.{frame.f_code.co_name}"
         if owner is not None and call == "PlantRun.advance":
             seen[0] = owner.stamp
-        answers = getattr(owner, "_listener", getattr(owner, "_node", None))
-        entry = call in ("TickInputs._take", "Backlog._work")
-        return entry and type(answers).__name__ == listener and seen[0] >= after_ns
+        if call not in ("TickInputs._take", "TickInputs._answer_waiting"):
+            return False
+        return type(owner._listener).__name__ == listener and seen[0] >= after_ns
 
     scenario = load_scenario(scenario_name, {"duration": 1e-9 * until_ns, **STILL})
     with isolated_domain(), tempfile.TemporaryDirectory() as folder:
