@@ -79,9 +79,9 @@ def _solve_equalities(
         return False
     multipliers, missing = np.zeros(size), right.copy()
     for _ in range(2):  # the second time removes the rounding errors of the first
-        change = -2.0 * missing
-        substitute(factor, change.reshape(size, 1))
-        multipliers += change
+        missing *= -2.0
+        substitute(factor, missing.reshape(size, 1))
+        multipliers += missing
         for j in range(n):
             total = 0.0
             for i in range(size):
