@@ -20,11 +20,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from support.graph import Graph
 from support.messages import force_message, pose_message
-from tactile_hand_ros.ros.testing import isolated_domain
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 
 P_D = np.array(load_scenario("paper").targets[0].position)
