@@ -41,10 +41,15 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.ros.direct import direct_delivery
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
+
+_ROUNDS = 16
+"""How often nodes of this process answer each other, three ticks or so, before timers and messages
+from elsewhere get their turn."""
 
 _NEEDED = {
     "WaitSet": (
@@ -169,6 +174,7 @@ class WaitSetExecutor(SurvivingExecutor):
         self._stale = True
         self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
+        self._direct = direct_delivery(self._context)
 
     def wake(self) -> None:
         """Wait anew because an entity was created or destroyed; rclpy calls this."""
@@ -191,6 +197,8 @@ class WaitSetExecutor(SurvivingExecutor):
 
     def spin(self) -> None:
         """Execute callbacks until the context or the executor is shut down."""
+        if self._direct is not None:
+            self._direct.serve(self._guard.trigger)
         while self._is_running():
             self._stale = False
             guards = (self._guard, self._sigint_gc)
@@ -206,10 +214,11 @@ class WaitSetExecutor(SurvivingExecutor):
         """Wait once and serve what is ready."""
         if self._tasks and self._has_open_tasks():
             # A suspended coroutine may block its callback group; the public executor knows how.
-            self.spin_once(timeout_sec=WAIT_LIMIT_NS * 1e-9)
+            self.spin_once(timeout_sec=0 if self._direct else WAIT_LIMIT_NS * 1e-9)
+            self._deliver()
             self._stale = True
             return
-        ready = entities.wait()
+        ready = entities.wait(0 if self._direct else WAIT_LIMIT_NS)
         if ready.guards and not self._is_running():
             self._stale = True
         for guard in ready.guards:
@@ -222,12 +231,24 @@ class WaitSetExecutor(SurvivingExecutor):
                 self._finish(timer.callback())
         for subscription in ready.subscriptions:
             self._drain(subscription)
+        self._call_afterwards()
+        if ready.has_rare and not self._stale:
+            self.spin_once(timeout_sec=0)
+        self._deliver()
+
+    def _call_afterwards(self) -> None:
         if self._afterwards:
             callbacks, self._afterwards = self._afterwards, []
             for callback in callbacks:
                 callback()
-        if ready.has_rare and not self._stale:
-            self.spin_once(timeout_sec=0)
+
+    def _deliver(self) -> None:
+        """Let the nodes of this process answer each other, in rounds, until all is read."""
+        for _ in range(_ROUNDS):
+            if not self._direct or self._stale:
+                return
+            self._direct.deliver(self._finish)
+            self._call_afterwards()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)

@@ -23,6 +23,7 @@ from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
+from tactile_hand_ros.ros.direct import DirectPublisher, direct_delivery
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
@@ -189,9 +190,29 @@ class TactileNode(Node, Generic[C]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Subscription:
-        """Subscribe as rclpy does, with a guarded callback."""
+        """Subscribe as rclpy does, with a guarded callback; publishers here may serve it."""
         guarded = self._guard.wrap(topic, callback)
-        return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
+        subscription = super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
+        direct = direct_delivery(self.context)
+        if direct is not None:
+            direct.add_subscription(subscription)
+        return subscription
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription as rclpy does."""
+        direct = direct_delivery(self.context)
+        if direct is not None:
+            direct.remove_subscription(subscription)
+        return bool(super().destroy_subscription(subscription))
+
+    def create_publisher(self, *args: Any, **kwargs: Any) -> Publisher:
+        """Create a publisher as rclpy does; it may serve subscriptions of its process itself."""
+        direct = direct_delivery(self.context)
+        if direct is None:
+            return super().create_publisher(*args, **kwargs)
+        publisher = super().create_publisher(*args, publisher_class=DirectPublisher, **kwargs)
+        publisher.join(direct)
+        return publisher
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
@@ -235,7 +256,12 @@ class TactileNode(Node, Generic[C]):
         # Not self.subscriptions: that is what an executor serves, which may be less.
         subscriptions = Node.subscriptions.fget(self)
         sent = {_key(PUBLICATIONS, p): p.get_subscription_count() for p in self.publishers}
-        return sent | {_key(SUBSCRIPTIONS, s): s.get_publisher_count() for s in subscriptions}
+        return sent | {_key(SUBSCRIPTIONS, s): self._publisher_count(s) for s in subscriptions}
+
+    def _publisher_count(self, subscription: Subscription) -> int:
+        direct = direct_delivery(self.context)
+        inside = 0 if direct is None else direct.publisher_count(subscription)
+        return inside + int(subscription.get_publisher_count())
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may at any time."""

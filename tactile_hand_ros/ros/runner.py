@@ -18,8 +18,9 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.ros.executor import spin
-from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.direct import deliver_directly
+from tactile_hand_ros.ros.executor import is_supported, spin
+from tactile_hand_ros.ros.middleware import share_process, use_sockets
 from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling
 
 EXIT_OK = 0
@@ -114,10 +115,13 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
     use_sockets()
+    direct = len(factories) > 1 and is_supported() and share_process()
     try:
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
         scheduling.apply()  # before there are threads that should inherit it
         rclpy.init(args=line)
+        if direct:
+            deliver_directly(rclpy.get_default_context())
     except (_rclpy.RCLError, RuntimeError) as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None

@@ -90,13 +90,13 @@ class WaitedEntities:
                 held.append((kind, entity.handle))
         return held
 
-    def wait(self) -> Ready:
-        """Wait until something is ready, and return it."""
+    def wait(self, limit_ns: int) -> Ready:
+        """Wait until something is ready, at most for a time [ns], and return it."""
         if time.monotonic_ns() < self._full_due:
-            ready = self._found(self._lean.wait(FULL_PERIOD_NS))
-            if ready.subscriptions or ready.timers or ready.guards:
+            ready = self._found(self._lean.wait(min(limit_ns, FULL_PERIOD_NS)))
+            if not limit_ns or ready.subscriptions or ready.timers or ready.guards:
                 return ready
-        native = self._full.wait(WAIT_LIMIT_NS)
+        native = self._full.wait(limit_ns)
         is_rare = self._is_rare(native)
         # The public executor serves one thing at a time: look again at once until all is served.
         self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
