@@ -41,7 +41,7 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.ros.direct import direct_delivery
+from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100

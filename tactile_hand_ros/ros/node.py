@@ -23,7 +23,8 @@ from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.direct import DirectPublisher, direct_delivery
+from tactile_hand_ros.ros.direct.delivery import direct_delivery
+from tactile_hand_ros.ros.direct.publisher import DirectPublisher
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
@@ -211,7 +212,7 @@ class TactileNode(Node, Generic[C]):
         if direct is None:
             return super().create_publisher(*args, **kwargs)
         publisher = super().create_publisher(*args, publisher_class=DirectPublisher, **kwargs)
-        publisher.join(direct)
+        direct.add_publisher(publisher)
         return publisher
 
     def create_timer(

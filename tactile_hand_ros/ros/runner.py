@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.ros.direct import deliver_directly
+from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
 from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling

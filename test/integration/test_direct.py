@@ -16,14 +16,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import Graph
-
-from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import NODES, Scenario, load_scenario
-from tactile_hand_ros.config.model import Config
-from tactile_hand_ros.ros.direct import deliver_directly, direct_delivery
-from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.testing import (
     ProcessUnderTest,
     isolated_domain,
@@ -31,6 +23,14 @@ from tactile_hand_ros.ros.testing import (
     spinning,
     wait_until,
 )
+
+from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import NODES, Scenario, load_scenario
+from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.ros.direct.delivery import deliver_directly, direct_delivery
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, TactileNode
+from tactile_hand_ros.ros.parameters import to_params_yaml
 
 SHORT = QoSProfile(depth=3)
 LATCHED = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -94,10 +94,11 @@ def member(context: Context) -> Iterator[Callable[[str], Member]]:
 
 def deliver(context: Context) -> None:
     """Hand over until nothing waits."""
-    delivery = direct_delivery(context)
+    delivery, results = direct_delivery(context), []
     assert delivery is not None
     while delivery:
-        delivery.deliver()
+        delivery.deliver(results.append)
+    assert results == []
 
 
 def test_messages_arrive_in_order_and_after_the_callback_that_sent_them(
@@ -197,8 +198,8 @@ def test_both_ends_count_each_other(member: Callable[[str], Member]) -> None:
     publisher = sender.tick_publisher(Float64, "x")
     taker.keep("x", SHORT)
     wait_until(lambda: publisher.get_subscription_count() == 1 + outside)
-    wait_until(lambda: "/x 2" in taker.peers()["subscriptions"].split(", "))
-    assert "/x 2" in sender.peers()["publications"].split(", ")
+    wait_until(lambda: taker.peers()[f"{SUBSCRIPTIONS} /x"] == 1 + outside)
+    assert sender.peers()[f"{PUBLICATIONS} /x"] == 1 + outside
 
 
 def test_only_what_another_thread_publishes_wakes_the_executor(
