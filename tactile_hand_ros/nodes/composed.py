@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """All five nodes in one process on one executor, for computers with few cores.
 
-Topics, parameters, services and results are those of five processes, to the bit: only the way of a
-message is shorter. What is lost is isolation: they all die together, and the drivers of a real hand
-must then hold the joints. With cores to spare, five processes are the safer choice.
+Topics, parameters, services and results are those of five processes, to the bit. The nodes hand
+their messages to each other (`ros.direct`), and DDS gets a copy only while another process listens.
+What is lost is isolation: they all die together, and the drivers of a real hand must then hold the
+joints. With cores to spare, five processes are the safer choice.
 """
 
 from __future__ import annotations
