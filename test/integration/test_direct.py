@@ -16,21 +16,17 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import Graph
-from tactile_hand_ros.ros.testing import (
-    ProcessUnderTest,
-    isolated_domain,
-    private_context,
-    spinning,
-    wait_until,
-)
+from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import NODES, Scenario, load_scenario
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.ros.direct.delivery import deliver_directly, direct_delivery
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, TactileNode
 from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 SHORT = QoSProfile(depth=3)
 LATCHED = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -261,16 +257,16 @@ sys.exit(run_nodes([Echo, Counter]))
 
 
 @pytest.fixture
-def program(tmp_path: Path, domain: int) -> Iterator[ProcessUnderTest]:
+def program(tmp_path: Path, domain: int) -> Iterator[CapturedProcess]:
     """Run a counter and its echo, which also pass a ball to and fro for ever, in one process."""
     path = tmp_path / "program.py"
     path.write_text(PROGRAM)
-    with ProcessUnderTest([sys.executable, str(path)]) as process:
+    with CapturedProcess([sys.executable, str(path)]) as process:
         yield process
 
 
 def test_who_listens_from_outside_gets_everything_and_outside_publishers_are_heard(
-    program: ProcessUnderTest, domain: int
+    program: CapturedProcess, domain: int
 ) -> None:
     """From its match on a reader misses nothing, and what it sends is answered once, not twice.
 
@@ -318,13 +314,13 @@ class SplitGraph(Graph):
         super().__init__(scenario, domain, folder)
         self._apart = apart
 
-    def start(self, name: str) -> ProcessUnderTest:
+    def start(self, name: str) -> CapturedProcess:
         """Start the process with the other nodes in place of the first of them."""
         process = super().start(name) if name == self._apart else self._others()
         self.processes[name] = process
         return process
 
-    def _others(self) -> ProcessUnderTest:
+    def _others(self) -> CapturedProcess:
         for process in self.processes.values():
             if process is not self.processes.get(self._apart):
                 return process
@@ -336,7 +332,7 @@ class SplitGraph(Graph):
                 file = self._folder / f"{name}.yaml"
                 file.write_text(to_params_yaml(self.scenario.node_config(name), name))
                 arguments += ["--params-file", str(file)]
-        return self._stack.enter_context(ProcessUnderTest(arguments))
+        return self._stack.enter_context(CapturedProcess(arguments))
 
 
 def test_a_node_may_have_its_own_process_while_the_others_share_one(tmp_path: Path) -> None:
