@@ -138,7 +138,7 @@ def without_touch(
                 out.command[row] = controller.hold(theta, rates, "no forces").torque
             continue
         out.grasp_force[row] = regulator.step(stamp, contacts, forces)
-        out.friction[row], out.grip[row] = regulator.friction, regulator.state
+        out.friction[row], out.grip[row] = regulator.learned_friction, regulator.state
         out.slip_evidence[row] = regulator.slip_likelihood
         f, k_f = record.optimal_forces[row], float(out.grasp_force[row])
         out.command[row] = controller.step(stamp, theta, rates, contacts, f, k_f).torque
