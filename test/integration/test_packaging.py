@@ -91,7 +91,7 @@ class TestPip:
         run(sys.executable, "-c", LOAD, path, cwd=tmp_path)
 
     def test_config_is_found_without_ament(self, tmp_path: Path) -> None:
-        code = f"from {PACKAGE}.core.paths import config_directory; print(config_directory())"
+        code = f"from {PACKAGE}.config.paths import config_directory; print(config_directory())"
         found = Path(run(sys.executable, "-c", code, cwd=tmp_path).strip())
         assert (found / "hands").is_dir()
         assert ROOT not in found.parents or Path(sys.prefix) in found.parents
@@ -153,7 +153,7 @@ class TestColcon:
     def test_sourced_workspace_is_found_by_ament(self, workspace: Path) -> None:
         code = (
             "from ament_index_python.packages import get_package_prefix as prefix;"
-            f"from {PACKAGE}.core.paths import config_directory;"
+            f"from {PACKAGE}.config.paths import config_directory;"
             f"import {PACKAGE};"
             f"print(prefix('{PACKAGE}'), config_directory(), {PACKAGE}.__file__, sep='\\n')"
         )
