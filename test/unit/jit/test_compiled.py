@@ -76,7 +76,7 @@ def test_results_are_kept_where_the_user_wants(package: Path, tmp_path: Path) ->
 
 
 COMPLETE = "from tactile_hand_ros.jit.compiled import *; print(is_complete())"
-NOTE = "from tactile_hand_ros.jit.compiled import *; note_complete()"
+NOTE = "from tactile_hand_ros.jit.compiled import *; mark_complete()"
 
 
 def test_a_copied_or_touched_tree_is_compiled_anew(package: Path) -> None:
@@ -143,14 +143,14 @@ def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path: Path) ->
 COVERED = """
 import importlib, pkgutil
 from numba.core.registry import CPUDispatcher
-from tactile_hand_ros import control, hand, rotations, simulation
-from tactile_hand_ros.jit.compiled import keeping_directory
+from tactile_hand_ros import cholesky, control, hand, rotations, simulation
+from tactile_hand_ros.jit.compiled import cache_directory
 from tactile_hand_ros.closed_loop.warm_up import run_every_block, warm_up
 
 warm_up()
 run_every_block()
-kept = [path.name for path in keeping_directory().parent.rglob("*.nbi")]
-names = [rotations.__name__]
+kept = [path.name for path in cache_directory().parent.rglob("*.nbi")]
+names = [cholesky.__name__, rotations.__name__]
 for package in (control, hand, simulation):
     found = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     names += [module.name for module in found]
