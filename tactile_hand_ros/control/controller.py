@@ -289,7 +289,8 @@ class Controller:
             )
         except GraspError as error:
             return self.hold(theta, rates, str(error))
-        if not np.isfinite(parts.total).all():
+        # The square overflows only for torques that no joint could have: one check for all of them.
+        if not math.isfinite(float(parts.total @ parts.total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
         self._hold.release()

@@ -174,8 +174,11 @@ class TactileSensor:
         luck = self._random.random(k)
         if self.config.vibration.gain > 0.0:
             unread = max(0, min(count, math.ceil(self.config.rate)) - 1)  # of a second at most
-            earlier = self._unread.standard_normal((unread, k, 3))
-            white[1] = self._rumble.step(np.concatenate((earlier, white[1:2])))
+            samples = white[1:2]
+            if unread:
+                earlier = self._unread.standard_normal((unread, k, 3))
+                samples = np.concatenate((earlier, samples))
+            white[1] = self._rumble.step(samples)
         touch = true.positions, true.quaternions, true.forces
         speeds = self._at_rest if sliding is None else sliding
         numbers, radii = self._numbers, self._radii
