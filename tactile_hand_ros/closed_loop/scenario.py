@@ -150,7 +150,7 @@ class Scenario(Config):
 def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a finished section without those that only repeat the scenario's.
 
-    Its defaults are nobody's word, and so go as well.
+    Defaults were not given by a user, so they go as well.
     """
     values = {name: getattr(section, name) for name in type(section).model_fields}
     for name, given in top.items():

@@ -34,7 +34,7 @@ class Guarded(Protocol):
         """Return the node's logger."""
 
     def to_safe_state(self, reason: str) -> None:
-        """Do what is safe after an error that nobody foresaw."""
+        """Do what is safe after an error that was not foreseen."""
 
 
 class Guard:

@@ -77,8 +77,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
     of the contacts; not while holding). With the stamp of the first tick that they change:
     `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `Accepted` lists.
-    Once a second: `/diagnostics` with mode, distance to the
-    target and margins of A1 (travel on faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
+    Once a second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on
+    faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
     `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
@@ -238,7 +238,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._controller.command(target, stamp)
 
     def _begin(self) -> None:
-        """Publish at the next tick what stays in force when ticks begin anew."""
+        """Publish at the next tick what stays in force when the stamps start over."""
         self._accepted.begin(self.config)
         self._accepted.request("enable", self._controller.enabled)
 

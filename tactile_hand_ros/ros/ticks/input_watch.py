@@ -12,10 +12,10 @@ class InputWatch:
 
     Silence of the trigger itself does not count: then there is nothing to answer. The time must
     have passed by the stamps of the triggers and by the wall clock. By the stamps, because in
-    lockstep they stand still while a tick waits for its inputs: then all wait for whoever stalls,
-    and no result depends on how fast the machine is. Nobody needs to be told the pacing: in real
-    time and on a real hand the stamps go on, and silence is noticed. By the wall clock, because one
-    stamp that lies ahead is no time that has passed.
+    lockstep they stand still while a tick waits for its inputs: then all nodes wait for the one
+    that stalls, and no result depends on how fast the machine is. The pacing need not be known: in
+    real time and on a real hand the stamps go on, and silence is noticed. By the wall clock,
+    because one stamp that lies ahead is no time that has passed.
 
     Attributes:
         blind: Whether the inputs are missing.
