@@ -35,7 +35,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench setup clean FORCE
+.PHONY: help demo run test lint bench mutate setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -44,6 +44,7 @@ help:
 	@echo 'make test                 ruff, mypy and the whole test suite'
 	@echo 'make bench                measure'
 	@echo 'make lint                 ruff and mypy'
+	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
 	@echo 'make clean                remove .venv, build results and caches; runs/ stays'
 
 demo: $(PREFIX)/.package
@@ -67,6 +68,10 @@ test: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
 lint: $(PREFIX)/.dev $(PREFIX)/.package
 	$(PREFIX)/bin/ruff check .
 	$(PREFIX)/bin/mypy
+
+# At low priority: it takes both cores for a while.
+mutate: $(PREFIX)/.mutate $(PREFIX)/.package
+	@PYTHONPATH=test nice $(PY) -m mutation $(ARGS)
 
 setup: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
 
@@ -104,6 +109,11 @@ $(PREFIX)/.browser: requirements/browser.sh $(PREFIX)/.created
 $(PREFIX)/.bench: requirements/bench.txt $(PREFIX)/.run
 	@echo 'set-up: what speed is compared with'
 	@$(PIP) install -qq -r requirements/run.txt -r requirements/bench.txt
+	@touch '$@'
+
+$(PREFIX)/.mutate: requirements/mutate.txt $(PREFIX)/.dev
+	@echo 'set-up: mutation tests'
+	@$(PIP) install -qq -r requirements/run.txt -r requirements/dev.txt -r requirements/mutate.txt
 	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.

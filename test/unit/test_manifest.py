@@ -88,7 +88,9 @@ def test_pins_lie_in_the_declared_ranges() -> None:
         assert each.specifier.contains(pin), f"{each} is pinned to {pin}"
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "jazzy.txt"])
+@pytest.mark.parametrize(
+    "name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt", "jazzy.txt"]
+)
 def test_every_requirement_is_pinned(name: str) -> None:
     for each in requirements(name).values():
         operators = [specifier.operator for specifier in each.specifier]
