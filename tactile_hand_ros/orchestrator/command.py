@@ -57,8 +57,14 @@ def orchestrate(
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
     report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True,
     composed: Annotated[
-        bool, typer.Option("--composed", help="Run all nodes in one process, for small computers.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--composed/--processes",
+            help="Run all nodes in one process, or each in its own; by default one process in "
+            "real time and several in lockstep.",
+            show_default=False,
+        ),
+    ] = None,
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
@@ -81,12 +87,13 @@ def orchestrate(
     values = {key: value for key, value in given.items() if value is not None}
     launcher = Launcher()
     try:
+        checked = _checked(scenario, {**values, **parse_changes(changes or [])})
         plan = Plan(
-            scenario=_checked(scenario, {**values, **parse_changes(changes or [])}),
+            scenario=checked,
             namespace=full_namespace(namespace, ros_arguments),
             record=record,
             interactive=interactive,
-            composed=composed,
+            composed=shares_process(checked, composed),
             startup_timeout=startup_timeout,
             scheduling=Scheduling(parse_priority(str(priority)), parse_cpus(cpus) if cpus else ()),
         )
@@ -98,7 +105,8 @@ def orchestrate(
             directory = RunDirectory.create(out, plan.scenario.name)
             session = Session(plan, directory, launcher, signals, held)
             joining = graph_node(ros, plan.namespace)
-            raise typer.Exit(_run(session, joining, quiet=quiet, report=report))
+            where = "" if composed is not None else _default_place(plan)
+            raise typer.Exit(_run(session, joining, where, quiet=quiet, report=report))
     except TactileHandError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(EXIT_REFUSED) from None
@@ -111,6 +119,18 @@ def _checked(name: str, changes: dict[str, Any]) -> Scenario:
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
     ensure_compiled()
     return scenario
+
+
+def shares_process(scenario: Scenario, composed: bool | None) -> bool:
+    """Return whether the nodes share a process: as asked for, else in real time."""
+    return scenario.plant.pacing == "realtime" if composed is None else composed
+
+
+def _default_place(plan: Plan) -> str:
+    """Return a line that says where the nodes run, empty where that is nothing special."""
+    if not plan.composed:
+        return ""
+    return "real time: the nodes share one process; --processes gives each node its own"
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
@@ -134,9 +154,22 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
 
 
 def _run(
-    session: Session, joining: AbstractContextManager[Node], *, quiet: bool, report: bool
+    session: Session,
+    joining: AbstractContextManager[Node],
+    where: str,
+    *,
+    quiet: bool,
+    report: bool,
 ) -> int:
-    """Run a session, judge it and show what came out."""
+    """Run a session, judge it and show what came out.
+
+    Args:
+        session: The run.
+        joining: Provides the orchestrator's own node.
+        where: A line that says where the nodes run; empty for none.
+        quiet: Whether to show no progress.
+        report: Whether to write the page.
+    """
     plan, directory = session.plan, session.directory
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
 
@@ -144,6 +177,8 @@ def _run(
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     tell(f"{plan.scenario.name}: {plan.scenario.description}")
+    if where:
+        tell(where)
     tell(f"the nodes start; what they say is in {directory.path / 'logs'}")
     if plan.interactive:
         tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")

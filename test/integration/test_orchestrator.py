@@ -140,7 +140,7 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
 ) -> None:
     """At 4 kHz no computer answers every tick; those that it answers are right, to the bit."""
     rate = ("--pacing", "realtime", "--set", "plant.rate=4000", "--set", "plant.time_step=0.00025")
-    orchestrator = start("--scenario", near, "--composed", "--no-report", *rate)
+    orchestrator = start("--scenario", near, "--no-report", *rate)
     assert end_of(orchestrator) in (0, 1), orchestrator.stdout + orchestrator.stderr
     run = Run(latest(tmp_path))
     answered = np.isfinite(run.record.command).all(axis=1)
@@ -148,6 +148,8 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
     assert all(check.ok for check in audit(run))
     assert recompute(run).same
     assert "ticks answered" in orchestrator.stdout
+    assert "real time: the nodes share one process; --processes" in orchestrator.stdout
+    assert (latest(tmp_path) / "logs" / "composed.log").exists()
 
 
 def test_run_reaches_its_goal_and_is_recorded_completely(

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
 
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.command import (
     full_namespace,
+    shares_process,
     split_ros_arguments,
 )
 from tactile_hand_ros.orchestrator.monitor import Look
@@ -57,6 +59,22 @@ def test_namespace(given: str, arguments: list[str], expected: str) -> None:
 def test_bad_namespace_is_refused(given: str) -> None:
     with pytest.raises(ConfigurationError, match=f"'{given}'"):
         full_namespace(given, [])
+
+
+@pytest.mark.parametrize(
+    ("pacing", "asked", "expected"),
+    [
+        ("realtime", None, True),
+        ("lockstep", None, False),
+        ("realtime", False, False),
+        ("lockstep", True, True),
+    ],
+)
+def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(
+    pacing: str, asked: bool | None, expected: bool
+) -> None:
+    scenario = load_scenario("paper", {"plant.pacing": pacing})
+    assert shares_process(scenario, asked) is expected
 
 
 def test_ros_arguments_are_taken_out() -> None:
