@@ -28,7 +28,7 @@ from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
-from tactile_hand_ros.ros.scheduling import Scheduling, parse_cpus, parse_priority
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling, parse_cpus, parse_priority
 
 EXIT_REFUSED = 2
 _WIDTH = 100  # of tables in logs and pipes

@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rclpy.node import Node
 
@@ -33,7 +33,7 @@ from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, p
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
-from tactile_hand_ros.ros.scheduling import Scheduling
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling
 
 # After the recorder, which is soon there: what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
@@ -177,6 +177,8 @@ class Session:
     def _start(self) -> None:
         """Start all processes, one right after the other: they load at the same time."""
         text = self.directory.write_scenario(self.plan.scenario)
+        is_real_time = self.plan.scenario.plant.pacing == "realtime"
+        scheduling = replace(self.plan.scheduling, real_time=is_real_time)
         # What a node says goes into its log here, not a second time below the home folder.
         common = ["--ros-args", "--disable-external-lib-logs"]
         if self.plan.namespace != "/":
@@ -185,7 +187,7 @@ class Session:
             self.signals.check()
             files = [self.directory.write_parameters(*pair).resolve() for pair in configs.items()]
             parameters = [word for file in files for word in ("--params-file", str(file))]
-            own = () if name == RECORDER else self.plan.scheduling.arguments
+            own = () if name == RECORDER else scheduling.arguments
             self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
         # What is loaded stays; see the executable, which has disabled the collector until here.
         gc.freeze()

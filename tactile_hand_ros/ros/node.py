@@ -29,7 +29,8 @@ from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
-from tactile_hand_ros.ros.scheduling import report_scheduling
+from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
+from tactile_hand_ros.ros.realtime.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
 
@@ -85,6 +86,7 @@ class TactileNode(Node, Generic[C]):
         except TactileHandError:
             self.destroy_node()
             raise
+        self._between_ticks = between_ticks(self.context)
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
@@ -264,8 +266,15 @@ class TactileNode(Node, Generic[C]):
         inside = 0 if direct is None else direct.publisher_count(subscription)
         return inside + int(subscription.get_publisher_count())
 
+    def tick_done(self) -> None:
+        """Note that a tick has been answered: there is time now for what can wait."""
+        self._between_ticks.tick_done()
+
     def publish_diagnostics(self) -> None:
-        """Publish the state of the node; the timer calls it, a node may at any time."""
+        """Publish the state of the node, between two ticks; the timer calls it, a node may too."""
+        self._between_ticks.run(self._publish_status)
+
+    def _publish_status(self) -> None:
         self.on_report()
         report_scheduling(self.diagnostics)
         message = DiagnosticArray(status=[self.diagnostics.status()])

@@ -21,7 +21,7 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
-from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling
+from tactile_hand_ros.ros.realtime.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
 EXIT_FAILED = 1
@@ -51,21 +51,22 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
     _let_signals_shut_down()
     nodes: list[Node] = []
     try:
-        _init(line, factories)
+        scheduling = _init(line, factories)
         for factory in factories:
             nodes.append(factory())
             _check_ready(nodes[-1])
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
-    return _stop(nodes, _serve(nodes))
+    return _stop(nodes, _serve(nodes, scheduling))
 
 
-def _serve(nodes: Sequence[Node]) -> int:
+def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
     # What exists now lives as long as the process: the collector need not look at it, not even
     # once, which takes longer than what it would find is worth. A script may have disabled it.
     gc.freeze()
     gc.enable()
     try:
+        scheduling.prepare(nodes[0].context)
         spin(nodes)
     except BaseException as error:
         return _code_of(error, EXIT_FAILED)
@@ -108,8 +109,11 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
     _was_signalled = True
 
 
-def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
+def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling:
     """Let the kernel schedule the process as asked, and initialise rclpy.
+
+    Returns:
+        What was asked for.
 
     Raises:
         ConfigurationError: If the command line or a parameter file cannot be read.
@@ -133,6 +137,7 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> None:
             f"unknown argument '{extra[0]}', expected {USAGE} or ROS arguments"
             " such as --ros-args -p name:=value or --params-file FILE."
         )
+    return scheduling
 
 
 def _help(factories: Sequence[Callable[[], Any]]) -> str:

@@ -12,6 +12,7 @@ from rclpy.clock_type import ClockType
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.nodes.plant.pacing import Pace
+from tactile_hand_ros.nodes.plant.real_time import RealTime
 from tactile_hand_ros.nodes.plant.senders import SenderWatch
 from tactile_hand_ros.nodes.plant.topics import PlantTopics
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
@@ -47,11 +48,12 @@ class PlantDriver:
         self._config = c = node.config
         self._is_lockstep = c.pacing == "lockstep"
         self._is_on, self._is_finished = c.autostart, False
-        self._resent = self._late = self._too_old = 0
+        self._resent = self._too_old = 0
         self._senders = SenderWatch()
         self._told, self._told_at = "", -math.inf
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick)
+        self._real_time = RealTime(node, self._pace, is_used=not self._is_lockstep)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
         self._pacer.timer_period_ns = c.tick
@@ -82,6 +84,7 @@ class PlantDriver:
         if self._is_on:
             self._watcher.reset()
             self._publish()
+            self._real_time.start()
         self._node.publish_diagnostics()
 
     def switch(self, is_on: bool) -> bool:
@@ -120,6 +123,7 @@ class PlantDriver:
         run.command(stamp, torque)
         if stamp == run.stamp:
             self._diagnostics.latency(self._answered_at - self._sent_at)
+            self._real_time.answered()
         # A tick that others have followed is older than the newest by their number.
         self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
         if self._is_lockstep:
@@ -148,6 +152,7 @@ class PlantDriver:
         self._pacer.reset()
         if not passes:
             self._pacer.cancel()
+            self._real_time.stop()
 
     def _advance(self, ticks: int) -> None:
         """Move ahead and publish the newest tick."""
@@ -200,7 +205,7 @@ class PlantDriver:
     def _on_pace(self) -> None:
         due = self._pace.due()
         if due:
-            self._late += not self._is_lockstep and self._answered < self._run.stamp
+            self._real_time.due(due)
             self._advance(due)
 
     def _on_watch(self) -> None:
@@ -251,7 +256,11 @@ class PlantDriver:
         put("command_age_ticks", guard.age)
         for reason, count in guard.holds.items():
             put(f"holds: {reason}", count)
-        put("late_commands", self._late)
         put("too_old_commands", self._too_old)
         put("conflicting_commands", self._senders.conflicts)
         self._pace.report(put)
+        self._real_time.report(put)
+
+    def close(self) -> None:
+        """Let go of what watches the pace."""
+        self._real_time.close()

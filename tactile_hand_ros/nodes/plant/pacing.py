@@ -42,6 +42,11 @@ class Pace:
         """Let the first tick come due one tick from now."""
         self._due_at = self._clock() + self._tick
 
+    @property
+    def overdue_ns(self) -> int:
+        """How long ago the next tick came due [ns], negative if it will."""
+        return self._clock() - self._due_at
+
     def due(self) -> int:
         """Return how many ticks are due now, and count them as done."""
         behind = self._clock() - self._due_at

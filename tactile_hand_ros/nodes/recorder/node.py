@@ -20,8 +20,8 @@ from tactile_hand_ros.nodes.recorder.recording import Recording
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.node import TactileNode, set_period
+from tactile_hand_ros.ros.realtime.scheduling import use_batch_scheduling
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
 _REST = 0.1  # s between two visits to the queues when next to nothing comes
 _FEW = 10  # messages of a visit that are next to nothing, such as the diagnostics of some nodes

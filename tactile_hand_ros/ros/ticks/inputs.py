@@ -161,6 +161,7 @@ class TickInputs:
                 self._listener.on_tick(stamp, *self._values(matched))
             except TactileHandError as error:
                 self._node.reject(self._trigger, error)
+        self._node.tick_done()
 
     def _values(self, matched: tuple[Any, ...]) -> list[Any]:
         """Return one value per stream."""

@@ -61,6 +61,7 @@ class Ear:
         )
         self.inputs = TickInputs(self, declared, self, silence=0.5)  # type: ignore[arg-type]
         self.reads_late = False
+        self.done = 0
         self.waiting: list[Callable[[], None]] = []
         self.rejected: list[tuple[str, str]] = []
 
@@ -69,6 +70,9 @@ class Ear:
     ) -> None:
         assert options["raw"]
         self.callbacks[topic] = callback
+
+    def tick_done(self) -> None:
+        self.done = len(self.heard)
 
     def after_reading(self, callback: Callable[[], None]) -> None:
         if self.reads_late:

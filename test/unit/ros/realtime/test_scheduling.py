@@ -6,7 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.scheduling import Scheduling, format_cpus, parse_cpus, take_scheduling
+from tactile_hand_ros.ros.realtime.scheduling import (
+    Scheduling,
+    format_cpus,
+    parse_cpus,
+    take_scheduling,
+)
 
 
 @given(st.integers(0, 99), st.sets(st.integers(0, 300)).map(sorted).map(tuple))

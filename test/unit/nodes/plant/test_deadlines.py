@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every tick is judged once: in time, late or skipped, and those that were not have a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.nodes.plant.deadlines import CAUSE_KEY, Deadlines
+from tactile_hand_ros.nodes.plant.headroom import Headroom, sustainable
+from tactile_hand_ros.ros.realtime.causes import TickWatch
+
+
+@pytest.fixture
+def deadlines() -> Iterator[Deadlines]:
+    """Deadlines of which nothing has been judged."""
+    watch = TickWatch({})
+    yield Deadlines(watch, awaits_others=False)
+    watch.close()
+
+
+def test_a_command_is_late_once_the_next_tick_is_due(deadlines: Deadlines) -> None:
+    deadlines.begin()
+    deadlines.answered(-1)
+    deadlines.due(1)
+    deadlines.answered(1)
+    deadlines.answered(2)  # the same tick again
+    assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (1, 1, 0)
+
+
+def test_a_tick_without_a_command_is_late(deadlines: Deadlines) -> None:
+    deadlines.begin()
+    deadlines.due(3)
+    assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (0, 1, 2)
+    shown: dict[str, object] = {}
+    deadlines.report(shown.__setitem__)
+    assert shown.pop("late_commands") == 1
+    assert sum(shown.values()) == 3  # type: ignore[arg-type]
+    assert all(key.startswith(CAUSE_KEY) for key in shown)
+
+
+def test_no_command_is_expected_while_time_stands_still(deadlines: Deadlines) -> None:
+    deadlines.begin()
+    deadlines.forget()
+    deadlines.answered(1)
+    deadlines.due(1)
+    assert (deadlines.in_time, deadlines.late) == (0, 0)
+
+
+@given(st.lists(st.integers(1, 4) | st.integers(-5, -1) | st.just(0)))
+def test_ticks_are_neither_lost_nor_counted_twice(events: list[int]) -> None:
+    watch = TickWatch({})
+    deadlines = Deadlines(watch, awaits_others=True)
+    deadlines.begin()
+    ticks = 1
+    for event in events:
+        if event > 0:
+            deadlines.due(event)
+            ticks += event
+        else:
+            deadlines.answered(event + 2)
+    deadlines.due(1)
+    assert deadlines.in_time + deadlines.late + deadlines.skipped == ticks
+    assert sum(deadlines.causes.values()) == deadlines.late + deadlines.skipped
+    watch.close()
+
+
+def test_a_computer_that_keeps_up_is_not_complained_of() -> None:
+    now = [0.0]
+    headroom = Headroom(500.0, 0.001, lambda: now[0])
+    now[0] = 2.5
+    assert headroom.judge(1200, 1200, "wait") == ""
+
+
+def test_the_sentence_has_what_was_measured_and_what_to_do_and_ends_with_its_reason() -> None:
+    now = [0.0]
+    headroom = Headroom(1000.0, 0.001, lambda: now[0])
+    now[0] = 1.0
+    assert headroom.judge(0, 500, "use fewer fingers") == ""  # too early to tell
+    now[0] = 2.0
+    text = headroom.judge(200, 800, "use fewer fingers")
+    assert text == (
+        "this computer is too slow for 1000 Hz: 400 ticks/s are answered, 10 % in time;"
+        " use fewer fingers, or set plant.rate to 250"
+    )
+    now[0] = 3.0
+    assert headroom.judge(1000, 1800, "use fewer fingers") == text
+    now[0] = 4.0
+    assert headroom.judge(2200, 2800, "use fewer fingers") == ""
+
+
+@given(st.floats(0.1, 1e4), st.sampled_from([1e-3, 5e-4, 2e-4]))
+def test_a_recommended_rate_is_a_whole_number_of_steps_and_below_what_was_measured(
+    answered: float, step: float
+) -> None:
+    rate = sustainable(answered, step)
+    steps = 1.0 / (rate * step)
+    assert steps == pytest.approx(round(steps))
+    assert rate <= max(1.0, answered)
