@@ -97,10 +97,14 @@ class Monitor:
         self._take_diagnostics()
         return self._facts
 
+    def plant_facts(self) -> dict[str, str]:
+        """Return the values in the plant's newest diagnostics."""
+        return self.facts().get(self._plant, {})
+
     @property
     def is_at_rest(self) -> bool:
         """Whether the plant stands still and its last tick was answered."""
-        plant = self.facts().get(self._plant, {})
+        plant = self.plant_facts()
         stands = plant.get("mode") in ("paused", "finished")
         return stands and self.answered() >= int(plant["tick_ns"])
 

@@ -18,6 +18,7 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.report.tables import recovery_rows
+from tactile_hand_ros.run.deadlines import Deadlines
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 
@@ -184,6 +185,7 @@ def write_summary(
         "assumptions": results.assumptions,
         "recoveries": results.recoveries,
         "recording": results.recording,
+        "real_time": None if outcome.deadlines is None else outcome.deadlines.to_dict(),
         "startup_s": outcome.startup,
         "seed": scenario.seed,
         "pacing": scenario.plant.pacing,
@@ -253,6 +255,7 @@ def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[tuple[str, 
         ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
         ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
         *_answered(plan, r),
+        *_deadline_rows(outcome.deadlines),
         ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),
         ("messages recorded, lost", f"{r['messages']}, {r['lost_messages']}", "none lost"),
         (
@@ -270,6 +273,19 @@ def _answered(plan: Plan, recording: dict[str, Any]) -> list[tuple[str, str, str
     if _is_lockstep(plan) or commands is None:
         return []
     return [("ticks answered", str(commands["ticks"]), "")]
+
+
+def _deadline_rows(deadlines: Deadlines | None) -> list[tuple[str, str, str]]:
+    """Return how many deadlines were missed, and why."""
+    if deadlines is None:
+        return []
+    counts = f"{deadlines.late:.0f} late, {deadlines.skipped:.0f} skipped"
+    share = f"{100.0 * deadlines.missed_share:.2f} %"
+    causes = deadlines.causes.items()
+    return [
+        ("deadlines missed", share, counts),
+        *((f"missed for {cause}", str(count), "") for cause, count in causes),
+    ]
 
 
 def _number(value: float | None) -> str:

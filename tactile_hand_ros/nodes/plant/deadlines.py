@@ -10,10 +10,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
+from tactile_hand_ros import names
 from tactile_hand_ros.ros.realtime.causes import CAUSES, TickWatch
-
-CAUSE_KEY = "late: "
-"""With a cause behind it, a key of the diagnostics: how many ticks were late or skipped for it."""
 
 
 class Deadlines:
@@ -85,7 +83,7 @@ class Deadlines:
         """Report counters, each as key and value."""
         put("late_commands", self.late)
         for cause, count in self.causes.items():
-            put(f"{CAUSE_KEY}{cause}", count)
+            put(f"{names.LATE_FOR}{cause}", count)
 
     def _judge_late(self) -> None:
         self.late += 1

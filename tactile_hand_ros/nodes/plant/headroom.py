@@ -73,9 +73,15 @@ class Headroom:
 def sustainable(answered: float, time_step: float) -> float:
     """Return a rate with some reserve, of which a tick is a whole number of steps [Hz].
 
+    A whole number of Hz where there is one.
+
     Args:
         answered: Ticks per second that the computer answers [Hz].
         time_step: Step of the simulation [s].
     """
-    steps = math.ceil(1.0 / (max(1.0, _RESERVE * answered) * time_step) - 1e-9)
-    return 1.0 / (max(1, steps) * time_step)
+    most = min(1.0 / time_step, max(1.0, _RESERVE * answered))
+    for rate in range(int(most), 0, -1):
+        steps = 1.0 / (rate * time_step)
+        if math.isclose(steps, round(steps), rel_tol=1e-9):
+            return float(rate)
+    return 1.0 / (math.ceil(1.0 / (most * time_step) - 1e-9) * time_step)

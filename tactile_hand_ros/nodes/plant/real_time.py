@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from tactile_hand_ros import names
 from tactile_hand_ros.nodes.plant.deadlines import Deadlines
 from tactile_hand_ros.nodes.plant.headroom import Headroom
 from tactile_hand_ros.nodes.plant.pacing import Pace
@@ -16,8 +17,6 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
 from tactile_hand_ros.ros.realtime.causes import DIAGNOSTICS, GARBAGE, TickWatch
 from tactile_hand_ros.ros.realtime.garbage import CollectionClock
-
-_TOO_SLOW = "too_slow"
 
 
 class RealTime:
@@ -87,8 +86,11 @@ class RealTime:
 
     def _judge_headroom(self) -> None:
         text = self._headroom.judge(self._deadlines.in_time, self._pace.ages.count, self._advice)
-        self._node.diagnostics.judge(_TOO_SLOW, bool(text), text, WARN)
-        if text and not self._has_complained:
+        self._node.diagnostics.judge(names.TOO_SLOW, bool(text), text, WARN)
+        if not text:
+            return
+        self._node.diagnostics.value(names.TOO_SLOW, text)
+        if not self._has_complained:
             self._has_complained = True
             self._node.get_logger().warning(text)
 

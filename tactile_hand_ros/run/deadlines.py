@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a run kept to real time, from what its plant counted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tactile_hand_ros import names
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """Ticks of a run in real time; NaN where the plant has not reported.
+
+    Attributes:
+        rate_hz: Ticks per second that were asked for.
+        due: Number of ticks that should have been.
+        late: Ticks whose command came after the next tick was due, or not at all.
+        skipped: Ticks that came due together with a later one.
+        given_up: Ticks for which the machine stood still, or that a failed run never reached.
+        causes: How many ticks were late or skipped, by cause.
+        too_slow: What the plant says about a computer that is too slow; empty if it is not.
+    """
+
+    rate_hz: float
+    due: int
+    late: float
+    skipped: float
+    given_up: float
+    causes: Mapping[str, int]
+    too_slow: str
+
+    @property
+    def missed_share(self) -> float:
+        """Share of the ticks that were not answered in time, from 0 to 1."""
+        return float(np.minimum(1.0, (self.late + self.skipped + self.given_up) / self.due))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {**asdict(self), "missed_share": self.missed_share}
+
+
+def read_deadlines(facts: Mapping[str, str], rate: float, ticks: int) -> Deadlines:
+    """Read what a plant reported.
+
+    Args:
+        facts: The values in its last diagnostics.
+        rate: Ticks per second that were asked for [Hz].
+        ticks: Number of ticks that should have been.
+    """
+
+    def number(key: str) -> float:
+        return float(facts.get(key, "nan"))
+
+    never_came = ticks - number("time_s") * rate
+    return Deadlines(
+        rate_hz=rate,
+        due=ticks,
+        late=number("late_commands"),
+        skipped=number("missed_ticks"),
+        given_up=number("lost_s") * rate + max(0.0, never_came),
+        causes={
+            key.removeprefix(names.LATE_FOR): int(value)
+            for key, value in facts.items()
+            if key.startswith(names.LATE_FOR)
+        },
+        too_slow=facts.get(names.TOO_SLOW, ""),
+    )

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plant counted in real time becomes a share of missed deadlines with its causes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tactile_hand_ros.run.deadlines import read_deadlines
+
+FACTS = {
+    "late_commands": "3",
+    "missed_ticks": "2",
+    "lost_s": "0.01",
+    "time_s": "1.98",
+    "late: preemption": "4",
+    "late: unknown": "1",
+    "too_slow": "too slow",
+}
+
+
+def test_what_was_late_skipped_given_up_or_never_came_is_missed() -> None:
+    found = read_deadlines(FACTS, 500.0, 1000)
+    assert (found.late, found.skipped, found.causes) == (3.0, 2.0, {"preemption": 4, "unknown": 1})
+    assert found.given_up == pytest.approx(5.0 + 10.0)
+    assert found.missed_share == pytest.approx(0.02)
+    assert found.to_dict()["missed_share"] == found.missed_share
+    assert found.too_slow == "too slow"
+
+
+def test_a_plant_that_has_not_reported_makes_nothing_known() -> None:
+    found = read_deadlines({}, 500.0, 1000)
+    assert math.isnan(found.late) and math.isnan(found.missed_share)
+    assert (dict(found.causes), found.too_slow) == ({}, "")
