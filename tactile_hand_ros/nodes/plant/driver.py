@@ -52,7 +52,7 @@ class PlantDriver:
         self._senders = SenderWatch()
         self._told, self._told_at = "", -math.inf
         self._topics = PlantTopics(node, run.plant.hand)
-        self._pace = Pace(c.tick)
+        self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
         self._real_time = RealTime(node, self._pace, is_used=not self._is_lockstep)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)

@@ -27,9 +27,18 @@ class Pace:
         ages: How old a tick was when its command came, of all ticks that were answered.
     """
 
-    def __init__(self, tick_ns: int, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        """Take the length of a tick [ns]."""
+    def __init__(
+        self, tick_ns: int, busy_wait_ns: int = 0, clock: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        """Prepare.
+
+        Args:
+            tick_ns: Length of a tick [ns].
+            busy_wait_ns: How long before a tick `due` begins to watch the clock [ns].
+            clock: Time [ns].
+        """
         self._tick = tick_ns
+        self._lead = min(busy_wait_ns, tick_ns // 2)
         self._clock = clock
         self.missed = 0
         self.lost_ns = 0
@@ -39,8 +48,8 @@ class Pace:
         self.start()
 
     def start(self) -> None:
-        """Let the first tick come due one tick from now."""
-        self._due_at = self._clock() + self._tick
+        """Let the first tick come due one tick from now, or that later that `due` waits."""
+        self._due_at = self._clock() + self._tick + self._lead
 
     @property
     def overdue_ns(self) -> int:
@@ -48,8 +57,10 @@ class Pace:
         return self._clock() - self._due_at
 
     def due(self) -> int:
-        """Return how many ticks are due now, and count them as done."""
+        """Return how many ticks are due now, and count them as done; wait for one nearly due."""
         behind = self._clock() - self._due_at
+        while -self._lead <= behind < 0:
+            behind = self._clock() - self._due_at
         if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
             return 0
         count = max(1, behind // self._tick + 1)
