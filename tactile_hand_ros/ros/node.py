@@ -96,7 +96,7 @@ class TactileNode(Node, Generic[C]):
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
         self._peers: dict[str, int] = {}
         self._attention = PollBackoff(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
-        self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
+        self._peers_timer = self.create_timer(PEERS_PERIOD, self._on_peers_due, clock=steady)
 
     @property
     def config(self) -> C:
@@ -242,6 +242,9 @@ class TactileNode(Node, Generic[C]):
             Exception: The error itself if it is `fatal`, or if the context is being shut down.
         """
         self._guard.caught(source, error)
+
+    def _on_peers_due(self) -> None:
+        self._between_ticks.run(self._look_for_peers)
 
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""

@@ -44,22 +44,23 @@ class Deadlines:
     def begin(self) -> None:
         """Begin with a tick that is published now."""
         self._is_open = True
-        self._watch.begin()
+        self._watch.begin(0.0)
 
-    def due(self, ticks: int) -> None:
+    def due(self, ticks: int, behind_ns: int) -> None:
         """Begin with the newest of so many ticks that are due now.
 
         The tick before them has had its time, and all but the newest are skipped.
 
         Args:
             ticks: How many.
+            behind_ns: How long ago the first of them came due [ns].
         """
-        if self._is_open:
-            self._judge_late()
+        cause = self._judge_late() if self._is_open else ""
+        self._watch.begin(1e-9 * behind_ns)
         if ticks > 1:
             self.skipped += ticks - 1
-            self._blame(ticks - 1)
-        self.begin()
+            self._causes[cause or self._watch.cause_before()] += ticks - 1
+        self._is_open = True
 
     def answered(self, overdue_ns: int) -> None:
         """Note that the command for the newest tick has arrived.
@@ -74,6 +75,7 @@ class Deadlines:
         else:
             self.in_time += 1
             self._is_open = False
+        self._watch.end(in_time=overdue_ns <= 0)
 
     def forget(self) -> None:
         """Expect no command for the newest tick: time has been stopped."""
@@ -85,10 +87,9 @@ class Deadlines:
         for cause, count in self.causes.items():
             put(f"{names.LATE_FOR}{cause}", count)
 
-    def _judge_late(self) -> None:
+    def _judge_late(self) -> str:
+        cause = self._watch.cause(awaits_others=self._awaits_others)
         self.late += 1
+        self._causes[cause] += 1
         self._is_open = False
-        self._blame(1)
-
-    def _blame(self, ticks: int) -> None:
-        self._causes[self._watch.cause(awaits_others=self._awaits_others)] += ticks
+        return cause

@@ -22,6 +22,7 @@ class Pace:
 
     Attributes:
         missed: Ticks that came due together with a later one, so that nobody saw them.
+        behind_ns: How late the first of the ticks was that came due last [ns].
         lost_ns: Wall time that was given up because the machine could not follow [ns].
         jitter: How far from its time each tick came.
         ages: How old a tick was when its command came, of all ticks that were answered.
@@ -41,6 +42,7 @@ class Pace:
         self._lead = min(busy_wait_ns, tick_ns // 2)
         self._clock = clock
         self.missed = 0
+        self.behind_ns = 0
         self.lost_ns = 0
         self.jitter, self.ages = Histogram(), Histogram()
         self._delays = np.zeros(_WINDOW)
@@ -64,6 +66,7 @@ class Pace:
         if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
             return 0
         count = max(1, behind // self._tick + 1)
+        self.behind_ns = max(0, behind)
         self.jitter.note(1e-9 * abs(behind))
         if behind > _MOST_BEHIND_NS:
             self.lost_ns += behind

@@ -42,7 +42,7 @@ class RealTime:
         if self._collections is not None:
             collections = self._collections
             timed[GARBAGE] = lambda: collections.seconds
-        self._watch = TickWatch(timed)
+        self._watch = TickWatch(timed, 1.0 / node.config.rate)
         self._deadlines = Deadlines(self._watch, awaits_others=is_alone)
         self._headroom = Headroom(node.config.rate, node.config.time_step)
         self._advice = _advice(is_alone=is_alone)
@@ -62,7 +62,7 @@ class RealTime:
     def due(self, ticks: int) -> None:
         """Begin with the newest of so many ticks that are due now."""
         if self._is_used:
-            self._deadlines.due(ticks)
+            self._deadlines.due(ticks, self._pace.behind_ns)
 
     def answered(self) -> None:
         """Note that the command for the newest tick has arrived."""

@@ -18,7 +18,7 @@ from tactile_hand_ros.ros.realtime.causes import TickWatch
 @pytest.fixture
 def deadlines() -> Iterator[Deadlines]:
     """Deadlines of which nothing has been judged."""
-    watch = TickWatch({})
+    watch = TickWatch({}, 0.002)
     yield Deadlines(watch, awaits_others=False)
     watch.close()
 
@@ -26,7 +26,7 @@ def deadlines() -> Iterator[Deadlines]:
 def test_a_command_is_late_once_the_next_tick_is_due(deadlines: Deadlines) -> None:
     deadlines.begin()
     deadlines.answered(-1)
-    deadlines.due(1)
+    deadlines.due(1, 0)
     deadlines.answered(1)
     deadlines.answered(2)  # the same tick again
     assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (1, 1, 0)
@@ -34,7 +34,7 @@ def test_a_command_is_late_once_the_next_tick_is_due(deadlines: Deadlines) -> No
 
 def test_a_tick_without_a_command_is_late(deadlines: Deadlines) -> None:
     deadlines.begin()
-    deadlines.due(3)
+    deadlines.due(3, 5_000_000)
     assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (0, 1, 2)
     shown: dict[str, object] = {}
     deadlines.report(shown.__setitem__)
@@ -47,23 +47,23 @@ def test_no_command_is_expected_while_time_stands_still(deadlines: Deadlines) ->
     deadlines.begin()
     deadlines.forget()
     deadlines.answered(1)
-    deadlines.due(1)
+    deadlines.due(1, 0)
     assert (deadlines.in_time, deadlines.late) == (0, 0)
 
 
 @given(st.lists(st.integers(1, 4) | st.integers(-5, -1) | st.just(0)))
 def test_ticks_are_neither_lost_nor_counted_twice(events: list[int]) -> None:
-    watch = TickWatch({})
+    watch = TickWatch({}, 0.002)
     deadlines = Deadlines(watch, awaits_others=True)
     deadlines.begin()
     ticks = 1
     for event in events:
         if event > 0:
-            deadlines.due(event)
+            deadlines.due(event, event * 2_000_000)
             ticks += event
         else:
             deadlines.answered(event + 2)
-    deadlines.due(1)
+    deadlines.due(1, 0)
     assert deadlines.in_time + deadlines.late + deadlines.skipped == ticks
     assert sum(deadlines.causes.values()) == deadlines.late + deadlines.skipped
     watch.close()
