@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 
 from tactile_hand_ros.bench.blocks import (
     measure_closed_loop,
@@ -15,7 +17,7 @@ from tactile_hand_ros.bench.graph import measure_graph, measure_idle
 from tactile_hand_ros.bench.hops import measure_hops
 from tactile_hand_ros.bench.peers.integrator import measure_integrator
 from tactile_hand_ros.bench.peers.libraries import measure_solvers, measure_steps
-from tactile_hand_ros.bench.realtime import measure_realtime
+from tactile_hand_ros.bench.realtime.cases import measure_realtime
 from tactile_hand_ros.bench.recording import measure_recompute, measure_recorder
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.wire import measure_wire
@@ -23,28 +25,30 @@ from tactile_hand_ros.bench.workload import Workload
 
 Measurement = Callable[[Workload], list[Result]]
 
-BLOCKS: tuple[Measurement, ...] = (
-    measure_optimizer,
-    measure_controller,
-    measure_plant,
-    measure_closed_loop,
-)
-"""Function calls only."""
+SECTIONS: dict[str, tuple[Measurement, ...]] = {
+    "function calls": (
+        measure_optimizer,
+        measure_controller,
+        measure_plant,
+        measure_closed_loop,
+    ),
+    "other libraries": (measure_solvers, measure_steps, measure_integrator),
+    "messages": (measure_hops, measure_wire),
+    "nodes": (measure_idle, measure_graph),
+    "real time": (measure_realtime,),
+    "recordings": (measure_recorder, measure_recompute),
+}
+"""All measurements by section, in the order of the page."""
 
-MEASUREMENTS: tuple[Measurement, ...] = (
-    *BLOCKS,
-    measure_solvers,
-    measure_steps,
-    measure_integrator,
-    measure_hops,
-    measure_wire,
-    measure_idle,
-    measure_graph,
-    measure_realtime,
-    measure_recorder,
-    measure_recompute,
-)
-"""All measurements, in the order of the table."""
+BLOCKS = SECTIONS["function calls"]
+"""Those that need no processes and no other libraries."""
+
+MEASUREMENTS: tuple[Measurement, ...] = tuple(chain.from_iterable(SECTIONS.values()))
+
+
+def section_of(measurement: Measurement) -> str:
+    """Return the title of the section that a measurement belongs to."""
+    return next(title for title, some in SECTIONS.items() if measurement in some)
 
 
 def run_measurements(
@@ -52,4 +56,5 @@ def run_measurements(
 ) -> Iterator[Result]:
     """Take measurements, one after the other so that they do not disturb each other."""
     for measurement in measurements:
-        yield from measurement(work)
+        for result in measurement(work):
+            yield replace(result, section=section_of(measurement))

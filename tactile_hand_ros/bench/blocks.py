@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.bench.results import Goal, Result
-from tactile_hand_ros.bench.workload import Workload
+from tactile_hand_ros.bench.workload import SCENARIO, Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import Scenario, changed
+from tactile_hand_ros.closed_loop.scenario import Scenario, changed, load_scenario
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 
 Array = NDArray[np.float64]
+
+_WARM = 50  # ticks
+_TURNS = 3
 
 
 def optimizer_times(work: Workload, solver: str = "exact") -> tuple[Array, Array]:
@@ -100,6 +103,16 @@ def measure_closed_loop(work: Workload) -> list[Result]:
         Result.of("closed loop, times real time", "x", speeds, ten),
         Result.of("closed loop, one plant step a tick", "ticks/s", rates[1], many),
     ]
+
+
+def function_calls(ticks: int = 300) -> float:
+    """Return how many ticks a second the loop makes by function calls, one plant step each.
+
+    The machine changes its speed from hour to hour: give this beside what else was measured.
+    """
+    scenario = load_scenario(SCENARIO, {"plant.rate": 1000.0})
+    _loop_rate(scenario, _WARM)
+    return float(np.median([_loop_rate(scenario, ticks) for _ in range(_TURNS)]))
 
 
 def _loop_rate(scenario: Scenario, ticks: int) -> float:

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.bench.realtime import CONDITIONS, RATES, RealtimeRun
+from tactile_hand_ros.bench.realtime.cases import CONDITIONS, RealtimeRun
 from tactile_hand_ros.bench.sizes import (
     CONTROLLER,
     FINGERS,
@@ -38,13 +39,14 @@ def realtime_figure(runs: Sequence[RealtimeRun]) -> Figure:
     """Draw for each rate how ticks jitter and which share of commands is older than an age."""
     with look():
         figure = new_figure(PAGE, 4.6)
-        rates = [rate for rate in RATES if any(run.case.rate == rate for run in runs)]
+        rates = sorted({run.case.rate for run in runs})
         panels = figure.subplots(2, len(rates), sharex=True, sharey="row", squeeze=False)
         for column, rate in enumerate(rates):
             some = [run for run in runs if run.case.rate == rate]
             _draw_rate(panels[0, column], panels[1, column], some)
-            label_panel(panels[0, column], "ab"[column], f"jitter of the ticks, {rate:g} Hz")
-            label_panel(panels[1, column], "cd"[column], f"age of the data, {rate:g} Hz")
+            above, below = ascii_lowercase[column], ascii_lowercase[len(rates) + column]
+            label_panel(panels[0, column], above, f"jitter of the ticks, {rate:g} Hz")
+            label_panel(panels[1, column], below, f"age of the data, {rate:g} Hz")
             panels[1, column].set_xlabel("ms")
             for axes in panels[:, column]:
                 axes.axvline(_MS / rate, color=FAINT, linewidth=0.8)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.bag.provenance import versions
-from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
 
 Array = NDArray[np.float64]
@@ -40,12 +39,6 @@ class Goal:
         over = self.at_most is None or value <= self.at_most
         return over and (self.at_least is None or value >= self.at_least)
 
-    def __str__(self) -> str:
-        """Return it in words."""
-        if self.at_most is not None:
-            return f"{self.statistic} <= {self.at_most:g}"
-        return f"{self.statistic} >= {self.at_least:g}"
-
 
 @dataclass(frozen=True)
 class Result:
@@ -62,6 +55,7 @@ class Result:
         goals: What is asked of it.
         beside: Name of what was measured beside it, in the same run and turn by turn.
         ratio: Its median in units of that one's; NaN if it stands alone.
+        section: Title of the section that it belongs to.
     """
 
     name: str
@@ -74,6 +68,7 @@ class Result:
     goals: tuple[Goal, ...] = ()
     beside: str = ""
     ratio: float = math.nan
+    section: str = ""
 
     @classmethod
     def of(cls, name: str, unit: str, samples: Sequence[float] | Array, *goals: Goal) -> Result:
@@ -90,37 +85,6 @@ class Result:
     def met(self) -> bool | None:
         """Whether all goals are met; None without goals."""
         return all(goal.met(self) for goal in self.goals) if self.goals else None
-
-
-COLUMNS = (
-    "measurement",
-    "unit",
-    "median",
-    "p99",
-    "p99.9",
-    "largest",
-    "samples",
-    "ratio",
-    "goal",
-    "met",
-)
-
-
-def rows(results: Sequence[Result]) -> list[list[str]]:
-    """Return results as text, columns as in `COLUMNS`."""
-    words = {True: "yes", False: "no", None: ""}
-    return [
-        [
-            r.name,
-            r.unit,
-            *(tables.number(value) for value in (r.median, r.p99, r.p999, r.largest)),
-            str(r.count),
-            f"{r.ratio:.2f} x {r.beside}" if r.beside else "",
-            ", ".join(map(str, r.goals)),
-            words[r.met],
-        ]
-        for r in results
-    ]
 
 
 def to_json(results: Sequence[Result]) -> dict[str, Any]:

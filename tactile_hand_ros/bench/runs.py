@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 PROCESSES = (*NODES, "recorder", "composed")
 _TIMEOUT = 600.0  # s, on top of the simulated time
+_HOLDING = 2  # fingers
 _LOOK = 0.5  # s between two looks at the processes
 
 
@@ -61,12 +63,16 @@ class GraphRun:
         plant: The last facts in the plant's diagnostics.
         usage: What the processes took, over time.
         load_time: Time to read all of the bag's topics into arrays [s].
+        peak_grasp_force: Largest k_f [N].
+        dropped: Whether fewer than two fingers touched when last something was felt.
     """
 
     summary: dict[str, Any]
     plant: dict[str, str]
     usage: Sequence[Usage]
     load_time: float = math.nan
+    peak_grasp_force: float = math.nan
+    dropped: bool = False
 
     @property
     def memory(self) -> dict[str, float]:
@@ -122,7 +128,22 @@ def run_graph(seconds: float, *options: str, load: bool = False) -> GraphRun:
         plant = [each for each in Run(path).diagnostics if each.name == "/plant"]
         summary = json.loads(file.read_text(encoding="utf-8"))
         load_time = _load_time(path) if load else math.nan
-        return GraphRun(summary, plant[-1].values if plant else {}, usage, load_time)
+        record = Run(path).record
+        return GraphRun(
+            summary,
+            plant[-1].values if plant else {},
+            usage,
+            load_time,
+            peak_grasp_force=float(np.nanmax(record.grasp_force, initial=0.0)),
+            dropped=is_dropped(record),
+        )
+
+
+def is_dropped(record: Record) -> bool:
+    """Return whether fewer than two fingers touched at the last tick of which touch is known."""
+    touching = np.isfinite(record.contact_positions[:, :, 0]).sum(axis=1)
+    known = np.isfinite(record.forces).any(axis=(1, 2)) | (touching > 0)
+    return bool(known.any()) and bool(touching[known][-1] < _HOLDING)
 
 
 def _load_time(path: Path) -> float:

@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, measure, runs, scenarios
+from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios
 from tactile_hand_ros.errors import TactileHandError
 
 EXIT_FAILED = 2
@@ -34,7 +34,7 @@ for _command in (
     measure.reproduce,
     *runs.COMMANDS,
     *scenarios.COMMANDS,
-    measure.bench,
+    bench.bench,
     *bags.COMMANDS,
 ):
     app.command()(_command)

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand reproduce`, `bench` and `study`: many runs, ending in figures and tables."""
+"""`tactile-hand reproduce` and `study`: many runs, ending in figures and tables."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -17,11 +15,6 @@ from tactile_hand_ros.cli.output import (
     figure_formats,
     print_table,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from tactile_hand_ros.bench.results import Result
 
 
 def reproduce(
@@ -60,91 +53,6 @@ def reproduce(
         title = f"what the laws do, layout {result.layout}"
         print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
     print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
-
-
-def bench(
-    out: Annotated[Path | None, typer.Option(help="File for the results as JSON.")] = None,
-    ticks: Annotated[
-        int | None, typer.Option(help="Shorter runs, for a quick look.", min=2)
-    ] = None,
-    repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 3,
-    blocks: Annotated[
-        bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
-    ] = False,
-    realtime: Annotated[
-        float | None,
-        typer.Option(help="Only real time: how long each way to run is measured [s].", min=1.0),
-    ] = None,
-    sizes: Annotated[
-        bool, typer.Option("--sizes", help="Only the cost against fingers, joints and steps.")
-    ] = False,
-    figures: Annotated[
-        Path | None, typer.Option(help="Folder for figures, with --realtime and --sizes.")
-    ] = None,
-    formats: FormatOption = None,
-) -> None:
-    """Measure speed and compare it with the goals."""
-    from tactile_hand_ros.bench.results import COLUMNS, rows, to_json
-    from tactile_hand_ros.report import tables
-
-    figure_formats(formats)
-    for folder in (None if out is None else out.parent, figures):
-        if folder is not None:
-            check_writable(folder)
-    results: list[Result] = []
-    drawn: dict[str, Callable[[], Figure]] = {}
-    if realtime is not None:
-        results, drawn["realtime"] = _bench_realtime(realtime)
-    if sizes:
-        costs, drawn["sizes"] = _bench_sizes(ticks, repeats)
-        results += costs
-    if not drawn:
-        results = _bench_all(ticks, repeats, blocks)
-    print_table(tables.rich_table("bench", COLUMNS, rows(results)))
-    if out is not None:
-        out.write_text(json.dumps(to_json(results), indent=2) + "\n", encoding="utf-8")
-        print(out)
-    if figures is not None:
-        from tactile_hand_ros.report.style import save
-
-        for name, draw in drawn.items():
-            print(*save(draw(), figures, name, figure_formats(formats)))
-
-
-def _bench_all(ticks: int | None, repeats: int, blocks: bool) -> list[Result]:
-    """Measure everything, or what needs no processes."""
-    from tactile_hand_ros import bench as b
-    from tactile_hand_ros.bench.workload import Workload
-
-    chosen, results = b.BLOCKS if blocks else b.MEASUREMENTS, []
-    with Progress("measuring", len(chosen)) as advance:
-        work = Workload.prepare(ticks, repeats)
-        for measurement in chosen:
-            results += list(b.run_measurements(work, [measurement]))
-            advance(results[-1].name)
-    return results
-
-
-def _bench_realtime(seconds: float) -> tuple[list[Result], Callable[[], Figure]]:
-    """Measure real time in all ways; return results and what draws them."""
-    from tactile_hand_ros.bench import realtime as r
-    from tactile_hand_ros.bench.figures import realtime_figure
-
-    cases = r.cases()
-    with Progress("real time", len(cases)) as advance:
-        runs = list(r.run_cases(cases, seconds, advance))
-    return r.results(runs), lambda: realtime_figure(runs)
-
-
-def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callable[[], Figure]]:
-    """Measure hands of all sizes; return results and what draws them."""
-    from tactile_hand_ros.bench import sizes as s
-    from tactile_hand_ros.bench.figures import sizes_figure
-
-    chosen = s.sizes()
-    with Progress("sizes", repeats * len(chosen)) as advance:
-        costs = s.measure_sizes(chosen, ticks or s.TICKS, repeats, advance)
-    return s.results(costs), lambda: sizes_figure(costs)
 
 
 def slip(

@@ -18,7 +18,7 @@ class Deadlines:
 
     Attributes:
         rate_hz: Ticks per second that were asked for.
-        due: Number of ticks that should have been.
+        due: Number of ticks that should have been by the wall clock.
         late: Ticks whose command came after the next tick was due, or not at all.
         skipped: Ticks that came due together with a later one.
         given_up: Ticks for which the machine stood still, or that a failed run never reached.
@@ -27,7 +27,7 @@ class Deadlines:
     """
 
     rate_hz: float
-    due: int
+    due: float
     late: float
     skipped: float
     given_up: float
@@ -50,23 +50,24 @@ def read_deadlines(facts: Mapping[str, str], rate: float, ticks: int) -> Deadlin
     Args:
         facts: The values in its last diagnostics.
         rate: Ticks per second that were asked for [Hz].
-        ticks: Number of ticks that should have been.
+        ticks: Number of ticks in the simulated time that was asked for.
     """
 
     def number(key: str) -> float:
         return float(facts.get(key, "nan"))
 
-    never_came = ticks - number("time_s") * rate
+    never_came = max(0.0, ticks - number("time_s") * rate)
+    stood_still = number("lost_s") * rate
     return Deadlines(
         rate_hz=rate,
-        due=ticks,
+        due=ticks + stood_still,
         late=number("late_commands"),
         skipped=number("missed_ticks"),
-        given_up=number("lost_s") * rate + max(0.0, never_came),
+        given_up=stood_still + never_came,
         causes={
             key.removeprefix(names.LATE_FOR): int(value)
             for key, value in facts.items()
-            if key.startswith(names.LATE_FOR)
+            if key.startswith(names.LATE_FOR) and int(value)
         },
         too_slow=facts.get(names.TOO_SLOW, ""),
     )

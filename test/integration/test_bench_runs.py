@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_hand_ros.bench.realtime import LOADED, LoadCase, run_load_case
+from tactile_hand_ros.bench.realtime.cases import LOADED, LoadCase, run_load_case
 from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
 from tactile_hand_ros.bench.wire import rate
 from tactile_hand_ros.closed_loop.scenario import NODES
@@ -14,7 +14,8 @@ from tactile_hand_ros.closed_loop.scenario import NODES
 
 def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:
     run = run_load_case(LoadCase(100.0, True, LOADED), 1.0)
-    assert run.ticks == 100
+    assert run.deadlines.due >= 100
+    assert run.bare is not None and run.bare.ticks >= 99
     assert 0.0 <= run.missed <= 1.0
     assert len(run.run.ages) > 1 and np.isfinite(run.run.ages).all() and run.run.ages.min() > 0.0
     assert np.isfinite(run.run.jitter).all()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -177,24 +178,44 @@ def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str
     assert "Nothing can be written to" in text
 
 
-def test_bench_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bench_saves_its_results_and_compares_with_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "results" / "bench.json"
-    assert main(["bench", "--blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
-    assert "closed loop" in capsys.readouterr().out
+    words = ["bench", "--blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]
+    assert main(words) == 0
+    assert "when the saved run was made" not in capsys.readouterr().out
     assert json.loads(out.read_text())["results"]
+    assert main(words) == 0
+    page = capsys.readouterr().out
+    assert "closed loop" in page and "when the saved run was made" in page
+    assert re.search(r"controller, one tick .* \d+\.\d\d x", page)
+    assert max(map(len, page.splitlines())) <= 100
 
 
 def test_bench_draws_the_cost_against_size(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--sizes", "--ticks", "2", "--repeats", "1", "--format", "png"]
-    assert main(["bench", *words, "--figures", str(tmp_path)]) == 0
+    out = ["--out", str(tmp_path / "bench" / "sizes.json")]
+    assert main(["bench", *words, *out, "--figures", str(tmp_path)]) == 0
     assert "5 fingers of 6 joints" in " ".join(capsys.readouterr().out.split())
-    assert [file.name for file in tmp_path.iterdir()] == ["sizes.png"]
+    assert {file.name for file in tmp_path.iterdir()} == {"sizes.png", "bench"}
 
 
-def test_bench_refuses_a_real_time_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--realtime" in refused(capsys, "bench", "--realtime", "0")
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--realtime", "--seconds", "0"], "--seconds"),
+        (["--realtime", "--rates", "500,fast"], "--rates is '500,fast'"),
+        (["--realtime", "--sizes"], "measured separately"),
+        (["--scenarios", "no_such", "--runs", "1"], "no_such"),
+    ],
+)
+def test_bench_refuses_what_it_cannot_measure(
+    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reason in refused(capsys, "bench", "--out", str(tmp_path / "x"), *words)
 
 
 def test_reproduce_writes_figures_and_report(

@@ -24,7 +24,7 @@ def test_what_was_late_skipped_given_up_or_never_came_is_missed() -> None:
     found = read_deadlines(FACTS, 500.0, 1000)
     assert (found.late, found.skipped, found.causes) == (3.0, 2.0, {"preemption": 4, "unknown": 1})
     assert found.given_up == pytest.approx(5.0 + 10.0)
-    assert found.missed_share == pytest.approx(0.02)
+    assert found.missed_share == pytest.approx(20.0 / 1005.0)
     assert found.to_dict()["missed_share"] == found.missed_share
     assert found.too_slow == "too slow"
 

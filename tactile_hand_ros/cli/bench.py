@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand bench`: how fast everything is, which rate is sustained, and what that does."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tactile_hand_ros.cli.output import (
+    FormatOption,
+    Progress,
+    check_writable,
+    figure_formats,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tactile_hand_ros.bench.realtime.cases import RealtimeRun
+    from tactile_hand_ros.bench.realtime.outcomes import Outcome
+    from tactile_hand_ros.bench.results import Result
+
+FOLDER = Path("runs/bench")
+_INTERRUPTED = 130
+
+
+def bench(
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"File for the results; by default one of each kind in {FOLDER}."),
+    ] = None,
+    ticks: Annotated[
+        int | None, typer.Option(help="Shorter runs, for a quick look.", min=2)
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 3,
+    blocks: Annotated[
+        bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
+    ] = False,
+    sizes: Annotated[
+        bool, typer.Option("--sizes", help="Only the cost against fingers, joints and steps.")
+    ] = False,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Only real time: which rate is sustained?")
+    ] = False,
+    rates: Annotated[
+        str, typer.Option(help="Rates for --realtime and --scenarios [Hz], as 250,500,1000.")
+    ] = "",
+    seconds: Annotated[
+        float, typer.Option(help="With --realtime, length of each run [s].", min=1.0)
+    ] = 20.0,
+    loaded: Annotated[
+        bool, typer.Option("--loaded", help="With --realtime, also beside a busy loop per core.")
+    ] = False,
+    scenarios: Annotated[
+        str, typer.Option(help="Only scenarios in lockstep and in real time: all, or pull,gravity.")
+    ] = "",
+    runs: Annotated[int, typer.Option(help="With --scenarios, runs of each case.", min=1)] = 10,
+    duration: Annotated[
+        float | None, typer.Option(help="With --scenarios, simulated time [s].", min=0.1)
+    ] = None,
+    priority: Annotated[
+        int, typer.Option(help="With --scenarios, priority under SCHED_FIFO.", min=0, max=99)
+    ] = 0,
+    limit: Annotated[
+        float, typer.Option(help="With --scenarios, begin no run after so long [min].", min=0.0)
+    ] = 600.0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="With --scenarios, forget the runs that are kept.")
+    ] = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print tables as Markdown, for a page.")
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Folder for figures, with --realtime and --sizes.")
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Measure speed, compare it with the goals and with the last run, and save it."""
+    figure_formats(formats)
+    kind = _kind(blocks=blocks, sizes=sizes, realtime=realtime, scenarios=bool(scenarios))
+    file = out or FOLDER / f"{kind}.{'jsonl' if scenarios else 'json'}"
+    for folder in (file.parent, figures):
+        if folder is not None:
+            check_writable(folder)
+    show = _markdown_table if markdown else _terminal_table
+    if scenarios:
+        _bench_scenarios(scenarios, rates, runs, duration, priority, limit, file, show, fresh=fresh)
+        return
+    draw: Callable[[], Figure] | None = None
+    if realtime:
+        results, draw = _bench_realtime(rates, seconds, show, loaded=loaded)
+    elif sizes:
+        results, draw = _bench_sizes(ticks, repeats)
+    else:
+        results = _bench_all(ticks, repeats, blocks)
+    _finish(results, file, show, in_full=not realtime)
+    if figures is not None and draw is not None:
+        from tactile_hand_ros.report.style import save
+
+        print(*save(draw(), figures, kind, figure_formats(formats)))
+
+
+def _kind(**asked: bool) -> str:
+    """Return what is measured.
+
+    Raises:
+        typer.BadParameter: If several kinds are asked for.
+    """
+    chosen = [name for name, is_asked in asked.items() if is_asked]
+    if len(chosen) > 1:
+        raise typer.BadParameter(f"--{chosen[0]} and --{chosen[1]} are measured separately.")
+    return chosen[0] if chosen else "bench"
+
+
+def _log(line: str) -> None:
+    """Say what is done where no bar shows it."""
+    if not sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
+
+
+Show = Callable[[str, Sequence[str], Sequence[Sequence[str]]], None]
+
+
+def _terminal_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+
+    from tactile_hand_ros.bench.page import WIDTH
+    from tactile_hand_ros.report.tables import rich_table
+
+    table = rich_table(title, columns, rows)
+    table.box = SIMPLE_HEAD
+    Console(width=WIDTH).print(table)
+
+
+def _markdown_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from tactile_hand_ros.report.tables import markdown
+
+    print(f"{title}\n\n{markdown(columns, rows)}")
+
+
+def _finish(results: Sequence[Result], file: Path, show: Show, *, in_full: bool) -> None:
+    """Show goals, and in full all results, beside those of the last run, and save them."""
+    from tactile_hand_ros.bench import comparison, page
+    from tactile_hand_ros.bench.blocks import function_calls
+
+    saved, calls = comparison.load(file), function_calls()
+    goals = page.goal_rows(results, saved)
+    if goals:
+        show("goals", page.GOAL_COLUMNS, goals)
+    for title, some in page.sections(results).items() if in_full else ():
+        show(title or "measurements", page.COLUMNS, page.rows(some, saved))
+    print(comparison.speed_line(calls, saved))
+    comparison.save(results, calls, file)
+    print(f"saved in {file}")
+
+
+def _bench_all(ticks: int | None, repeats: int, blocks: bool) -> list[Result]:
+    """Measure everything, or what needs no processes."""
+    from tactile_hand_ros import bench as b
+    from tactile_hand_ros.bench.workload import Workload
+
+    chosen, results = b.BLOCKS if blocks else b.MEASUREMENTS, []
+    with Progress("measuring", len(chosen)) as advance:
+        work = Workload.prepare(ticks, repeats)
+        for measurement in chosen:
+            results += list(b.run_measurements(work, [measurement]))
+            advance(results[-1].name)
+    return results
+
+
+def _bench_realtime(
+    rates: str, seconds: float, show: Show, *, loaded: bool
+) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure which rates are sustained; return results and what draws them."""
+    from tactile_hand_ros.bench.figures import realtime_figure
+    from tactile_hand_ros.bench.realtime import cases as r
+    from tactile_hand_ros.bench.realtime import rates as table
+
+    asked = table.parse_rates(rates) if rates else r.RATES
+    cases = r.cases(asked, loaded=loaded)
+    runs: list[RealtimeRun] = []
+    with Progress("real time", len(cases)) as advance:
+        try:
+            for run in r.run_cases(cases, seconds, advance):
+                runs.append(run)
+                _log(f"{len(runs)} of {len(cases)}: {run.case}")
+        except KeyboardInterrupt:
+            print("stopped; this is what was measured until then", file=sys.stderr)
+    show("which rate is sustained", table.COLUMNS, table.rows(runs))
+    show("why ticks were missed", table.CAUSE_COLUMNS, table.cause_rows(runs))
+    print(table.recommendation(runs))
+    return r.results(runs), lambda: realtime_figure(runs)
+
+
+def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callable[[], Figure]]:
+    """Measure hands of all sizes; return results and what draws them."""
+    from tactile_hand_ros.bench import sizes as s
+    from tactile_hand_ros.bench.figures import sizes_figure
+
+    chosen = s.sizes()
+    with Progress("sizes", repeats * len(chosen)) as advance:
+        costs = s.measure_sizes(chosen, ticks or s.TICKS, repeats, advance)
+    return s.results(costs), lambda: sizes_figure(costs)
+
+
+def _bench_scenarios(
+    names: str,
+    rates: str,
+    runs: int,
+    duration: float | None,
+    priority: int,
+    limit: float,
+    file: Path,
+    show: Show,
+    *,
+    fresh: bool,
+) -> None:
+    """Run scenarios until all is done, the time is over, or Ctrl-C, and show what there is."""
+    from tactile_hand_ros.bench.realtime import outcomes as o
+    from tactile_hand_ros.bench.realtime.rates import parse_rates
+    from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
+    from tactile_hand_ros.closed_loop.scenario import scenario_names
+
+    chosen = scenario_names() if names == "all" else names.split(",")
+    asked = parse_rates(rates) if rates else []
+    plan = planned(o.scenario_cases(chosen, asked, duration, priority), runs)
+    if fresh:
+        file.unlink(missing_ok=True)
+    done: list[Outcome] = []
+    stopped = False
+    with Progress("scenarios", len(plan)) as advance:
+        try:
+            for outcome in run_planned(plan, file, 60.0 * limit, advance):
+                done.append(outcome)
+                _log(f"{len(done)} of {len(plan)}: {outcome}")
+        except KeyboardInterrupt:
+            stopped = True
+    show("scenarios", o.COLUMNS, o.rows(done))
+    if done:
+        print(o.calls_line(done))
+    if len(done) < len(plan):
+        print(f"{len(done)} of {len(plan)} runs are done and kept in {file}; repeat to go on")
+    if stopped:
+        raise typer.Exit(_INTERRUPTED)
