@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from tactile_hand_ros import names
@@ -15,7 +16,7 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
-from tactile_hand_ros.ros.realtime.causes import DIAGNOSTICS, GARBAGE, TickWatch
+from tactile_hand_ros.ros.realtime.causes import GARBAGE, TickWatch
 from tactile_hand_ros.ros.realtime.garbage import CollectionClock
 
 
@@ -38,10 +39,11 @@ class RealTime:
         self._between = between_ticks(node.context)
         self._collections = CollectionClock() if is_used else None
         is_alone = direct_delivery(node.context) is None
-        timed = {DIAGNOSTICS: lambda: self._between.seconds}
+        spent = self._between.spent
+        timed = {cause: partial(spent.__getitem__, cause) for cause in spent}
         if self._collections is not None:
             collections = self._collections
-            timed[GARBAGE] = lambda: collections.seconds
+            timed[GARBAGE] = partial(getattr, collections, "seconds")
         self._watch = TickWatch(timed, 1.0 / node.config.rate)
         self._deadlines = Deadlines(self._watch, awaits_others=is_alone)
         self._headroom = Headroom(node.config.rate, node.config.time_step)

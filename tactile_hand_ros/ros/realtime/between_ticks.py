@@ -9,11 +9,13 @@ when most time is left before the next tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from weakref import WeakKeyDictionary
 
 from rclpy.context import Context
 
+from tactile_hand_ros.ros.realtime.causes import DIAGNOSTICS, RECORDER
 from tactile_hand_ros.ros.realtime.garbage import GarbageRest
 
 _PAUSE = 0.25
@@ -24,7 +26,7 @@ class BetweenTicks:
     """The queue of one process.
 
     Attributes:
-        seconds: How long the work has taken in all [s].
+        spent: How long diagnostics and recorder have worked in all, by cause [s].
         garbage: The collector's rest.
     """
 
@@ -34,7 +36,7 @@ class BetweenTicks:
         Args:
             clock: Time [s].
         """
-        self.seconds = 0.0
+        self.spent = {DIAGNOSTICS: 0.0, RECORDER: 0.0}
         self.garbage = GarbageRest()
         self._clock = clock
         self._waits = False
@@ -79,6 +81,15 @@ class BetweenTicks:
             del self._waiting[work]
             self._do(work)
 
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Count the time inside the block as the recorder's."""
+        began = self._clock()
+        try:
+            yield
+        finally:
+            self.spent[RECORDER] += self._clock() - began
+
     def _is_ticking(self) -> bool:
         return self._waits and self._clock() - self._last < _PAUSE
 
@@ -87,7 +98,7 @@ class BetweenTicks:
         try:
             work()
         finally:
-            self.seconds += self._clock() - began
+            self.spent[DIAGNOSTICS] += self._clock() - began
         self.garbage.tidy(is_idle=not self._is_ticking())
 
 

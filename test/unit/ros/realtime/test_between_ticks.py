@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from tactile_hand_ros.ros.realtime.between_ticks import BetweenTicks
+from tactile_hand_ros.ros.realtime.causes import DIAGNOSTICS, RECORDER
 
 
 class Process:
@@ -55,7 +56,10 @@ def test_work_waits_for_the_end_of_a_tick_and_is_done_one_by_one(process: Proces
     process.queue.tick_done()
     process.queue.tick_done()
     assert process.done == ["first", "second"]
-    assert process.queue.seconds == pytest.approx(0.001)
+    assert process.queue.spent[DIAGNOSTICS] == pytest.approx(0.001)
+    with process.queue.recording():
+        process.now += 0.5
+    assert process.queue.spent[RECORDER] == pytest.approx(0.5)
 
 
 def test_when_the_ticks_stop_nothing_waits_any_more(process: Process) -> None:
