@@ -82,7 +82,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
 
 
 def expected_ticks(plan: Plan) -> int | None:
-    """Return how many ticks a finished run has; None in real time, where late ones are left out."""
+    """Return how many ticks a finished run has; None in real time, where late ones are skipped."""
     return plan.scenario.ticks if _is_lockstep(plan) else None
 
 
@@ -93,7 +93,7 @@ def _is_lockstep(plan: Plan) -> bool:
 def incomplete(plan: Plan, recording: dict[str, Any], ticks: int) -> list[str]:
     """Say which topics lack messages, in one sentence for all that lack the same.
 
-    In real time nodes that fall behind leave out ticks, which is no fault of the recording.
+    In real time late nodes skip ticks, which is no fault of the recording.
     """
     found: list[str] = []
     if recording["absent"]:

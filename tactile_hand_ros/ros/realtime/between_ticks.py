@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work that can wait, such as diagnostics, is done right after a tick and never during one.
 
-A process that runs in real time queues it. Whoever ends a tick there, the plant where it is one of
-the nodes and else each node by itself, calls `tick_done`, which does one piece of work. That is
-when most time is left before the next tick.
+A process that runs in real time queues it. At the end of each tick `tick_done` does one piece of
+work, because most time is left then before the next tick. The plant ends the ticks of its process;
+in a process without the plant each node does.
 """
 
 from __future__ import annotations
