@@ -75,6 +75,11 @@ class GraphRun:
     dropped: bool = False
 
     @property
+    def reached(self) -> float:
+        """Simulated time that the run reached [s]."""
+        return float(self.summary["metrics"]["simulated_time_s"])
+
+    @property
     def memory(self) -> dict[str, float]:
         """The largest resident memory by process [MiB]."""
         names = {name for each in self.usage for name in each.memory}

@@ -192,8 +192,9 @@ def _run(
     summary.write_summary(plan, directory, outcome, results, verdict)
     if results.metrics:
         console.print(summary.table(plan, outcome, results))
-    if outcome.deadlines is not None and outcome.deadlines.too_slow:
-        tell(outcome.deadlines.too_slow)
+    deadlines = summary.deadlines_of(plan, outcome)
+    if deadlines is not None and deadlines.too_slow:
+        tell(deadlines.too_slow)
     if report and (line := summary.report_line(results)):
         tell(line)
     tell(f"{verdict.outcome}; everything is in {directory.path}")

@@ -34,7 +34,6 @@ from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, User
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling
-from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
 
 # After the recorder, which is soon there: what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
@@ -102,7 +101,7 @@ class RunOutcome:
         startup: Time since the start of the orchestrator at which each step was done [s].
         last_tick: Stamp of the last tick that was answered [ns], -1 for none.
         position_error: The last position error that was seen [m].
-        deadlines: How it kept to real time; None in lockstep.
+        plant: What the plant reported last, by key of its diagnostics.
     """
 
     failure: str = ""
@@ -111,7 +110,7 @@ class RunOutcome:
     startup: dict[str, float] = field(default_factory=dict)
     last_tick: int = -1
     position_error: float = float("nan")
-    deadlines: Deadlines | None = None
+    plant: dict[str, str] = field(default_factory=dict)
 
     @property
     def is_complete(self) -> bool:
@@ -248,11 +247,7 @@ class Session:
                 self._processes.check()
                 pause(_LOOK)
         pause(_LAST_WORDS)
-        scenario = self.plan.scenario
-        if scenario.plant.pacing == "realtime":
-            self.outcome.deadlines = read_deadlines(
-                monitor.plant_facts(), scenario.plant.rate, scenario.ticks - 1
-            )
+        self.outcome.plant = monitor.plant_facts()
 
     def _check(self) -> None:
         self.signals.check()

@@ -18,7 +18,7 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.report.tables import recovery_rows
-from tactile_hand_ros.run.deadlines import Deadlines
+from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 
@@ -170,7 +170,7 @@ def write_summary(
     plan: Plan, directory: RunDirectory, outcome: RunOutcome, results: Results, verdict: GoalVerdict
 ) -> None:
     """Write ``summary.json`` whole or not at all."""
-    scenario = plan.scenario
+    scenario, deadlines = plan.scenario, deadlines_of(plan, outcome)
     content = {
         "scenario": scenario.name,
         "outcome": verdict.outcome,
@@ -185,7 +185,7 @@ def write_summary(
         "assumptions": results.assumptions,
         "recoveries": results.recoveries,
         "recording": results.recording,
-        "real_time": None if outcome.deadlines is None else outcome.deadlines.to_dict(),
+        "real_time": None if deadlines is None else deadlines.to_dict(),
         "startup_s": outcome.startup,
         "seed": scenario.seed,
         "pacing": scenario.plant.pacing,
@@ -255,7 +255,7 @@ def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[tuple[str, 
         ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
         ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
         *_answered(plan, r),
-        *_deadline_rows(outcome.deadlines),
+        *_deadline_rows(deadlines_of(plan, outcome)),
         ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),
         ("messages recorded, lost", f"{r['messages']}, {r['lost_messages']}", "none lost"),
         (
@@ -273,6 +273,15 @@ def _answered(plan: Plan, recording: dict[str, Any]) -> list[tuple[str, str, str
     if _is_lockstep(plan) or commands is None:
         return []
     return [("ticks answered", str(commands["ticks"]), "")]
+
+
+def deadlines_of(plan: Plan, outcome: RunOutcome) -> Deadlines | None:
+    """Return how a run kept to real time, None in lockstep and where it did not begin."""
+    if _is_lockstep(plan) or outcome.last_tick < 0:
+        return None
+    reached = 1e-9 * outcome.last_tick
+    asked = reached if plan.interactive else plan.scenario.duration
+    return read_deadlines(outcome.plant, plan.scenario.plant.rate, asked, reached)
 
 
 def _deadline_rows(deadlines: Deadlines | None) -> list[tuple[str, str, str]]:

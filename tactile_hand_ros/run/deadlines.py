@@ -44,23 +44,26 @@ class Deadlines:
         return {**asdict(self), "missed_share": self.missed_share}
 
 
-def read_deadlines(facts: Mapping[str, str], rate: float, ticks: int) -> Deadlines:
-    """Read what a plant reported.
+def read_deadlines(
+    facts: Mapping[str, str], rate: float, asked: float, reached: float
+) -> Deadlines:
+    """Read what a plant reported; its last report may be a little older than the end of the run.
 
     Args:
         facts: The values in its last diagnostics.
         rate: Ticks per second that were asked for [Hz].
-        ticks: Number of ticks in the simulated time that was asked for.
+        asked: Simulated time that was asked for [s].
+        reached: Simulated time that the run reached [s].
     """
 
     def number(key: str) -> float:
         return float(facts.get(key, "nan"))
 
-    never_came = max(0.0, ticks - number("time_s") * rate)
+    never_came = max(0.0, asked - max(reached, number("time_s"))) * rate
     stood_still = number("lost_s") * rate
     return Deadlines(
         rate_hz=rate,
-        due=ticks + stood_still,
+        due=number("time_s") * rate + stood_still + never_came,
         late=number("late_commands"),
         skipped=number("missed_ticks"),
         given_up=stood_still + never_came,

@@ -9,6 +9,7 @@ What it misses, no loop with work in it can keep on the same computer.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from dataclasses import dataclass
 
@@ -53,11 +54,11 @@ def measure_bare_loop(rate: float, seconds: float, priority: int = 0) -> BareLoo
 
 def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int, Histogram]:
     """Return how many ticks came due, how many of them came too late, and the delays."""
-    period, delays = round(1e9 / rate), Histogram()
+    period, delays, alarm = round(1e9 / rate), Histogram(), threading.Event()
     due = time.monotonic_ns() + period
     ticks, missed, end = 0, 0, due + round(1e9 * seconds)
     while due < end:
-        time.sleep(max(0.0, 1e-9 * (due - time.monotonic_ns())))
+        alarm.wait(max(0.0, 1e-9 * (due - time.monotonic_ns())))
         behind = max(0, time.monotonic_ns() - due)
         delays.note(1e-9 * behind)
         ticks += 1 + behind // period

@@ -149,7 +149,7 @@ def summed_up(
     case: LoadCase, seconds: float, run: GraphRun, bare: BareLoop | None = None
 ) -> RealtimeRun:
     """Judge a run by what its plant counted; what it has not reported is NaN."""
-    deadlines = read_deadlines(run.plant, case.rate, round(seconds * case.rate))
+    deadlines = read_deadlines(run.plant, case.rate, seconds, run.reached)
     return RealtimeRun(case, deadlines.missed_share, deadlines, run, bare)
 
 

@@ -143,7 +143,7 @@ def run_case(case: ScenarioCase, run: int, calls: float) -> Outcome:
 
 def outcome_of(case: ScenarioCase, run: int, calls: float, graph: GraphRun) -> Outcome:
     """Judge a run."""
-    deadlines = read_deadlines(graph.plant, case.rate, round(case.duration * case.rate))
+    deadlines = read_deadlines(graph.plant, case.rate, case.duration, graph.reached)
     metrics = graph.summary["metrics"]
     slid = metrics["max_slip_distance_m"]
     is_lockstep = case.pacing == LOCKSTEP

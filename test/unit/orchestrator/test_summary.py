@@ -125,6 +125,29 @@ def test_ticks_that_nobody_answered_are_a_fault_in_lockstep_only() -> None:
     text = io.StringIO()
     Console(width=100, file=text).print(table(realtime, RunOutcome(), good))
     assert re.search(r"ticks answered .* 50 ", text.getvalue())
+    assert "deadlines missed" not in text.getvalue()  # the run did not begin
+
+
+def test_missed_deadlines_are_shown_with_their_causes(tmp_path: Path) -> None:
+    plan = Plan(load_scenario("paper", {"plant.pacing": "realtime", "duration": 0.1}))
+    plant = {
+        "late_commands": "5",
+        "missed_ticks": "0",
+        "lost_s": "0",
+        "time_s": "0.1",
+        "late: preemption": "5",
+        "too_slow": "this computer is too slow",
+    }
+    outcome = RunOutcome(last_tick=100_000_000, plant=plant)
+    good = Results(metrics(ClosedLoop(PLAN.scenario).run(), PLAN.scenario).to_dict(), RECORDING)
+    text = io.StringIO()
+    Console(width=100, file=text).print(table(plan, outcome, good))
+    assert re.search(r"deadlines missed .* 10.00 % .* 5 late, 0 skipped", text.getvalue())
+    assert re.search(r"missed for preemption .* 5 ", text.getvalue())
+    write_summary(plan, RunDirectory(tmp_path), outcome, good, judge(plan, outcome, good, 128))
+    read = json.loads((tmp_path / "summary.json").read_text())["real_time"]
+    assert (read["missed_share"], read["causes"]) == (pytest.approx(0.1), {"preemption": 5})
+    assert read["too_slow"] == "this computer is too slow"
 
 
 def test_summary_and_table_hold_for_every_number_that_is_missing(tmp_path: Path) -> None:

@@ -20,16 +20,22 @@ FACTS = {
 }
 
 
-def test_what_was_late_skipped_given_up_or_never_came_is_missed() -> None:
-    found = read_deadlines(FACTS, 500.0, 1000)
+def test_what_was_late_skipped_or_given_up_is_missed() -> None:
+    found = read_deadlines(FACTS, 500.0, 2.0, 2.0)
     assert (found.late, found.skipped, found.causes) == (3.0, 2.0, {"preemption": 4, "unknown": 1})
-    assert found.given_up == pytest.approx(5.0 + 10.0)
-    assert found.missed_share == pytest.approx(20.0 / 1005.0)
+    assert found.given_up == pytest.approx(5.0)
+    assert found.missed_share == pytest.approx(10.0 / 995.0)  # until the plant's last report
     assert found.to_dict()["missed_share"] == found.missed_share
     assert found.too_slow == "too slow"
 
 
+def test_ticks_that_a_failed_run_never_reached_are_missed() -> None:
+    found = read_deadlines(FACTS, 500.0, 4.0, 2.0)
+    assert found.given_up == pytest.approx(5.0 + 1000.0)
+    assert found.missed_share == pytest.approx(1010.0 / 1995.0)
+
+
 def test_a_plant_that_has_not_reported_makes_nothing_known() -> None:
-    found = read_deadlines({}, 500.0, 1000)
+    found = read_deadlines({}, 500.0, 2.0, 2.0)
     assert math.isnan(found.late) and math.isnan(found.missed_share)
     assert (dict(found.causes), found.too_slow) == ({}, "")

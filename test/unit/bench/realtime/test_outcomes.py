@@ -81,7 +81,8 @@ def test_a_run_that_is_refused_is_an_outcome_with_its_reason() -> None:
 
 @pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
 def test_an_outcome_is_read_from_summary_and_plant(pacing: str) -> None:
-    summary = {"metrics": {"max_slip_distance_m": 0.002}, "outcome": "goal reached"}
+    metrics = {"max_slip_distance_m": 0.002, "simulated_time_s": 8.0}
+    summary = {"metrics": metrics, "outcome": "goal reached"}
     facts = {"late_commands": "40", "missed_ticks": "20", "lost_s": "0", "time_s": "8"}
     graph = GraphRun(summary, facts, [], peak_grasp_force=51.0)
     outcome = outcome_of(replace(CASE, pacing=pacing), 2, 5000.0, graph)

@@ -32,7 +32,12 @@ def run(
         "age_histogram_us": f"{age_us}:{rate:.0f}",
     }
     case = LoadCase(rate, True, condition)
-    return summed_up(case, 1.0, GraphRun({}, facts, []), BareLoop(1000, bare, 1e-4))
+    return summed_up(
+        case,
+        1.0,
+        GraphRun({"metrics": {"simulated_time_s": 1.0}}, facts, []),
+        BareLoop(1000, bare, 1e-4),
+    )
 
 
 def test_the_fastest_rate_with_headroom_is_recommended() -> None:
