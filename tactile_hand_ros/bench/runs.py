@@ -25,6 +25,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.histogram import parse_histogram
 from tactile_hand_ros.ros.processes import CapturedProcess
+from tactile_hand_ros.run.deadlines import Deadlines
 from tactile_hand_ros.run.run import Run
 
 Array = NDArray[np.float64]
@@ -75,9 +76,9 @@ class GraphRun:
     dropped: bool = False
 
     @property
-    def reached(self) -> float:
-        """Simulated time that the run reached [s]."""
-        return float(self.summary["metrics"]["simulated_time_s"])
+    def deadlines(self) -> Deadlines:
+        """How a run in real time kept to it, as the orchestrator saw it."""
+        return Deadlines.from_dict(self.summary["real_time"])
 
     @property
     def memory(self) -> dict[str, float]:

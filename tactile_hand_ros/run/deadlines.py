@@ -43,6 +43,13 @@ class Deadlines:
         """Return plain data."""
         return {**asdict(self), "missed_share": self.missed_share}
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Deadlines:
+        """Read what `to_dict` gave; numbers that JSON could not hold are NaN again."""
+        numbers = ("rate_hz", "due", "late", "skipped", "given_up")
+        known = {key: np.nan if data[key] is None else float(data[key]) for key in numbers}
+        return cls(**known, causes=data["causes"], too_slow=data["too_slow"])
+
 
 def read_deadlines(
     facts: Mapping[str, str], rate: float, asked: float, reached: float

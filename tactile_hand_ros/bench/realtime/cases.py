@@ -18,7 +18,7 @@ from tactile_hand_ros.bench.realtime.bare_loop import BareLoop, measure_bare_loo
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.runs import GraphRun, busy_cores, run_graph
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
+from tactile_hand_ros.run.deadlines import Deadlines
 
 RATES = (500.0, 1000.0)  # Hz
 WHERE = (True, False)  # composed or not
@@ -142,15 +142,12 @@ def run_load_case(case: LoadCase, seconds: float) -> RealtimeRun:
             stack.enter_context(busy_cores(os.cpu_count() or 1))
         bare = measure_bare_loop(case.rate, max(1.0, 0.25 * seconds), case.priority)
         run = run_graph(seconds, *case.options)
-    return summed_up(case, seconds, run, bare)
+    return summed_up(case, run, bare)
 
 
-def summed_up(
-    case: LoadCase, seconds: float, run: GraphRun, bare: BareLoop | None = None
-) -> RealtimeRun:
-    """Judge a run by what its plant counted; what it has not reported is NaN."""
-    deadlines = read_deadlines(run.plant, case.rate, seconds, run.reached)
-    return RealtimeRun(case, deadlines.missed_share, deadlines, run, bare)
+def summed_up(case: LoadCase, run: GraphRun, bare: BareLoop | None = None) -> RealtimeRun:
+    """Judge a run; what its plant has not reported is NaN."""
+    return RealtimeRun(case, run.deadlines.missed_share, run.deadlines, run, bare)
 
 
 GOALS = {

@@ -13,7 +13,6 @@ import numpy as np
 from tactile_hand_ros.bench.realtime.cases import rate_options
 from tactile_hand_ros.bench.runs import BenchError, GraphRun, run_graph
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.run.deadlines import read_deadlines
 
 LOCKSTEP, REALTIME = "lockstep", "realtime"
 
@@ -143,10 +142,12 @@ def run_case(case: ScenarioCase, run: int, calls: float) -> Outcome:
 
 def outcome_of(case: ScenarioCase, run: int, calls: float, graph: GraphRun) -> Outcome:
     """Judge a run."""
-    deadlines = read_deadlines(graph.plant, case.rate, case.duration, graph.reached)
     metrics = graph.summary["metrics"]
     slid = metrics["max_slip_distance_m"]
-    is_lockstep = case.pacing == LOCKSTEP
+    late = skipped = 0.0
+    if case.pacing != LOCKSTEP:
+        d = graph.deadlines
+        late, skipped = d.late / d.due, (d.skipped + d.given_up) / d.due
     return Outcome(
         case,
         run,
@@ -154,8 +155,8 @@ def outcome_of(case: ScenarioCase, run: int, calls: float, graph: GraphRun) -> O
         dropped=graph.dropped,
         slip_mm=float("nan") if slid is None else 1e3 * slid,
         peak_force=graph.peak_grasp_force,
-        late=0.0 if is_lockstep else deadlines.late / deadlines.due,
-        skipped=0.0 if is_lockstep else (deadlines.skipped + deadlines.given_up) / deadlines.due,
+        late=late,
+        skipped=skipped,
         calls=calls,
     )
 

@@ -26,6 +26,7 @@ from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
 from tactile_hand_ros.bench.runs import GraphRun, is_dropped
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.run.deadlines import read_deadlines
 
 CASE = ScenarioCase("pull", "realtime", 500.0, True, 8.0)
 GOOD = Outcome(CASE, 0, True, False, 0.125, 51.0, 0.01, 0.0, 5000.0)
@@ -81,9 +82,12 @@ def test_a_run_that_is_refused_is_an_outcome_with_its_reason() -> None:
 
 @pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
 def test_an_outcome_is_read_from_summary_and_plant(pacing: str) -> None:
-    metrics = {"max_slip_distance_m": 0.002, "simulated_time_s": 8.0}
-    summary = {"metrics": metrics, "outcome": "goal reached"}
     facts = {"late_commands": "40", "missed_ticks": "20", "lost_s": "0", "time_s": "8"}
+    summary = {
+        "metrics": {"max_slip_distance_m": 0.002},
+        "outcome": "goal reached",
+        "real_time": read_deadlines(facts, 500.0, 8.0, 8.0).to_dict(),
+    }
     graph = GraphRun(summary, facts, [], peak_grasp_force=51.0)
     outcome = outcome_of(replace(CASE, pacing=pacing), 2, 5000.0, graph)
     assert (outcome.goal, outcome.slip_mm, outcome.peak_force) == (True, 2.0, 51.0)

@@ -17,6 +17,7 @@ from tactile_hand_ros.bench.realtime.rates import (
 )
 from tactile_hand_ros.bench.runs import GraphRun
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.run.deadlines import read_deadlines
 
 
 def run(
@@ -32,12 +33,8 @@ def run(
         "age_histogram_us": f"{age_us}:{rate:.0f}",
     }
     case = LoadCase(rate, True, condition)
-    return summed_up(
-        case,
-        1.0,
-        GraphRun({"metrics": {"simulated_time_s": 1.0}}, facts, []),
-        BareLoop(1000, bare, 1e-4),
-    )
+    kept = read_deadlines(facts, rate, 1.0, 1.0).to_dict()
+    return summed_up(case, GraphRun({"real_time": kept}, facts, []), BareLoop(1000, bare, 1e-4))
 
 
 def test_the_fastest_rate_with_headroom_is_recommended() -> None:
