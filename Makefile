@@ -11,6 +11,8 @@ PYTEST_ARGS ?=
 override PREFIX := $(abspath $(VENV))
 PY := $(PREFIX)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check --no-input
+# A file that is not the one that was locked is refused.
+LOCKED := --require-hashes --no-deps
 
 # ament finds packages below these prefixes, and the virtual environment is ours.
 export AMENT_PREFIX_PATH := $(PREFIX)
@@ -35,7 +37,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench mutate setup clean FORCE
+.PHONY: help demo run test lint bench mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -75,6 +77,16 @@ mutate: $(PREFIX)/.mutate $(PREFIX)/.package
 
 setup: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
 
+# After a pin has changed; uv is the only tool that this needs, and nothing else needs it.
+lock: $(PREFIX)/.created
+	@$(PIP) install -qq -r requirements/lock.txt
+	@UV=$(PREFIX)/bin/uv sh requirements/lock.sh
+
+# Asks a public database, so it needs a network.
+audit: $(PREFIX)/.created
+	@$(PIP) install -qq -r requirements/audit.txt
+	@$(PREFIX)/bin/pip-audit --disable-pip --require-hashes $(addprefix -r ,$(wildcard requirements/locked/*.txt))
+
 # --- set-up: each stamp is made once and again when what it depends on changes -----------------------
 
 # A virtual environment cannot be moved: build it anew when the tree has been.
@@ -92,28 +104,28 @@ $(PREFIX)/.created:
 	@$(PYTHON) -m venv '$(PREFIX)'
 	@echo '$(PREFIX)' > '$@'
 
-$(PREFIX)/.run: requirements/ros.txt requirements/run.txt $(PREFIX)/.created
+$(PREFIX)/.run: requirements/locked/run.txt $(PREFIX)/.created
 	@echo 'set-up 2/3: ROS 2 Jazzy and the libraries, about a minute and 1 GB'
-	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt
+	@$(PIP) install -qq $(LOCKED) -r requirements/locked/run.txt
 	@touch '$@'
 
-$(PREFIX)/.dev: requirements/dev.txt $(PREFIX)/.run
+$(PREFIX)/.dev: requirements/locked/dev.txt $(PREFIX)/.run
 	@echo 'set-up: test tools'
-	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt -r requirements/dev.txt
+	@$(PIP) install -qq $(LOCKED) -r requirements/locked/run.txt -r requirements/locked/dev.txt
 	@touch '$@'
 
 # Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.
 $(PREFIX)/.browser: requirements/browser.sh $(PREFIX)/.created
 	@if sh requirements/browser.sh; then touch '$@'; fi
 
-$(PREFIX)/.bench: requirements/bench.txt $(PREFIX)/.run
+$(PREFIX)/.bench: requirements/locked/bench.txt $(PREFIX)/.run
 	@echo 'set-up: what speed is compared with'
-	@$(PIP) install -qq -r requirements/run.txt -r requirements/bench.txt
+	@$(PIP) install -qq $(LOCKED) -r requirements/locked/run.txt -r requirements/locked/bench.txt
 	@touch '$@'
 
-$(PREFIX)/.mutate: requirements/mutate.txt $(PREFIX)/.dev
+$(PREFIX)/.mutate: requirements/locked/mutate.txt $(PREFIX)/.dev
 	@echo 'set-up: mutation tests'
-	@$(PIP) install -qq -r requirements/run.txt -r requirements/dev.txt -r requirements/mutate.txt
+	@$(PIP) install -qq $(LOCKED) $(addprefix -r requirements/locked/,run.txt dev.txt mutate.txt)
 	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.
