@@ -13,7 +13,8 @@ import pytest
 from support.recorded import random_record, write_record
 
 from tactile_hand_ros.cli import main
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]

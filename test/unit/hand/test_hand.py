@@ -160,6 +160,9 @@ def edited(tmp_path, old, new, file="hand.urdf"):
     return str(path)
 
 
+HAND_WITH_DEGREES = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90]}}}"
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
@@ -181,6 +184,13 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.urdf", "<mass value=", '<mass value="-1" x=', r"'f1_.*mass is -1, expected .*>= 0"),
         ("hand.urdf", " ixx=", ' ixx="-1" x=', r"'f1_.*principal moments -1"),
         ("hand.urdf", "<axis xyz=", '<axis xyz="inf 0 0" x=', r"'f1_joint_1'.*axis xyz has 'inf'"),
+        (
+            "hand.urdf",
+            '<joint name="f1_joint_2" type="revolute">',
+            '<joint name="f1_joint_2" type="revolute"><mimic joint="f1_joint_1"/>',
+            r"'f1_joint_2': it follows joint 'f1_joint_1' by <mimic>.*remove <mimic>",
+        ),
+        ("hand.yaml", "urdf: hand.urdf", HAND_WITH_DEGREES, r"\[0, 0, 1.571\] if .*degrees"),
         ("hand.urdf", "inertial>", "nothing>", r"'f1_joint_1' of .* moves no mass.*<inertial>"),
     ],
 )
