@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -18,32 +17,12 @@ import typer
 from tactile_hand_ros.command_line import run_command, say
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import run_interpreted
+from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 
 _DEFAULT = "paper"
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the command line asks for; the fields are its options."""
-
-    scenario: str
-    interactive: bool
-    duration: float | None
-    pacing: str | None
-    changes: tuple[str, ...]
-    out: Path
-    record: bool
-    report: bool
-    open_report: bool
-    composed: bool
-    namespace: str
-    startup_timeout: float
-    priority: int
-    cpus: str
-    quiet: bool
 
 
 def _scenarios(incomplete: str) -> list[str]:

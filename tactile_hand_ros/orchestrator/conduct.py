@@ -18,13 +18,13 @@ from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.orchestrator.claim import claim
-from tactile_hand_ros.orchestrator.command import Request
 from tactile_hand_ros.orchestrator.participation import (
     check_environment,
     graph_node,
     ros_context,
 )
 from tactile_hand_ros.orchestrator.processes import Launcher
+from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Signals

@@ -171,7 +171,6 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: {object: {rotation: [0, 0, 30]}}", r"half a turn; angles are in rad"),
         ("duration: 1:30", r"duration is '1:30', expected a finite number"),
         ("seed: 1_000", r"seed is '1_000', expected a whole number"),
-        ("force_optimizer: {cones: on}", r"cones is 'on', expected true or false"),
         ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
         ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
         ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),

@@ -77,9 +77,7 @@ def test_what_only_yaml_1_1_takes_for_something_else_is_text(text):
     assert parse_yaml(text) == text
 
 
-@pytest.mark.parametrize(
-    "text", ["010", "1:30", "1e3", "1.0e3", "on", "no", "true", "~", "ü", "2024-01-01"]
-)
+@pytest.mark.parametrize("text", ["010", "1:30", "1e3", "1.0e3", "on", "true", "~", "2024-01-01"])
 def test_text_is_written_so_that_it_stays_text(text):
     written = yaml_text({"name": text})
     assert parse_yaml(written) == yaml.safe_load(written) == {"name": text}

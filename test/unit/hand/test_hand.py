@@ -160,9 +160,6 @@ def edited(tmp_path, old, new, file="hand.urdf"):
     return str(path)
 
 
-HAND_WITH_DEGREES = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90]}}}"
-
-
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
@@ -190,13 +187,18 @@ HAND_WITH_DEGREES = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90
             '<joint name="f1_joint_2" type="revolute"><mimic joint="f1_joint_1"/>',
             r"'f1_joint_2': it follows joint 'f1_joint_1' by <mimic>.*remove <mimic>",
         ),
-        ("hand.yaml", "urdf: hand.urdf", HAND_WITH_DEGREES, r"\[0, 0, 1.571\] if .*degrees"),
         ("hand.urdf", "inertial>", "nothing>", r"'f1_joint_1' of .* moves no mass.*<inertial>"),
     ],
 )
 def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
     with pytest.raises(HandModelError, match=message):
         Hand.load(edited(tmp_path, old, new, file))
+
+
+def test_angles_that_look_like_degrees_are_questioned(tmp_path):
+    bent = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90]}}}"
+    with pytest.raises(ConfigurationError, match=r"\[0, 0, 1.571\] if these are degrees"):
+        Hand.load(edited(tmp_path, "urdf: hand.urdf", bent, "hand.yaml"))
 
 
 def test_half_a_surrogate_pair_is_not_text(tmp_path):
