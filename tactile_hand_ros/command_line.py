@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import errno
+import io
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 from typing import Any
 
 from tactile_hand_ros.errors import TactileHandError
@@ -40,12 +44,13 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         return EXIT_REFUSED
     _print_any_character()
     try:
-        code = command()
-        sys.stdout.flush()
+        with _interruptible():
+            code = command()
+            sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has left
         _drop_output()
         return 0
-    except KeyboardInterrupt:
+    except (_CtrlC, KeyboardInterrupt):
         say(program, "interrupted.")
         return EXIT_INTERRUPTED
     except Exception as error:
@@ -55,6 +60,72 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         _drop_unwritten()
         say(program, sentence)
     return code if isinstance(code, int) else 0
+
+
+class _CtrlC(BaseException):
+    """What a Ctrl-C raises: Typer would turn a KeyboardInterrupt into a silent exit code."""
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C raise `_CtrlC`, where nothing else is done about it."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _raise_ctrl_c)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGINT) is _raise_ctrl_c:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _raise_ctrl_c(number: int, frame: FrameType | None) -> None:
+    raise _CtrlC
+
+
+class LastingOutput(io.TextIOBase):
+    """The standard output for work that must go on when nothing can be written any more.
+
+    Attributes:
+        problem: Why something could not be written, None as long as all could, or if the reader has
+            left.
+    """
+
+    def __init__(self) -> None:
+        """Write to the standard output as it is now: a progress bar replaces it for a while."""
+        self.problem: OSError | None = None
+        self._stream = sys.stdout
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The encoding of the standard output."""
+        return self._stream.encoding
+
+    def isatty(self) -> bool:
+        """Return whether the standard output is a terminal."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the standard output."""
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Write a text, or drop it."""
+        self._try(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, or drop it."""
+        self._try(self._stream.flush)
+
+    def _try(self, step: Callable[[], Any]) -> None:
+        try:
+            step()
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):
+                self.problem = self.problem or error
+            _redirect(self._stream, os.devnull)
 
 
 def say(program: str, sentence: str) -> None:
@@ -92,8 +163,6 @@ def _explained(error: Exception) -> tuple[str, int | None]:
 
 def _usage(error: Any) -> tuple[str, int | None]:
     """Return what is wrong with the options, as Click reports it; no code for other errors."""
-    if type(error).__name__ == "Abort":  # how Click passes on a Ctrl-C
-        return "interrupted.", EXIT_INTERRUPTED
     if not hasattr(error, "format_message") or not hasattr(error, "exit_code"):
         return "", None
     message = error.format_message().rstrip(".")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import sys
@@ -14,8 +15,9 @@ from rich.console import Console
 
 from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.command_line import LastingOutput, os_sentence
 from tactile_hand_ros.config.model import parse_changes
-from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import (
@@ -31,6 +33,11 @@ from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
 from tactile_hand_ros.ros.scheduling import Scheduling, parse_cpus, parse_priority
+
+
+class OutputError(TactileHandError):
+    """A run whose results could not be written or shown."""
+
 
 _WIDTH = 100  # of tables in logs and pipes
 
@@ -98,7 +105,8 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
 def _run(session: Session, joining: AbstractContextManager[Node], request: Request) -> int:
     """Run a session, judge it and show what came out."""
     plan, directory = session.plan, session.directory
-    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
+    output = LastingOutput()
+    console = Console(file=output, width=None if output.isatty() else _WIDTH)
 
     def tell(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -122,6 +130,8 @@ def _run(session: Session, joining: AbstractContextManager[Node], request: Reque
     if request.open_report:
         tell(summary.open_report(directory))
     tell(f"{verdict.outcome}; everything is in {directory.path}")
-    for reason in verdict.reasons:
-        print(reason, file=sys.stderr)
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        print(*verdict.reasons, sep="\n", end="\n" * bool(verdict.reasons), file=sys.stderr)
+    if output.problem is not None and not outcome.interrupted:
+        raise OutputError(f"the results could not be shown: {os_sentence(output.problem)}")
     return verdict.exit_code

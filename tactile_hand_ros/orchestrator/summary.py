@@ -133,7 +133,9 @@ def judge(plan: Plan, outcome: RunOutcome, results: Results, signal_code: int) -
         results: What the bag says.
         signal_code: Exit code if a signal ended it.
     """
-    troubles = [*results.problems, *outcome.complaints]
+    # A run that was interrupted before its first tick lacks nothing that it should have.
+    expected = results.metrics or not outcome.interrupted
+    troubles = [*(results.problems if expected else []), *outcome.complaints]
     if outcome.failure:
         return GoalVerdict("failed", [outcome.failure, *troubles], 1)
     if outcome.interrupted and plan.interactive and signal_code == _CTRL_C:
