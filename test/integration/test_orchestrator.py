@@ -284,6 +284,7 @@ def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> 
     orchestrator = subprocess.Popen(
         [sys.executable, "-m", "tactile_hand_ros.cli", *words],
         **dict.fromkeys(("stdin", "stdout", "stderr"), theirs),
+        cwd=tmp_path,
         env={**os.environ, "TERM": "xterm"},
         start_new_session=True,
         preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
