@@ -17,6 +17,7 @@ from tactile_hand_ros.closed_loop.scenario_file import (
 )
 from tactile_hand_ros.config.angles import HALF_TURN, check_radians
 from tactile_hand_ros.config.model import Config, param, parse_yaml, validate, yaml_text
+from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
@@ -26,6 +27,20 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
+
+__all__ = [
+    "NODES",
+    "GoalConfig",
+    "Scenario",
+    "TargetConfig",
+    "UserForceConfig",
+    "changed",
+    "find_scenario",
+    "load_scenario",
+    "object_config",
+    "resolved",
+    "scenario_names",
+]
 
 Vector = tuple[float, float, float]
 

@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from typing import IO, cast
 
 from rclpy.node import Node
 from rich.console import Console
@@ -106,7 +107,7 @@ def _run(session: Session, joining: AbstractContextManager[Node], request: Reque
     """Run a session, judge it and show what came out."""
     plan, directory = session.plan, session.directory
     output = LastingOutput()
-    console = Console(file=output, width=None if output.isatty() else _WIDTH)
+    console = Console(file=cast(IO[str], output), width=None if output.isatty() else _WIDTH)
 
     def tell(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
