@@ -163,6 +163,8 @@ def _explained(error: Exception) -> tuple[str, int | None]:
 
 def _usage(error: Any) -> tuple[str, int | None]:
     """Return what is wrong with the options, as Click reports it; no code for other errors."""
+    if isinstance(error.__cause__, EOFError):  # Typer wraps it
+        return "a file or the input ended too early.", EXIT_REFUSED
     if not hasattr(error, "format_message") or not hasattr(error, "exit_code"):
         return "", None
     message = error.format_message().rstrip(".")
