@@ -12,7 +12,9 @@ import typer
 
 from tactile_hand_ros.cli.output import (
     FormatOption,
+    JobsOption,
     Progress,
+    check_file,
     check_writable,
     figure_formats,
     print_table,
@@ -34,7 +36,7 @@ def reproduce(
     duration: Annotated[
         float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    jobs: JobsOption = -1,
     formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims beside what was measured."""
@@ -88,9 +90,10 @@ def bench(
     from tactile_hand_ros.report import tables
 
     figure_formats(formats)
-    for folder in (None if out is None else out.parent, figures):
-        if folder is not None:
-            check_writable(folder)
+    if out is not None:
+        check_file(out)
+    if figures is not None:
+        check_writable(figures)
     results: list[Result] = []
     drawn: dict[str, Callable[[], Figure]] = {}
     if realtime is not None:
@@ -150,7 +153,7 @@ def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callabl
 def slip(
     out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    jobs: JobsOption = -1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     roc: Annotated[
         bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
