@@ -9,8 +9,11 @@ ARGS     ?=
 PYTEST_ARGS ?=
 
 override PREFIX := $(abspath $(VENV))
-PY := $(PREFIX)/bin/python
-PIP := $(PY) -m pip --disable-pip-version-check --no-input
+export VENV_PREFIX := $(PREFIX)
+PY := "$$VENV_PREFIX/bin/python"
+PIP_INSTALL := $(PY) requirements/pip_install.py
+# A file that is not the one that was locked is refused.
+LOCKED := --require-hashes --no-deps
 
 # ament finds packages below these prefixes, and the virtual environment is ours.
 export AMENT_PREFIX_PATH := $(PREFIX)
@@ -19,6 +22,7 @@ export PATH := $(PREFIX)/bin:$(PATH)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # rclpy.init needs a home for its log files.
 export HOME ?= $(PREFIX)
+export SCENARIO
 
 # A sourced ROS installation, or a parent process that runs on ROS wheels of its own, must not mix its
 # libraries with those in .venv.
@@ -35,7 +39,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench mutate setup clean FORCE
+.PHONY: help demo run test lint bench mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -47,90 +51,100 @@ help:
 	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
 	@echo 'make clean                remove .venv, build results and caches; runs/ stays'
 
-demo: $(PREFIX)/.package
-	@$(PY) -m tactile_hand_ros.ros.executables orchestrator --scenario paper $(ARGS)
+demo: $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" run paper $(ARGS)
 
-run: $(PREFIX)/.package
-	@$(PY) -m tactile_hand_ros.ros.executables orchestrator --scenario '$(SCENARIO)' $(ARGS)
+run: $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" run "$$SCENARIO" $(ARGS)
 
-bench: $(PREFIX)/.bench $(PREFIX)/.package
-	@$(PREFIX)/bin/tactile-hand bench $(ARGS)
+bench: $(VENV)/.bench $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" bench $(ARGS)
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
 # The tests run even when lint complains, so that one run tells everything.
-test: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
+test: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	ROS_PYTHON_CHECK_FIELDS=1 $(PREFIX)/bin/pytest $(PYTEST_ARGS) || failed=1; \
+	ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest" $(PYTEST_ARGS) || failed=1; \
 	exit $$failed
 
-lint: $(PREFIX)/.dev $(PREFIX)/.package
-	$(PREFIX)/bin/ruff check .
-	$(PREFIX)/bin/mypy
+lint: $(VENV)/.dev $(VENV)/.package
+	"$$VENV_PREFIX/bin/ruff" check .
+	"$$VENV_PREFIX/bin/mypy"
 
 # At low priority: it takes both cores for a while.
-mutate: $(PREFIX)/.mutate $(PREFIX)/.package
+mutate: $(VENV)/.mutate $(VENV)/.package
 	@PYTHONPATH=test nice $(PY) -m mutation $(ARGS)
 
-setup: $(PREFIX)/.dev $(PREFIX)/.browser $(PREFIX)/.package
+setup: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+
+# After a pin has changed; uv is the only tool that this needs, and nothing else needs it.
+lock: $(VENV)/.created
+	@$(PIP_INSTALL) -r requirements/lock.txt
+	@UV="$$VENV_PREFIX/bin/uv" sh requirements/lock.sh
+
+# Asks a public database, so it needs a network.
+audit: $(VENV)/.created
+	@$(PIP_INSTALL) -r requirements/audit.txt
+	@"$$VENV_PREFIX/bin/pip-audit" --disable-pip --require-hashes $(addprefix -r ,$(wildcard requirements/locked/*.txt))
 
 # --- set-up: each stamp is made once and again when what it depends on changes -----------------------
 
 # A virtual environment cannot be moved: build it anew when the tree has been.
-ifneq ($(shell cat '$(PREFIX)/.created' 2>/dev/null),$(PREFIX))
-$(PREFIX)/.created: FORCE
+ifneq ($(shell cat '$(VENV)/.created' 2>/dev/null),$(PREFIX))
+$(VENV)/.created: FORCE
 endif
 
-$(PREFIX)/.created:
+$(VENV)/.created:
 	@command -v '$(PYTHON)' >/dev/null || { \
 	echo "set-up: there is no '$(PYTHON)': install Python 3.10 or newer, or name one: make ... PYTHON=python3.12" >&2; \
 	exit 1; }
 	@$(PYTHON) requirements/check_python.py
 	@echo 'set-up 1/3: virtual environment $(VENV)'
-	@rm -rf '$(PREFIX)'
-	@$(PYTHON) -m venv '$(PREFIX)'
-	@echo '$(PREFIX)' > '$@'
+	@rm -rf "$$VENV_PREFIX"
+	@$(PYTHON) -m venv "$$VENV_PREFIX"
+	@echo "$$VENV_PREFIX" > '$@'
 
-$(PREFIX)/.run: requirements/ros.txt requirements/run.txt $(PREFIX)/.created
+$(VENV)/.run: requirements/locked/run.txt $(VENV)/.created
 	@echo 'set-up 2/3: ROS 2 Jazzy and the libraries, about a minute and 1 GB'
-	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt)
 	@touch '$@'
 
-$(PREFIX)/.dev: requirements/dev.txt $(PREFIX)/.run
+$(VENV)/.dev: requirements/locked/dev.txt $(VENV)/.run
 	@echo 'set-up: test tools'
-	@$(PIP) install -qq -r requirements/ros.txt -r requirements/run.txt -r requirements/dev.txt
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt dev.txt)
 	@touch '$@'
 
 # Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.
-$(PREFIX)/.browser: requirements/browser.sh $(PREFIX)/.created
+$(VENV)/.browser: requirements/browser.sh $(VENV)/.created
 	@if sh requirements/browser.sh; then touch '$@'; fi
 
-$(PREFIX)/.bench: requirements/bench.txt $(PREFIX)/.run
+$(VENV)/.bench: requirements/locked/bench.txt $(VENV)/.run
 	@echo 'set-up: what speed is compared with'
-	@$(PIP) install -qq -r requirements/run.txt -r requirements/bench.txt
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt bench.txt)
 	@touch '$@'
 
-$(PREFIX)/.mutate: requirements/mutate.txt $(PREFIX)/.dev
+$(VENV)/.mutate: requirements/locked/mutate.txt $(VENV)/.dev
 	@echo 'set-up: mutation tests'
-	@$(PIP) install -qq -r requirements/run.txt -r requirements/dev.txt -r requirements/mutate.txt
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt dev.txt mutate.txt)
 	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.
-$(PREFIX)/.sources: FORCE | $(PREFIX)/.created
+$(VENV)/.sources: FORCE | $(VENV)/.created
 	@echo '$(INSTALLED)' | cmp -s - '$@' || echo '$(INSTALLED)' > '$@'
 
 # A real install, not `pip install -e`: an editable one has no data files, so ament would find no package,
 # no executables and no configuration. It takes two seconds and 15 to compile the contact step, and happens again whenever a source is newer.
 # What setuptools left behind goes first, or deleted modules would be installed again.
-$(PREFIX)/.package: $(INSTALLED) $(PREFIX)/.sources $(PREFIX)/.run
+$(VENV)/.package: $(INSTALLED) $(VENV)/.sources $(VENV)/.run
 	@echo 'set-up 3/3: tactile_hand_ros into $(VENV)'
 	@rm -rf build/lib build/bdist.* *.egg-info
-	@$(PIP) install -qq --no-deps --no-build-isolation --force-reinstall .
+	@$(PIP_INSTALL) --no-deps --no-build-isolation --force-reinstall .
 	@rm -rf build/lib build/bdist.* *.egg-info
-	@cd '$(PREFIX)' && $(PY) -m tactile_hand_ros.closed_loop.warm_up
+	@cd "$$VENV_PREFIX" && $(PY) -m tactile_hand_ros.closed_loop.warm_up
 	@touch '$@'
 
 clean:
-	rm -rf '$(PREFIX)' build/lib build/bdist.* *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf "$$VENV_PREFIX" build/lib build/bdist.* *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find tactile_hand_ros test scripts -name __pycache__ -type d -prune -exec rm -rf {} +

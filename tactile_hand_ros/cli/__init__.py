@@ -1,6 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `tactile-hand`."""
 
-from tactile_hand_ros.cli.app import main
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
 
 __all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; see `app.main`.
+
+    A Ctrl-C while this loads is answered with one line as well.
+    """
+    try:
+        from tactile_hand_ros.cli import app
+
+        return app.main(arguments)
+    except KeyboardInterrupt:
+        print("tactile-hand: interrupted.", file=sys.stderr)
+        return 130

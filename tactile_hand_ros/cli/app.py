@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand`: everything offline. Each command imports what it needs, so that help is fast."""
+"""`tactile-hand`: each command imports what it needs, so that help is fast."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Annotated
 
 try:
     import typer
@@ -16,30 +16,54 @@ except ModuleNotFoundError:  # the nodes run without it
     )
 
 from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.command_line import run_command
+from tactile_hand_ros.config.prefix import use_own_prefix
+from tactile_hand_ros.orchestrator import command as orchestrator
 
-EXIT_FAILED = 2
-EXIT_INTERRUPTED = 130
+PROGRAM = "tactile-hand"
 
 app = typer.Typer(
-    name="tactile-hand",
-    help="Hold and turn an unknown object with a tactile prosthetic hand: everything offline.",
+    name=PROGRAM,
+    help="Hold and turn an unknown object with a tactile prosthetic hand.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # it would read units such as [s] as markup and drop them
 )
-study_app = typer.Typer(help="Many runs on all cores, ending in figures and a table.")
+study_app = typer.Typer(
+    help="Many runs on all cores, ending in figures and a table.", rich_markup_mode=None
+)
 
 for _command in (
-    measure.reproduce,
-    *runs.COMMANDS,
+    orchestrator.run,
     *scenarios.COMMANDS,
-    bench.bench,
+    *runs.COMMANDS,
     *bags.COMMANDS,
+    measure.reproduce,
+    bench.bench,
 ):
     app.command()(_command)
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from tactile_hand_ros.bag.provenance import versions
+
+        print(f"{PROGRAM} {versions()['tactile_hand_ros']}")
+        raise typer.Exit
+
+
+@app.callback()
+def tactile_hand(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Hold and turn an unknown object with a tactile prosthetic hand."""
 
 
 @study_app.callback()
@@ -56,31 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 after success, 2 when something was refused (one sentence on stderr), 130 after Ctrl-C.
     """
-    try:
-        code = app(
-            args=list(sys.argv[1:] if arguments is None else arguments),
-            prog_name="tactile-hand",
-            standalone_mode=False,
-        )
-        sys.stdout.flush()
-    except TactileHandError as error:
-        print(f"tactile-hand: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    except (KeyboardInterrupt, typer.Abort):
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:  # the reader of our output had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except Exception as error:
-        return _refused_usage(error)
-    return code if isinstance(code, int) else 0
-
-
-def _refused_usage(error: Exception) -> int:
-    """Show what is wrong with the command line; anything else is a defect and is raised again."""
-    if not hasattr(error, "format_message") or not hasattr(error, "exit_code"):
-        raise error
-    usage = cast(Any, error)
-    if message := usage.format_message():  # without any argument help was printed instead
-        print(f"tactile-hand: {message} See `tactile-hand --help`.", file=sys.stderr)
-    return int(usage.exit_code)
+    use_own_prefix()
+    # Other machines on the network take no part, unless asked.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return run_command(PROGRAM, lambda: app(args=words, prog_name=PROGRAM, standalone_mode=False))

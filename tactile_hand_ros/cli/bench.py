@@ -13,6 +13,7 @@ import typer
 from tactile_hand_ros.cli.output import (
     FormatOption,
     Progress,
+    check_file,
     check_writable,
     figure_formats,
 )
@@ -83,9 +84,9 @@ def bench(
     figure_formats(formats)
     kind = _kind(blocks=blocks, sizes=sizes, realtime=realtime, scenarios=bool(scenarios))
     file = out or FOLDER / f"{kind}.{'jsonl' if scenarios else 'json'}"
-    for folder in (file.parent, figures):
-        if folder is not None:
-            check_writable(folder)
+    check_file(file)
+    if figures is not None:
+        check_writable(figures)
     show = _markdown_table if markdown else _terminal_table
     if scenarios:
         _bench_scenarios(scenarios, rates, runs, duration, priority, limit, file, show, fresh=fresh)

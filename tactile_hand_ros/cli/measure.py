@@ -10,6 +10,7 @@ import typer
 
 from tactile_hand_ros.cli.output import (
     FormatOption,
+    JobsOption,
     Progress,
     check_writable,
     figure_formats,
@@ -27,7 +28,7 @@ def reproduce(
     duration: Annotated[
         float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    jobs: JobsOption = -1,
     formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims beside what was measured."""
@@ -58,7 +59,7 @@ def reproduce(
 def slip(
     out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    jobs: JobsOption = -1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     roc: Annotated[
         bool, typer.Option(help="Also replay the detector for its receiver operating curve.")

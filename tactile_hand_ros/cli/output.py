@@ -23,6 +23,20 @@ FormatOption = Annotated[
 ]
 
 
+def _number_of_processes(jobs: int) -> int:
+    if jobs == 0:
+        raise typer.BadParameter("0 processes cannot work, expected 1 or more, or -1 for all cores")
+    return jobs
+
+
+JobsOption = Annotated[
+    int,
+    typer.Option(
+        help="Number of processes; -1 for one on each core.", callback=_number_of_processes
+    ),
+]
+
+
 def figure_formats(given: list[str] | None) -> tuple[str, ...]:
     """Return the formats of figures.
 
@@ -50,6 +64,17 @@ def check_writable(folder: Path) -> None:
         reason = "" if writable else "it is read-only"
     if reason:
         raise TactileHandError(f"Nothing can be written to {folder} ({reason}); choose another.")
+
+
+def check_file(file: Path) -> None:
+    """Make sure that a file for results can be written, before any work is done for it.
+
+    Raises:
+        TactileHandError: If that is not possible.
+    """
+    if file.is_dir():
+        raise TactileHandError(f"'{file}' is a folder, expected the name of a file in it.")
+    check_writable(file.parent)
 
 
 def console(stderr: bool = False) -> Console:

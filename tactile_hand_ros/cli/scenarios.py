@@ -12,7 +12,8 @@ from tactile_hand_ros.cli.output import print_table
 
 def scenarios() -> None:
     """List the scenarios of the package."""
-    from tactile_hand_ros.closed_loop.scenario import load_scenario, scenario_names
+    from tactile_hand_ros.closed_loop.scenario import load_scenario
+    from tactile_hand_ros.config.paths import scenario_names
     from tactile_hand_ros.report import tables
 
     rows = []

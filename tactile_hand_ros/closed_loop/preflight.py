@@ -8,11 +8,12 @@ import numpy as np
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import check_joints, check_spread
-from tactile_hand_ros.control.laws import AuxiliaryPose
+from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
-from tactile_hand_ros.errors import GraspError
+from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.simulation.plant import Plant
 
 
@@ -24,7 +25,7 @@ def check_scenario(scenario: Scenario) -> None:
         ObjectModelError: If the object cannot be built or does not fit into the hand.
         GraspError: If a finger does not touch, the hand is singular or the normals cannot balance.
         PoseError: If a target is out of reach.
-        ConfigurationError: If a value does not fit the hand.
+        ConfigurationError: If a value does not fit the hand, or a law of the user's own fails.
     """
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
@@ -45,3 +46,32 @@ def check_scenario(scenario: Scenario) -> None:
     pose = AuxiliaryPose(contacts.centroid, frame)
     for wish in scenario.targets:
         check_reach(hand, state.theta, contacts, pose, wish.target())
+    law = scenario.manipulation_controller.law
+    if law.name not in LAWS:
+        squeeze = scenario.slip_regulator.grasp_force
+        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, squeeze))
+
+
+def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:
+    """Ask a law of the user's own for its torques, before it holds anything.
+
+    Raises:
+        ConfigurationError: If it fails, or does not return a finite torque for each joint.
+    """
+    try:
+        law = law_of(config)(config, hand.radii)
+        law.seen = seen
+        answers = {"squeeze()": law.squeeze(), "drive(wrench)": law.drive(np.full(6, 0.1))}
+    except TactileHandError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(
+            f"the law '{config.name}' fails at the first tick with {type(error).__name__}: {error}"
+        ) from error
+    for name, torque in answers.items():
+        is_torque = isinstance(torque, np.ndarray) and torque.shape == (hand.joints,)
+        if not is_torque or not np.isfinite(torque).all():
+            raise ConfigurationError(
+                f"the law '{config.name}' returns {str(torque)[:60]} from {name}; expected an "
+                f"array of {hand.joints} finite torques, one per joint [N m]"
+            )

@@ -3,35 +3,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import yaml
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
-from tactile_hand_ros.config.model import (
-    Config,
-    did_you_mean,
-    param,
-    parse_yaml,
-    read_yaml,
-    validate,
+from tactile_hand_ros.closed_loop.scenario_file import (
+    CONTROLLER,
+    find_scenario,
+    put_changes,
+    read_layers,
 )
-from tactile_hand_ros.config.paths import config_directory
+from tactile_hand_ros.config.angles import HALF_TURN, check_radians
+from tactile_hand_ros.config.model import Config, param, parse_yaml, validate, yaml_text
+from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
 
+__all__ = [
+    "NODES",
+    "GoalConfig",
+    "Scenario",
+    "TargetConfig",
+    "UserForceConfig",
+    "changed",
+    "find_scenario",
+    "load_scenario",
+    "object_config",
+    "resolved",
+    "scenario_names",
+]
+
 Vector = tuple[float, float, float]
 
-_MAX_DEPTH = 8  # of scenarios that extend each other
 # What is said once for the whole scenario and handed to every node that has such a parameter.
 _SHARED = ("hand", "layout", "gravity", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
@@ -42,7 +54,25 @@ class TargetConfig(Config):
 
     time: float = param(0.0, "simulated time of the command", unit="s", ge=0.0)
     position: Vector = param(..., "p_d of the contact centroid, palm frame", unit="m")
-    rotation: Vector = param((0.0, 0.0, 0.0), "R_pod as a rotation vector, palm frame", unit="rad")
+    rotation: Vector | None = param(
+        (0.0, 0.0, 0.0),
+        "R_pod as a rotation vector, palm frame; keep for that of the target before, or of the "
+        "first grasp",
+        unit="rad",
+    )
+
+    @field_validator("rotation", mode="before")
+    @classmethod
+    def _may_be_kept(cls, rotation: Any) -> Any:
+        if isinstance(rotation, str) and rotation != "keep":
+            raise ValueError(f"'{rotation[:60]}' is neither [x, y, z] in rad nor keep")
+        return None if rotation == "keep" else rotation
+
+    @field_validator("rotation")
+    @classmethod
+    def _in_radians(cls, rotation: Vector | None) -> Vector | None:
+        check_radians(rotation or (), HALF_TURN)
+        return rotation
 
     @property
     def stamp(self) -> int:
@@ -50,7 +80,13 @@ class TargetConfig(Config):
         return round(self.time * 1e9)
 
     def target(self) -> Target:
-        """Return position and orientation as arrays."""
+        """Return position and orientation as arrays.
+
+        Raises:
+            ConfigurationError: If the orientation is to be kept, and which one is not known yet.
+        """
+        if self.rotation is None:
+            raise ConfigurationError("rotation is keep; load_scenario puts the orientation there")
         return Target(np.array(self.position), rotation_from_vector(self.rotation))
 
 
@@ -166,20 +202,24 @@ def resolved(scenario: Scenario) -> str:
     for node in NODES:
         for name in _SHARED:  # said once at the top
             data[node].pop(name, None)
-    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
-    return text
+    return yaml_text(data)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """Return a scenario with other values, by dotted key (``plant.rate``).
 
+    A law that the changes name is imported; one that only the scenario names is not.
+
     Raises:
         ConfigurationError: If a key or value is wrong; says which.
     """
     data = parse_yaml(resolved(scenario), "the scenario")
-    for key, value in changes.items():
-        _put(data, key.split("."), value)
-    return validate(Scenario, data, "the changed scenario")
+    places = put_changes(data, changes)
+    labels = {place: f"the change of {key}" for place, key in places.items()}
+    wanted = _finished(validate(Scenario, data, _source("the changed scenario", labels)))
+    if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
+        take_law(wanted.manipulation_controller.law)
+    return wanted
 
 
 def object_config(data: Any, source: str) -> ObjectConfig:
@@ -195,105 +235,58 @@ def object_config(data: Any, source: str) -> ObjectConfig:
     return validate(ObjectConfig, data, source)
 
 
-def scenario_names() -> list[str]:
-    """Return the names of the scenarios that come with the package, sorted."""
-    return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
-
-
-def find_scenario(name: str) -> Path:
-    """Return the file of a scenario given by name (``paper``) or by path (``my/run.yaml``).
-
-    Raises:
-        ConfigurationError: If neither a file nor a scenario of that name exists.
-    """
-    path = Path(name).expanduser()
-    if path.suffix in (".yaml", ".yml"):
-        if path.is_file():
-            return path
-        raise ConfigurationError(
-            f"scenario file '{path}' does not exist; give a YAML file or one of: "
-            + ", ".join(scenario_names())
-        )
-    if name in scenario_names():
-        return config_directory() / "scenarios" / f"{name}.yaml"
-    raise ConfigurationError(
-        f"no scenario is called '{name}'{did_you_mean(name, scenario_names())} Give one of them or "
-        "the path of a YAML file"
-    )
-
-
-def load_scenario(name: str, changes: Mapping[str, Any] | None = None) -> Scenario:
-    """Load a scenario by name or path.
+def load_scenario(
+    name: str,
+    changes: Mapping[str, Any] | None = None,
+    options: Mapping[str, str] | None = None,
+) -> Scenario:
+    """Load a scenario by name or path, and the user's own law if it names one.
 
     Args:
         name: Name of a scenario of the package, or path of a YAML file.
         changes: Values to put over those of the file, by dotted key (``plant.rate``).
+        options: How the user has given a change, for error texts; by default ``--set KEY``.
 
     Raises:
         ConfigurationError: If it does not exist, or a key or value is wrong; says which and where.
     """
     path = find_scenario(name)
-    data = _read(path, ())
-    for key, value in (changes or {}).items():
-        _put(data, key.split("."), value)
+    data = read_layers(path)
     data.setdefault("name", path.stem)
-    return validate(Scenario, data, str(path))
+    places = put_changes(data, changes or {})
+    labels = {place: (options or {}).get(key, f"--set {key}") for place, key in places.items()}
+    scenario = _finished(validate(Scenario, data, _source(str(path), labels)))
+    take_law(scenario.manipulation_controller.law)
+    return scenario
 
 
-def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
-    """Read a scenario and lay it over the one that it extends."""
-    path = path.resolve()
-    if path in seen or len(seen) >= _MAX_DEPTH:
-        chain = " -> ".join(p.stem for p in (*seen, path))
-        raise ConfigurationError(f"scenarios extend each other in a circle: {chain}")
-    data = read_yaml(path)
-    if data is None:
-        data = {}
-    if not isinstance(data, dict):
-        raise ConfigurationError(
-            f"'{path}' holds {type(data).__name__}; expected a mapping of keys to values"
-        )
-    base = data.pop("extends", None)
-    if base is None:
-        return data
-    under = _read(_find_base(str(base), path), (*seen, path))
-    under.pop("name", None)
-    return _merged(under, data)
+def _source(file: str, labels: Mapping[str, str]) -> Callable[[str], str]:
+    """Return a function that says where the value at a place came from: the file or an option.
 
-
-def _find_base(base: str, path: Path) -> Path:
-    """Return the scenario that another extends: beside it, else by name or path.
-
-    A user's ``paper.yaml`` may extend ``paper``, which then is the one of the package.
+    What concerns the scenario as a whole may follow from either.
     """
-    beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
-    return beside if beside.is_file() and beside.resolve() != path else find_scenario(base)
+
+    def source(place: str) -> str:
+        found = [label for key, label in labels.items() if _overlap(place, key)]
+        return ", ".join(found) or file
+
+    return source
 
 
-def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Lay mappings over each other key by key; lists and values are replaced whole."""
-    out = dict(under)
-    for key, value in over.items():
-        if isinstance(value, dict) and isinstance(out.get(key), dict):
-            value = _merged(out[key], value)
-        out[key] = value
-    return out
+def _overlap(place: str, key: str) -> bool:
+    """Return whether one of two places is part of the other."""
+    at, of = f"{place}.".replace("[", ".["), f"{key}."
+    return bool(place) and (at.startswith(of) or of.startswith(at))
 
 
-def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    """Set a value by its path.
+def _finished(scenario: Scenario) -> Scenario:
+    """Return a scenario with numbers for the orientations that its targets keep."""
+    if all(target.rotation is not None for target in scenario.targets):
+        return scenario
+    from tactile_hand_ros.closed_loop.first_grasp import first_rotation
 
-    Raises:
-        ConfigurationError: If the path leads through something that has no keys.
-    """
-    place: Any = data
-    for index, key in enumerate(keys):
-        if not isinstance(place, dict):
-            raise ConfigurationError(
-                f"'{'.'.join(keys)}' cannot be set: '{'.'.join(keys[:index])}' has no keys in it; "
-                "set it as a whole"
-            )
-        if index == len(keys) - 1:
-            place[key] = value
-        else:
-            place = place.setdefault(key, {})
+    kept, targets = first_rotation(scenario.plant), []
+    for target in scenario.targets:
+        kept = kept if target.rotation is None else target.rotation
+        targets.append(target.model_copy(update={"rotation": kept}))
+    return scenario.model_copy(update={"targets": targets})

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pydantic import Field, field_validator, model_validator
 
+from tactile_hand_ros.config.angles import check_radians
 from tactile_hand_ros.config.model import Config, load_yaml, param
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import HandModelError
@@ -41,6 +42,12 @@ class MountConfig(Config):
 
     xyz: tuple[float, float, float] = param((0.0, 0.0, 0.0), "origin", unit="m")
     rpy: tuple[float, float, float] = param((0.0, 0.0, 0.0), "fixed-axis angles", unit="rad")
+
+    @field_validator("rpy")
+    @classmethod
+    def _in_radians(cls, rpy: tuple[float, float, float]) -> tuple[float, float, float]:
+        check_radians(rpy)
+        return rpy
 
 
 class HandConfig(Config):

@@ -155,13 +155,17 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
     return validate(model, tree, source)
 
 
-def validate(model: type[C], data: Any, source: str = "") -> C:
+Source = str | Callable[[str], str]
+"""Where a value came from: the name of a file or interface, or a function of its dotted place."""
+
+
+def validate(model: type[C], data: Any, source: Source = "") -> C:
     """Validate plain data against a model.
 
     Args:
         model: The configuration class.
         data: Nested mappings as read from YAML.
-        source: Name of the file or interface for the error text.
+        source: Where it came from, for the error text.
 
     Raises:
         ConfigurationError: With source, dotted place and allowed values of every mistake.
@@ -234,7 +238,7 @@ def _parsed(text: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML loader that refuses repeated keys and reads ``1e-3`` as a number."""
+    """YAML loader that refuses repeated keys and reads numbers as they look."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         """Say where a value is that is not what it looks like, such as a 13th month."""
@@ -258,19 +262,61 @@ class _Loader(yaml.SafeLoader):
             seen.add(key.value)
         return typing.cast("dict[Any, Any]", super().construct_mapping(node, deep=deep))
 
-
-# YAML 1.1 reads 1e-3 as text because it lacks a dot; YAML 1.2 and every user mean a number.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+    def construct_whole_number(self, node: yaml.ScalarNode) -> int:
+        """Read a whole number as it looks: 010 is ten, as in YAML 1.2, and not octal."""
+        return int(self.construct_scalar(node), 10)
 
 
-def explain(error: ValidationError, model: type[BaseModel], source: str = "") -> ConfigurationError:
+def _numbers_as_they_look(rules: type[yaml.SafeLoader] | type[yaml.SafeDumper]) -> None:
+    """Let a reader or writer take numbers and truth values as YAML 1.2 does.
+
+    YAML 1.1 reads 010 as 8, 1:30 as 90, 1_0 as 10, on and no as truth values, and 1e3 as text.
+    """
+    for tag, pattern, first in (
+        ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+        ("int", r"[-+]?[0-9]+", "-+0123456789"),
+        (
+            "float",
+            r"[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+            r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+            "-+.0123456789",
+        ),
+    ):
+        expression = re.compile(rf"^(?:{pattern})$")
+        rules.add_implicit_resolver(f"tag:yaml.org,2002:{tag}", expression, list(first))
+
+
+_AS_IN_1_1 = {f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "timestamp")}
+_Loader.yaml_implicit_resolvers = {
+    first: [rule for rule in rules if rule[0] not in _AS_IN_1_1]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_numbers_as_they_look(_Loader)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_whole_number)
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML writer that quotes a text which YAML 1.1 or 1.2 would read as something else."""
+
+
+_numbers_as_they_look(_Dumper)
+
+
+def yaml_text(data: Any) -> str:
+    """Return plain data as YAML that `parse_yaml` reads back."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+    return text
+
+
+def explain(
+    error: ValidationError, model: type[BaseModel], source: Source = ""
+) -> ConfigurationError:
     """Turn pydantic's findings into one sentence each: place, what was given, what is allowed."""
     findings = error.errors(include_url=False)
-    sentences = [_sentence(finding, model) for finding in findings]
-    text = "\n".join(_before(source) + sentence for sentence in sentences)
-    return ConfigurationError(text, source=source, place=_place(findings[0]["loc"]))
+    places = [_place(finding["loc"]) for finding in findings]
+    sources = [source if isinstance(source, str) else source(place) for place in places]
+    lines = [_before(s) + _sentence(f, model) for s, f in zip(sources, findings, strict=True)]
+    return ConfigurationError("\n".join(lines), source=sources[0], place=places[0])
 
 
 def _before(source: str) -> str:

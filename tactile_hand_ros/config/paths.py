@@ -41,6 +41,11 @@ def config_directory() -> Path:
     )
 
 
+def scenario_names() -> list[str]:
+    """Return the names of the scenarios that come with the package, sorted."""
+    return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
+
+
 def _chosen_directory(path: Path) -> Path:
     """Insist on what the user named; a silent fall-back would run with other values."""
     if not path.is_dir():

@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
+import difflib
+import re
 from collections.abc import Callable
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import field_validator
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import wrench_forces
 from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.hand.kinematics import Fingertips
 
 Array = NDArray[np.float64]
+
+_OWN_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
 class IntegralConfig(Config):
@@ -31,9 +37,11 @@ class IntegralConfig(Config):
 class LawConfig(Config):
     """Which law, and its gains (Table I)."""
 
-    name: Literal["optimal", "contact", "kawamura"] = param(
-        "optimal", "law: optimal is (14), contact is (10), kawamura is (8)"
+    name: str = param(
+        "optimal",
+        "law: optimal is (14), contact is (10), kawamura is (8), or your own as module:Class",
     )
+    folder: str = param("", "folder with the module of your own law; empty for PYTHONPATH")
     k_p: float = param(3.0, "position gain", unit="N/m", live=True, ge=0.0, le=1e4)
     k_o: float = param(0.5, "orientation gain", unit="N m/rad", live=True, ge=0.0, le=1e3)
     damping: float = param(0.07, "joint damping K_c", unit="N m s/rad", live=True, ge=0.0, le=1e2)
@@ -45,6 +53,17 @@ class LawConfig(Config):
     )
     integral: IntegralConfig = IntegralConfig()
     observer: ObserverConfig = ObserverConfig()
+
+    @field_validator("name")
+    @classmethod
+    def _is_a_law(cls, name: str) -> str:
+        if name in LAWS or _OWN_NAME.fullmatch(name):
+            return name
+        near = difflib.get_close_matches(name, LAWS, n=1)
+        hint = f"did you mean '{near[0]}'? Expected" if near else "expected"
+        raise ValueError(
+            f"'{name[:60]}' is not a law, {hint} one of {', '.join(LAWS)}, or module:Class"
+        )
 
 
 class Target(NamedTuple):
@@ -139,7 +158,7 @@ class ManipulationLaw:
     def configure(self, config: LawConfig) -> None:
         """Take other gains; integral and observed load stay, unless they are switched off."""
         self.config = config
-        self._law = (self._factory or LAWS[config.name])(config, self._radii)
+        self._law = (self._factory or law_of(config))(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
         self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
         if not self._integrates:
@@ -296,3 +315,22 @@ LAWS: dict[str, LawFactory] = {
     "contact": ContactLaw,
     "kawamura": KawamuraLaw,
 }
+
+OWN_LAWS: dict[tuple[str, str], LawFactory] = {}
+"""Laws of the user's own by name and folder, as `own_law.take_law` has imported them."""
+
+
+def law_of(config: LawConfig) -> LawFactory:
+    """Return the law that a configuration names.
+
+    Raises:
+        ConfigurationError: If it is the user's own and was not imported, as when only a bag names
+            it.
+    """
+    factory = LAWS.get(config.name) or OWN_LAWS.get((config.name, config.folder))
+    if factory is None:
+        raise ConfigurationError(
+            f"the law '{config.name}' is code outside this package, which no recording can import; "
+            f"to use it, name it yourself: --law {config.name}"
+        )
+    return factory

@@ -61,6 +61,15 @@ def _check(root: Element, name: str) -> None:
     for joint in root.findall("joint"):
         for _ in _numbers(joint, _OF_JOINTS, name):
             pass
+        if (mimic := joint.find("mimic")) is not None:
+            found = f"it follows joint '{mimic.get('joint')}' by <mimic>"
+            raise _wrong(
+                joint,
+                name,
+                found,
+                "joints that move on their own",
+                "couplings are not supported: remove <mimic>, or make the joint fixed",
+            )
     for link in links:
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
             if attribute == "value" and value < 0.0:
@@ -108,9 +117,11 @@ def _number(word: str, place: str, parent: Element, name: str) -> float:
     return value
 
 
-def _wrong(parent: Element, name: str, found: str, expected: str) -> HandModelError:
+def _wrong(
+    parent: Element, name: str, found: str, expected: str, advice: str = "correct the URDF"
+) -> HandModelError:
     label = f"{parent.tag} '{parent.get('name')}'"
-    return HandModelError(f"'{name}', {label}: {found}, expected {expected}; correct the URDF")
+    return HandModelError(f"'{name}', {label}: {found}, expected {expected}; {advice}")
 
 
 def _move(root: Element, layout: Mapping[str, MountConfig], name: str) -> None:

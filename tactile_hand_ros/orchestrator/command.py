@@ -1,45 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the orchestrator."""
+"""The command line of the orchestrator, which is `tactile-hand run` too.
+
+Only what the help needs is loaded here; `conduct` loads the rest.
+"""
 
 from __future__ import annotations
 
-import re
+import gc
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
-from rich.console import Console
 
-from tactile_hand_ros.closed_loop.preflight import check_scenario
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
-from tactile_hand_ros.config.model import parse_changes
-from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.compiled import ensure_compiled
-from tactile_hand_ros.orchestrator.claim import claim
-from tactile_hand_ros.orchestrator.participation import first_line, graph_node, ros_context
-from tactile_hand_ros.orchestrator.processes import Launcher
-from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Plan, Session
+from tactile_hand_ros.command_line import run_command, say
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.jit.compiled import run_interpreted
+from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
-from tactile_hand_ros.orchestrator.steering import how_to_steer
-from tactile_hand_ros.orchestrator.view import make_view
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling, parse_cpus, parse_priority
 
-EXIT_REFUSED = 2
-_WIDTH = 100  # of tables in logs and pipes
+_DEFAULT = "paper"
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def _scenarios(incomplete: str) -> list[str]:
+    """Complete the name of a scenario in a shell."""
+    from tactile_hand_ros.config.paths import scenario_names
+
+    return [name for name in scenario_names() if name.startswith(incomplete)]
 
 
 @app.command()
-def orchestrate(
+def run(
     context: typer.Context,
-    scenario: Annotated[str, typer.Option(help="Scenario by name or YAML file.")] = "paper",
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="Scenario by name or YAML file, 'paper' by default.",
+            autocompletion=_scenarios,
+            show_default=False,
+        ),
+    ] = "",
+    named: Annotated[
+        str, typer.Option("--scenario", help="The same as an option.", show_default=False)
+    ] = "",
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
     ] = False,
@@ -56,6 +62,9 @@ def orchestrate(
     out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs"),
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
     report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True,
+    open_report: Annotated[
+        bool, typer.Option("--open", help="Open the report in a browser at the end.")
+    ] = False,
     composed: Annotated[
         bool | None,
         typer.Option(
@@ -82,147 +91,68 @@ def orchestrate(
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
     2: the scenario was refused and nothing was started; 130, 143: ended by SIGINT, SIGTERM.
     """
-    signals, ros_arguments = context.obj
-    given = {"duration": duration, "plant.pacing": pacing}
-    values = {key: value for key, value in given.items() if value is not None}
-    launcher = Launcher()
-    try:
-        checked = _checked(scenario, {**values, **parse_changes(changes or [])})
-        plan = Plan(
-            scenario=checked,
-            namespace=full_namespace(namespace, ros_arguments),
-            record=record,
-            interactive=interactive,
-            composed=shares_process(checked, composed),
-            startup_timeout=startup_timeout,
-            scheduling=Scheduling(parse_priority(str(priority)), parse_cpus(cpus) if cpus else ()),
-        )
-        with (
-            ros_context(ros_arguments) as ros,
-            claim(ros.get_domain_id(), plan.namespace) as held,
-        ):
-            signals.check()
-            directory = RunDirectory.create(out, plan.scenario.name)
-            session = Session(plan, directory, launcher, signals, held)
-            joining = graph_node(ros, plan.namespace)
-            where = "" if composed is not None else _default_place(plan)
-            raise typer.Exit(_run(session, joining, where, quiet=quiet, report=report))
-    except TactileHandError as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(EXIT_REFUSED) from None
-
-
-def _checked(name: str, changes: dict[str, Any]) -> Scenario:
-    """Load a scenario and make sure that it can work."""
-    scenario = load_scenario(name, changes)
-    check_scenario(scenario)
-    # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
-    ensure_compiled()
-    return scenario
-
-
-def shares_process(scenario: Scenario, composed: bool | None) -> bool:
-    """Return whether the nodes share a process: as asked for, else in real time."""
-    return scenario.plant.pacing == "realtime" if composed is None else composed
-
-
-def _default_place(plan: Plan) -> str:
-    """Return a line that says where the nodes run, empty where that is nothing special."""
-    if not plan.composed:
-        return ""
-    return "real time: the nodes share one process; --processes gives each node its own"
-
-
-def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
-    """Return the namespace of the run with a leading slash, ``/`` if there is none.
-
-    Args:
-        given: The option, empty if not used.
-        ros_arguments: Command line that may remap ``__ns``.
-
-    Raises:
-        ConfigurationError: If it is no ROS namespace.
-    """
-    remapped = [word.partition("__ns:=")[2] for word in ros_arguments if "__ns:=" in word]
-    name = "/" + (given or (remapped[-1] if remapped else "")).strip("/")
-    if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", name):
+    if scenario and named:
         raise ConfigurationError(
-            f"the namespace is '{given or remapped[-1]}', expected names of letters, digits and _ "
-            "joined by /, such as /left"
+            f"the scenario is given twice, as '{scenario}' and as --scenario '{named}'; give one"
         )
-    return name
+    if open_report and not (record and report):
+        raise ConfigurationError("--open shows the report: leave --no-record and --no-report out")
+    request = Request(
+        scenario=scenario or named or _DEFAULT,
+        interactive=interactive,
+        duration=duration,
+        pacing=pacing,
+        changes=tuple(changes or ()),
+        out=out,
+        record=record,
+        report=report,
+        open_report=open_report,
+        composed=composed,
+        namespace=namespace,
+        startup_timeout=startup_timeout,
+        priority=priority,
+        cpus=cpus,
+        quiet=quiet,
+    )
+    signals, ros_arguments = context.obj or (_watching(), [])
+    gc.disable()  # nearly all that is loaded stays; the session enables it again
+    run_interpreted()  # the few steps of the check do not justify loading Numba
+    try:
+        # Loading takes a second; a Ctrl-C in that time must not tear an import apart.
+        from tactile_hand_ros.orchestrator.conduct import conduct
+
+        code = conduct(request, signals, ros_arguments)
+    except Interrupted as interruption:
+        say(str(context.find_root().info_name), f"{interruption}, before anything was started.")
+        code = signals.exit_code
+    raise typer.Exit(code)
 
 
-def _run(
-    session: Session,
-    joining: AbstractContextManager[Node],
-    where: str,
-    *,
-    quiet: bool,
-    report: bool,
-) -> int:
-    """Run a session, judge it and show what came out.
-
-    Args:
-        session: The run.
-        joining: Provides the orchestrator's own node.
-        where: A line that says where the nodes run; empty for none.
-        quiet: Whether to show no progress.
-        report: Whether to write the page.
-    """
-    plan, directory = session.plan, session.directory
-    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
-
-    def tell(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-    tell(f"{plan.scenario.name}: {plan.scenario.description}")
-    if where:
-        tell(where)
-    tell(f"the nodes start; what they say is in {directory.path / 'logs'}")
-    if plan.interactive:
-        tell(f"Ctrl-C ends the run. To move the hand: {how_to_steer(plan.namespace)}")
-    duration = None if plan.interactive else plan.scenario.duration
-    outcome = session.run(joining, make_view(console, duration, quiet=quiet))
-    # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
-    from tactile_hand_ros.orchestrator import summary
-
-    results = summary.read_results(plan, directory, finished=outcome.is_complete)
-    verdict = summary.judge(plan, outcome, results, session.signals.exit_code)
-    summary.write_summary(plan, directory, outcome, results, verdict)
-    if results.metrics:
-        console.print(summary.table(plan, outcome, results))
-    deadlines = summary.deadlines_of(plan, outcome)
-    if deadlines is not None and deadlines.too_slow:
-        tell(deadlines.too_slow)
-    if report and (line := summary.report_line(results)):
-        tell(line)
-    tell(f"{verdict.outcome}; everything is in {directory.path}")
-    for reason in verdict.reasons:
-        print(reason, file=sys.stderr)
-    return verdict.exit_code
+def _watching() -> Signals:
+    signals = Signals()
+    signals.install()
+    return signals
 
 
-def run(args: Sequence[str] | None, signals: Signals) -> int:
-    """Run the command line and return the exit code.
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the orchestrator and return its exit code.
 
     Args:
         args: Command line with program name; None takes ``sys.argv``.
-        signals: Installed already.
     """
+    signals = _watching()
     line = list(sys.argv if args is None else args)
-    command = typer.main.get_command(app)
-    try:
+
+    def command() -> object:
         own, ros_arguments = split_ros_arguments(line)
-        command(args=own, prog_name="orchestrator", obj=(signals, ros_arguments))
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 0
-    except Interrupted:
-        return signals.exit_code
-    except ConfigurationError as error:
-        print(error, file=sys.stderr)
-        return EXIT_REFUSED
-    return 0
+        return app(
+            args=own,
+            prog_name="orchestrator",
+            standalone_mode=False,
+            obj=(signals, ros_arguments),
+        )
+
+    return run_command("orchestrator", command)
 
 
 def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -231,8 +161,12 @@ def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
     Raises:
         ConfigurationError: If the ROS arguments are malformed.
     """
+    if "--ros-args" not in line:
+        return list(line)[1:], []
+    from rclpy.utilities import remove_ros_args
+
     try:
-        own = remove_ros_args(list(line))[1:]
+        return remove_ros_args(list(line))[1:], list(line)
     except RuntimeError as error:
-        raise ConfigurationError(f"the ROS arguments cannot be used: {first_line(error)}") from None
-    return own, list(line) if "--ros-args" in line else []
+        reason = str(error).split(", at ")[0].splitlines()[0]
+        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import rclpy
 from rclpy.context import Context
@@ -14,6 +14,26 @@ from rclpy.signals import SignalHandlerOptions
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.names import ORCHESTRATOR
 from tactile_hand_ros.ros.middleware import use_sockets
+
+_HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
+
+
+def check_environment(environment: Mapping[str, str]) -> None:
+    """Refuse settings with which the nodes could never meet.
+
+    Raises:
+        ConfigurationError: If the domain does not exist or discovery is off.
+    """
+    domain = environment.get("ROS_DOMAIN_ID", "") or "0"
+    if not domain.isascii() or not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
+        raise ConfigurationError(
+            f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to {_HIGHEST_DOMAIN}"
+        )
+    if environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "OFF":
+        raise ConfigurationError(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so that the nodes cannot find each other; set "
+            "it to LOCALHOST or SUBNET"
+        )
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from rclpy.node import Node
 
 from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.command_line import os_sentence
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import (
@@ -173,6 +174,8 @@ class Session:
                 outcome.interrupted = True
             except TactileHandError as error:
                 outcome.failure = str(error)
+            except OSError as error:  # a full disk, say
+                outcome.failure = os_sentence(error)
             outcome.complaints = self._processes.stop(STOP_ORDER)
         return outcome
 

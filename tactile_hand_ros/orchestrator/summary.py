@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import webbrowser
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +17,7 @@ from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
-from tactile_hand_ros.report.page import write_report
+from tactile_hand_ros.report.page import REPORT, write_report
 from tactile_hand_ros.report.tables import recovery_rows
 from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
 from tactile_hand_ros.run.metrics import json_ready
@@ -133,7 +134,9 @@ def judge(plan: Plan, outcome: RunOutcome, results: Results, signal_code: int) -
         results: What the bag says.
         signal_code: Exit code if a signal ended it.
     """
-    troubles = [*results.problems, *outcome.complaints]
+    # A run that was interrupted before its first tick lacks nothing that it should have.
+    expected = results.metrics or not outcome.interrupted
+    troubles = [*(results.problems if expected else []), *outcome.complaints]
     if outcome.failure:
         return GoalVerdict("failed", [outcome.failure, *troubles], 1)
     if outcome.interrupted and plan.interactive and signal_code == _CTRL_C:
@@ -209,6 +212,16 @@ def report_line(results: Results) -> str:
         return f"report: {write_report(results.run)}"
     except Exception as error:
         return f"the report was not written: {error or type(error).__name__}"
+
+
+def open_report(directory: RunDirectory) -> str:
+    """Open the report in a browser and return a line that says so, or what to do instead."""
+    file = (directory.path / REPORT).resolve()
+    if not file.is_file():
+        return "there is no report to open"
+    if webbrowser.open(file.as_uri()):
+        return f"opened {file.as_uri()}"
+    return f"no browser was found here; open {file.as_uri()} in one"
 
 
 def table(plan: Plan, outcome: RunOutcome, results: Results) -> Table:

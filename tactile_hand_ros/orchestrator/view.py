@@ -131,7 +131,8 @@ def make_view(console: Console, duration: float | None, *, quiet: bool) -> View:
     """Return the view that suits the console."""
     if quiet:
         return Silence()
-    return Bar(console, duration) if console.is_terminal else Lines(console, duration)
+    draws = console.is_terminal and not console.is_dumb_terminal
+    return Bar(console, duration) if draws else Lines(console, duration)
 
 
 class Rate:

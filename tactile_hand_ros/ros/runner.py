@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
@@ -55,6 +57,7 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
         for factory in factories:
             nodes.append(factory())
             _check_ready(nodes[-1])
+            _announce(nodes[-1])
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
     return _stop(nodes, _serve(nodes, scheduling))
@@ -89,6 +92,9 @@ def _code_of(error: BaseException, code: int) -> int:
     return EXIT_FAILED
 
 
+_ANNOUNCED = ("hand", "layout", "law.name", "mode", "pacing", "rate", "output")
+"""Parameters that a node names when it is ready, where it has them."""
+
 _WITHOUT_CONTEXT = (_rclpy.RCLError, InvalidHandle, NotInitializedException)
 _was_signalled = False
 
@@ -99,6 +105,13 @@ def _let_signals_shut_down() -> None:
     _was_signalled = False
     signal.signal(signal.SIGINT, _note_signal)
     signal.signal(signal.SIGTERM, _note_signal)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+        signal.signal(signal.SIGHUP, _terminate)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """End as after SIGTERM, which rclpy knows: the terminal was closed."""
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _note_signal(number: int, frame: FrameType | None) -> None:
@@ -150,6 +163,14 @@ def _check_ready(node: Node) -> None:
     check = getattr(node, "check_ready", None)
     if check is not None:
         check()
+
+
+def _announce(node: Node) -> None:
+    """Log that a node is ready, and what it was started with."""
+    config = getattr(node, "config", None)
+    values = flatten(config) if isinstance(config, Config) else {}
+    facts = [f"{name} {values[name]}" for name in _ANNOUNCED if values.get(name)]
+    node.get_logger().info(f"ready{': ' if facts else ''}{', '.join(facts)}")
 
 
 def _stop(nodes: Sequence[Node], code: int) -> int:

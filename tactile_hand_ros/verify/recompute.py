@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import importlib
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -188,32 +186,6 @@ def reason(run: Run) -> str:
     if int(data.get("lost_messages", 0)):
         return f": {data['lost_messages']} messages are missing from the bag."
     return "; changed code, or a node that was started again, may be the reason."
-
-
-def load_law(name: str) -> LawFactory:
-    """Return a law given as ``module:Class``; the working directory is searched too.
-
-    Raises:
-        ConfigurationError: If there is no such class, or it is no law.
-    """
-    module, _, attribute = name.partition(":")
-    sys.path.insert(0, "")
-    try:
-        law: Any = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigurationError(
-            f"--law is '{name}' ({error}), expected module:Class of a law that can be imported here"
-        ) from None
-    finally:
-        sys.path.remove("")
-    missing = [method for method in ("squeeze", "drive") if not hasattr(law, method)]
-    if missing or not callable(law):
-        raise ConfigurationError(
-            f"--law is '{name}', which has no {' and no '.join(missing) or 'constructor'}; "
-            "expected a class like those in tactile_hand_ros.control.laws"
-        )
-    factory: LawFactory = law
-    return factory
 
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:

@@ -32,7 +32,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.scenario import changed
 from tactile_hand_ros.config.model import Config, is_live, leaves
-from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.laws import Target, law_of
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.wire import PoseCodec, stamp_of
@@ -114,7 +114,12 @@ def _payloads(run: Run, wanted: list[str]) -> Payloads:
 
 @contextmanager
 def _nodes(inputs: Inputs) -> Iterator[None]:
-    """Run the controllers in a ROS domain of their own."""
+    """Run the controllers in a ROS domain of their own.
+
+    Raises:
+        ConfigurationError: If the law is code that only the bag names.
+    """
+    law_of(inputs.configurations[names.CONTROLLER][0].value.law)  # a node would import it
     use_sockets()
     with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         for name in CONTROLLERS:

@@ -6,6 +6,7 @@ import signal
 import sys
 import textwrap
 
+import psutil
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -67,6 +68,12 @@ def node(context):
     made = Example(context=context, namespace="left")
     yield made
     made.destroy_node()
+
+
+def test_local_nodes_listen_on_the_loopback_address_only(node):
+    connections = psutil.Process().net_connections(kind="udp")
+    listening = {each.laddr.ip for each in connections if each.laddr.port > 0}
+    assert listening == {"127.0.0.1"}
 
 
 @pytest.fixture

@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import pty
 import signal
+import subprocess
+import sys
+import termios
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,6 +25,7 @@ from support.messages import pose_message
 from support.spinning import spinning
 
 from tactile_hand_ros.bag.reader import summarize
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.orchestrator.session import START_ORDER
@@ -278,6 +284,65 @@ def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) ->
     assert np.array_equal(record.stamps, 2_000_000 * np.arange(len(record)))
 
 
+def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> None:
+    """SIGHUP, and nobody left to print to: the bag is whole and summed up, nothing runs on."""
+    ours, theirs = pty.openpty()
+    words = ["run", "paper", "--duration", "600", "--out", str(tmp_path / "runs")]
+    orchestrator = subprocess.Popen(
+        [sys.executable, "-m", "tactile_hand_ros.cli", *words],
+        **dict.fromkeys(("stdin", "stdout", "stderr"), theirs),
+        cwd=tmp_path,
+        env={**os.environ, "TERM": "xterm"},
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    os.close(theirs)
+    shown = b""
+    while b"pose error" not in shown:
+        shown += os.read(ours, 4096)
+    processes = psutil.Process(orchestrator.pid).children(recursive=True)
+    os.close(ours)
+    assert orchestrator.wait(PATIENCE) == 128 + signal.SIGHUP
+    assert_gone(processes)
+    assert summary_of(tmp_path)["reasons"] == []
+    assert Run(latest(tmp_path)).bag_metrics.complete
+
+
+def test_own_law_in_a_folder_with_a_space_runs_like_the_closed_loop(
+    domain: int, tmp_path: Path
+) -> None:
+    """`tactile-hand run` finds its prefix and the law beside the scenario; it opens the report."""
+    folder = tmp_path / "my runs"
+    folder.mkdir()
+    (folder / "my_law.py").write_text(
+        "from tactile_hand_ros.control.laws import OptimalLaw\n"
+        "class MyLaw(OptimalLaw):\n"
+        "    def drive(self, wrench):\n"
+        "        return 1.5 * super().drive(wrench)\n"
+    )
+    (folder / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
+    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tactile_hand_ros.cli", "run", folder / "mine.yaml", "--open"],
+        cwd=folder,
+        env={**unset, "BROWSER": "echo shown %s"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = (folder / "runs" / "latest").resolve() / "report.html"
+    assert f"shown {report.as_uri()}" in done.stdout
+    run = Run(folder / "runs" / "latest")
+    scenario = load_scenario(str(folder / "mine.yaml"))
+    expected = ClosedLoop(scenario).run()
+    np.testing.assert_array_equal(run.record.command, expected.command)
+    logs = {file.stem: file.read_text() for file in (run.path / "logs").iterdir()}
+    assert all(text.count("ready") == 1 for text in logs.values()), logs
+    assert "law.name my_law:MyLaw" in logs["manipulation_controller"]
+    assert "paused -> running" in logs["plant"]
+
+
 def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:
     """The signal waits until the import is done; nothing is started."""
     orchestrator = start("--scenario", "paper")
@@ -285,6 +350,7 @@ def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Pat
     wait_until(lambda: "pinocchio" in memory.read_text(), PATIENCE)
     orchestrator.send(signal.SIGINT)
     assert end_of(orchestrator) == 130
+    assert orchestrator.stderr == "orchestrator: ended by SIGINT, before anything was started.\n"
 
 
 def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path) -> None:

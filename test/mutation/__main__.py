@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from mutation.coverage_map import PACKAGE, coverage_map, folder_of
+from mutation.coverage_map import coverage_map, folder_of
 from mutation.mutants import Mutant, in_changed_functions, mutants_of
 from mutation.scores import Score, equivalents, keep, package_of, scores
 from mutation.trial import KILLED, Trial, run_trials
@@ -87,7 +87,7 @@ def _chosen(args: argparse.Namespace) -> tuple[list[Mutant], dict[str, int]]:
 
 def _files(packages: list[str]) -> list[Path]:
     """Return the files below the named folders, all that have a score by default."""
-    base = ROOT / PACKAGE
+    base = ROOT / "tactile_hand_ros"
     if not packages:
         every = sorted(base.rglob("*.py"))
         return [path for path in every if package_of(str(path.relative_to(ROOT)))]
@@ -95,7 +95,7 @@ def _files(packages: list[str]) -> list[Path]:
     for name in packages:
         inside = [base / name] if name.endswith(".py") else sorted((base / name).rglob("*.py"))
         if not inside or not inside[0].is_file():
-            raise FileNotFoundError(f"{name}: no such folder or file below {PACKAGE}/")
+            raise FileNotFoundError(f"{name}: no such folder or file below tactile_hand_ros/")
         found += inside
     return sorted(set(found))
 

@@ -8,14 +8,9 @@ import json
 import os
 import subprocess
 import sys
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from coverage import CoverageData
-
-PACKAGE = "tactile_hand_ros"
 # Slower tests, without compilation and with coverage, are left out [s].
 _SLOW = 15
 
@@ -57,7 +52,7 @@ def coverage_map(root: Path, folders: set[str], cache: Path) -> CoverageMap:
     for folder in sorted(folders):
         kept = cache / f"{folder or 'top'}-{_digest(root)}.json"
         if not kept.is_file():
-            kept.write_text(json.dumps(_measure(root, folder, cache)))
+            _measure(root, folder, kept)
         tests, durations = json.loads(kept.read_text())
         for path, lines in tests.items():
             if folder_of(path) == folder:
@@ -82,7 +77,7 @@ def _suites(root: Path, folder: str) -> list[str]:
 
 def _digest(root: Path) -> str:
     digest = hashlib.sha256()
-    for folder in (PACKAGE, "test", "config"):
+    for folder in ("tactile_hand_ros", "test", "config"):
         for path in sorted((root / folder).rglob("*")):
             if path.suffix in (".py", ".yaml", ".urdf") and "mutation" not in path.parts:
                 digest.update(path.read_bytes())
@@ -95,34 +90,18 @@ def environment(root: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": paths, "TACTILE_HAND_INTERPRETED": "1"}
 
 
-def _measure(root: Path, folder: str, cache: Path) -> tuple[Any, dict[str, float]]:
-    """Return the tests by file and line, and their durations."""
-    data, report = cache / "coverage.sqlite", cache / "durations.json"
-    data.unlink(missing_ok=True)
+def _measure(root: Path, folder: str, to: Path) -> None:
+    """Write the tests by file and line, and their durations."""
     suites = _suites(root, folder)
     print(f"running {' '.join(suites)} once, to see which test runs which line", flush=True)
     command = [
         *(sys.executable, "-m", "pytest", "-q", "--tb=no", *suites, "-p", "no:cacheprovider"),
-        *("-p", "mutation.durations", f"--durations-file={report}", f"--timeout={_SLOW}"),
-        *(f"--cov={PACKAGE}", "--cov-context=test", "--cov-report="),
+        *("-p", "mutation.recorder", f"--lines-by-test={to}", f"--timeout={_SLOW}"),
     ]
-    env = environment(root) | {"COVERAGE_FILE": str(data)}
-    ended = subprocess.run(command, cwd=root, env=env, check=False, capture_output=True, text=True)
+    ended = subprocess.run(
+        command, cwd=root, env=environment(root), check=False, capture_output=True, text=True
+    )
     # 1: some tests were slow, or need compiled functions. They are left out.
-    if ended.returncode not in (0, 1):
+    if ended.returncode not in (0, 1) or not to.is_file():
         raise RuntimeError(f"the tests cannot run: {ended.stdout[-2000:]}{ended.stderr[-2000:]}")
-    durations = json.loads(report.read_text())
-    return _tests_by_line(data, root, set(durations)), durations
-
-
-def _tests_by_line(file: Path, root: Path, passed: set[str]) -> dict[str, dict[int, list[str]]]:
-    data = CoverageData(str(file))
-    data.read()
-    found: dict[str, dict[int, list[str]]] = defaultdict(dict)
-    for measured in data.measured_files():
-        path = str(Path(measured).relative_to(root))
-        for line, contexts in data.contexts_by_lineno(measured).items():
-            tests = {each.rsplit("|", 1)[0] for each in contexts if each}
-            if tests & passed:
-                found[path][line] = sorted(tests & passed)
-    return found
+    print(ended.stdout.strip().splitlines()[-1], flush=True)

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.closed_loop.scenario import find_scenario, load_scenario
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario_file import find_scenario
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand

@@ -96,6 +96,23 @@ def test_the_browser_would_tell_of_a_request_and_an_error(report: Page) -> None:
     report.wait(lambda: any("seen" in message for message in report.errors))
 
 
+def test_no_other_script_or_style_runs(report: Page) -> None:
+    # As a name that slips through the escaping of a page would do.
+    assert not report.js(
+        """const script = document.createElement('script');
+           script.textContent = 'window.foreign = true';
+           document.body.append(script);
+           return window.foreign"""
+    )
+    assert not report.js(
+        """const style = document.createElement('style');
+           style.textContent = 'body { color: rgb(1, 2, 3) }';
+           document.head.append(style);
+           return getComputedStyle(document.body).color === 'rgb(1, 2, 3)'"""
+    )
+    report.wait(lambda: len(report.errors) >= 2)
+
+
 def test_it_plays_to_the_end(report: Page) -> None:
     start = report.js(PICTURE)
     report.driver.find_element(By.CSS_SELECTOR, ".play").click()

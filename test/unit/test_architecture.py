@@ -15,11 +15,23 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.is_file())
 
 # What may be imported from everywhere.
-BASE = {"", "cholesky", "config", "errors", "extras", "files", "jit", "names", "rotations"}
+BASE = {
+    "",
+    "cholesky",
+    "command_line",
+    "config",
+    "errors",
+    "extras",
+    "files",
+    "jit",
+    "names",
+    "rotations",
+}
 RUNS = {"hand", "control", "closed_loop", "bag", "run"}
 # Who may import whom, besides itself. Data flows down this list.
 LAYERS = {
     "errors": set(),
+    "command_line": {"errors"},
     "extras": {"errors"},
     "files": set(),
     "names": set(),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -11,10 +12,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from ament_index_python.packages import get_package_prefix
 from support.recorded import random_record, write_record
 
+import tactile_hand_ros
 from tactile_hand_ros.cli import main
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved, scenario_names
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.orchestrator.participation import check_environment
+from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
@@ -43,13 +50,82 @@ def test_help_lists_the_commands() -> None:
         assert command in done.stdout
 
 
-def test_help_loads_nothing_heavy() -> None:
+@pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
+def test_help_loads_nothing_heavy(words: list[str]) -> None:
     """Help must be there at once."""
-    code = "import sys, tactile_hand_ros.cli as c; c.main(['--help']); print(*sys.modules)"
+    code = f"import sys, tactile_hand_ros.cli as c; c.main({words}); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     loaded = set(done.stdout.split())
     assert "typer" in loaded
     assert not loaded & {"numpy", "matplotlib", "pinocchio", "rclpy", "joblib", "rosbags"}
+
+
+def test_help_keeps_the_units(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", "--help"]) == 0
+    assert "Wait before the first message [s]." in " ".join(capsys.readouterr().out.split())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"tactile-hand {tactile_hand_ros.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "word", "offered"),
+    [("tactile-hand ru", 1, "run"), ("tactile-hand run wayp", 2, "waypoints")],
+)
+def test_shell_completion(words: str, word: int, offered: str) -> None:
+    asked = {"_TACTILE_HAND_COMPLETE": "complete_bash", "COMP_WORDS": words}
+    environment = {**os.environ, **asked, "COMP_CWORD": str(word)}
+    done = subprocess.run(COMMAND, capture_output=True, text=True, timeout=60, env=environment)
+    assert done.stdout.split() == [offered]
+
+
+def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
+    code = (
+        "from tactile_hand_ros.config.prefix import use_own_prefix as u; u(); u();"
+        "from tactile_hand_ros.ros.executables import executable_path as e; print(e('plant'));"
+        "from ament_index_python import get_package_prefix as p; print(p('sensor_msgs'))"
+    )
+    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=unset, capture_output=True, text=True
+    )
+    found = done.stdout
+    assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code", "sentence"),
+    [
+        (">/dev/full", 2, "No space left on device; free some space or write elsewhere."),
+        (">&-", 2, "the standard output is closed; redirect it to a file or to /dev/null."),
+        ("| head -c 1", 0, ""),
+    ],
+)
+def test_output_that_cannot_be_written(redirection: str, code: int, sentence: str) -> None:
+    command = f'"$0" -m tactile_hand_ros.cli show paper {redirection}'
+    shell = ["bash", "-c", f"set -o pipefail; {command}", sys.executable]
+    done = subprocess.run(shell, capture_output=True, text=True, timeout=60)
+    assert done.returncode == code and "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == bool(sentence) and sentence in done.stderr
+
+
+def test_any_character_is_shown_in_any_locale(tmp_path: Path) -> None:
+    (tmp_path / "für.yaml").write_text("extends: paper\ndescription: für alle\n", encoding="utf-8")
+    for python, shown in ((COMMAND[0], "für alle"), (f"{COMMAND[0]} -X utf8=0", r"f\xfcr alle")):
+        command = [*python.split(), *COMMAND[1:], "show", tmp_path / "für.yaml"]
+        environment = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
+        done = subprocess.run(command, capture_output=True, timeout=60, env=environment)
+        assert done.returncode == 0 and shown in done.stdout.decode(), done.stderr.decode()
+
+
+def test_full_disk(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "figures").mkdir()
+    (run / "figures" / "fig3.png").symlink_to("/dev/full")
+    assert main(["figures", str(run), "--format", "png"]) == 2
+    said = capsys.readouterr().err
+    assert "No space left on device; free some space" in said and said.count("\n") == 1
 
 
 def test_scenarios(capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,6 +246,11 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
     assert "--ticks" in refused(capsys, "bench", "--ticks", "1")
     assert "Missing argument" in refused(capsys, "show")
+    assert "Did you mean 'run'" in refused(capsys, "rum")
+    assert "did you mean '--pacing'" in refused(capsys, "run", "--pacin", "realtime")
+    assert "`tactile-hand run --help`" in refused(capsys, "run", "paper", "twice")
+    for command in (("reproduce",), ("study", "slip")):
+        assert "0 processes cannot work" in refused(capsys, *command, "--jobs", "0")
 
 
 def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,6 +272,32 @@ def test_bench_saves_its_results_and_compares_with_them(
     assert "closed loop" in page and "when the saved run was made" in page
     assert re.search(r"controller, one tick .* \d+\.\d\d x", page)
     assert max(map(len, page.splitlines())) <= 100
+
+
+def test_bench_refuses_a_folder_before_it_measures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "is a folder, expected the name of a file" in refused(capsys, "bench", "--out", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300', expected a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "one", "ROS_DOMAIN_ID is 'one'"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "set it to LOCALHOST or SUBNET"),
+    ],
+)
+def test_run_refuses_settings_with_which_nodes_never_meet(
+    name: str, value: str, message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        check_environment({name: value})
+
+
+def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
+    assert "--no-report" in refused(capsys, "run", "--open", "--no-report")
 
 
 def test_bench_draws_the_cost_against_size(

@@ -89,12 +89,39 @@ def test_pins_lie_in_the_declared_ranges() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt", "jazzy.txt"]
+    "name",
+    [
+        *("ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt", "jazzy.txt"),
+        *("lock.txt", "audit.txt"),
+    ],
 )
 def test_every_requirement_is_pinned(name: str) -> None:
     for each in requirements(name).values():
         operators = [specifier.operator for specifier in each.specifier]
         assert operators == ["=="], each
+
+
+def locked(name: str) -> dict[str, list[Requirement]]:
+    """Read a locked file by distribution name; a package may have a version for each Python."""
+    text = (ROOT / "requirements/locked" / name).read_text().replace(" \\\n", " ")
+    found: dict[str, list[Requirement]] = {}
+    for line in text.splitlines():
+        if line and not line.startswith(("#", " ")):
+            stated, *hashes = line.split(" --hash=")
+            assert hashes, f"{stated} has no hash"
+            each = Requirement(stated)
+            found.setdefault(canonicalize_name(each.name), []).append(each)
+    return found
+
+
+@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt"])
+def test_pins_are_locked_with_their_hashes(name: str) -> None:
+    files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
+    everything = {key: each for file in files for key, each in locked(file).items()}
+    for key, pin in requirements(name).items():
+        assert any(each.specifier == pin.specifier for each in everything[key]), (
+            f"{pin} is not in requirements/locked: run `make lock`"
+        )
 
 
 def test_jazzy_pins_are_those_of_run() -> None:

@@ -121,23 +121,25 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     ) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        optimal = self._solve(stamp, contacts, friction, forces)
+        optimal, learned = self._solve(stamp, contacts, friction, forces)
         pairs = zip(self._codecs, optimal.forces, strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
         self._accepted.take_effect(stamp)
-        self._report.note(optimal)
+        self._report.note(optimal, learned)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 
     def _solve(
         self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
-    ) -> OptimalForces:
-        cones: Cones | None = None
-        if friction is not None and forces is not None:
-            usable = self.config.cone_share * friction
-            cones = self._cone_watch.step(stamp, contacts, forces, usable)
-        return self._optimizer.solve(contacts, cones)
+    ) -> tuple[OptimalForces, Cones | None]:
+        """Return f*, and the friction cones without the reserve that it keeps."""
+        if friction is None or forces is None:
+            return self._optimizer.solve(contacts), None
+        usable = self.config.cone_share * friction
+        cones = self._cone_watch.step(stamp, contacts, forces, usable)
+        learned = None if cones is None else Cones(friction, cones.load)
+        return self._optimizer.solve(contacts, cones), learned
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""

@@ -3,15 +3,24 @@
 
 from __future__ import annotations
 
+from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import OptimalForces
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 
 _OUTSIDE = -1e-5
 """Cone margin below which f* is outside, and not on the edge by the solver's accuracy."""
 
+_SLIPS = (
+    "f* under the load is outside the friction cones learned so far (margin {:.3g} per unit of "
+    "squeeze): a contact may slip; raise the squeeze or take load off"
+)
+
 
 class OptimizerReport:
-    """Counts ticks without an answer and notices when no answer lies inside the cones."""
+    """Counts ticks without an answer and notices when an answer lies outside the friction cones.
+
+    The optimization keeps a reserve to the cones. That the reserve is used up is no reason to warn.
+    """
 
     def __init__(self, diagnostics: Diagnostics) -> None:
         """Report with the diagnostics of a node."""
@@ -19,12 +28,15 @@ class OptimizerReport:
         self._optimal: OptimalForces | None = None
         self._reason = ""
         self._unanswered = 0
-        self._uncertified = Mostly()
+        self._outside, self._worst = Mostly(), 0.0
 
-    def note(self, optimal: OptimalForces) -> None:
-        """Note the answer of a tick."""
+    def note(self, optimal: OptimalForces, cones: Cones | None) -> None:
+        """Note the answer of a tick, and the cones as learned, without reserve, where used."""
         self._optimal = optimal
-        self._uncertified.note(optimal.cone_margin < _OUTSIDE)  # NaN: not looked at
+        # Only where the reserve does not hold; NaN: not looked at.
+        margin = cones.margin(optimal.forces) if cones and optimal.cone_margin < _OUTSIDE else 0.0
+        self._outside.note(margin < _OUTSIDE)
+        self._worst = min(self._worst, margin)
         self._unanswered += not optimal.ok
         if optimal.reason == self._reason:
             return
@@ -46,10 +58,5 @@ class OptimizerReport:
         put("iterations", optimal.iterations)
         put("cone_margin", optimal.cone_margin)
         put("shaped", optimal.shaped)
-        self._diagnostics.judge(
-            "cones",
-            self._uncertified(),
-            f"no f* lies inside the estimated friction cones (margin {optimal.cone_margin:.3g} "
-            "per unit of squeeze); a contact will slip unless the squeeze rises or load goes",
-            WARN,
-        )
+        self._diagnostics.judge("cones", self._outside(), _SLIPS.format(self._worst), WARN)
+        self._worst = 0.0

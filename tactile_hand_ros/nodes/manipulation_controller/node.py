@@ -34,6 +34,7 @@ from tactile_hand_ros.control.controller import (
 )
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import GraspWatch
+from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.nodes.accepted import Accepted
@@ -99,6 +100,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             TactileHandError: If a parameter is refused or the hand cannot be built.
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
+        take_law(self.config.law)  # named by a parameter, so by the user
         self._controller = Controller(self.config)
         self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)

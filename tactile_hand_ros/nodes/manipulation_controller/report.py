@@ -14,6 +14,7 @@ from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspWatch
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import TactileNode
 
@@ -27,6 +28,7 @@ class ControllerReport:
         """Report with the diagnostics of a node on the grasp of a hand."""
         self._node = node
         self._watch = GraspWatch(hand)
+        self._modes = ModeLog(node.get_logger().info)
         self._theta: Array | None = None
         self._last: Command | None = None
         self._contacts: Contacts | None = None
@@ -43,6 +45,7 @@ class ControllerReport:
         self._theta = theta
         if last is not None and (command.mode, command.reason) == (last.mode, last.reason):
             return
+        self._modes.note(command.mode.value, command.reason)
         diagnostics = self._node.diagnostics
         if command.mode is Mode.HOLD:
             if contacts is not None:  # that inputs are missing is reported already

@@ -11,6 +11,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.nodes.plant.pacing import Pace
 from tactile_hand_ros.nodes.plant.real_time import RealTime
 from tactile_hand_ros.nodes.plant.senders import SenderWatch
@@ -51,6 +52,7 @@ class PlantDriver:
         self._resent = self._too_old = 0
         self._senders = SenderWatch()
         self._told, self._told_at = "", -math.inf
+        self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
         self._real_time = RealTime(node, self._pace, is_used=not self._is_lockstep)
@@ -247,6 +249,7 @@ class PlantDriver:
     def report(self, put: Callable[[str, object], None]) -> None:
         """Report mode, time and silence under the keys of diagnostics."""
         put("mode", self.mode)
+        self._modes.note(self.mode)
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)

@@ -32,6 +32,7 @@ from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
 from tactile_hand_ros.nodes.accepted import Accepted
+from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
@@ -83,6 +84,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator = SlipRegulator(self.config, len(fingers))
         self._accepted = Accepted(self, names.REGULATOR, requests=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
+        self._modes = ModeLog(self.get_logger().info)
+        self._modes.note(self.config.mode)
         self._rehearse(len(fingers))
         self._grips = GripCodec(fingers)
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE)
@@ -113,6 +116,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
         """Take another mode, other limits and rates."""
+        self._modes.note(config.mode)
         self._regulator.configure(config)
         self._accepted.configuration(config)
 

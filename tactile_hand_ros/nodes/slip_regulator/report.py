@@ -41,7 +41,7 @@ class RegulatorReport:
         """Start counting anew."""
         self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
-        self._limited, self._hopeless = Mostly(), Mostly()
+        self._limited, self._hopeless, self._most_needed = Mostly(), Mostly(), 0.0
         self._watch = SlipWatch()
 
     def note(
@@ -58,9 +58,11 @@ class RegulatorReport:
         before, self._grip = self._grip, grip
         self._slips += (grip == Grip.SLIP) & (before != Grip.SLIP)
         reflex_is_on = regulator.config.mode != "user"
-        at_limit = regulator.grasp_force >= regulator.config.maximum
-        self._limited.note(reflex_is_on and at_limit)
+        # At the limit because of a slip that is over, nothing is missing.
+        self._limited.note(reflex_is_on and regulator.config.maximum < regulator.needed < math.inf)
         self._hopeless.note(reflex_is_on and math.isinf(regulator.needed))
+        if math.isfinite(regulator.needed):
+            self._most_needed = max(self._most_needed, regulator.needed)
 
     def report(self, regulator: SlipRegulator) -> None:
         """Put mode, squeezes and the grip of each finger into the diagnostics."""
@@ -91,13 +93,13 @@ class RegulatorReport:
         self._warn(regulator)
 
     def _warn(self, regulator: SlipRegulator) -> None:
-        needed, maximum = regulator.needed, regulator.config.maximum
-        need = f", while the object needs {needed:.3g} N" if math.isfinite(needed) else ""
+        needed, maximum = self._most_needed, regulator.config.maximum
+        self._most_needed = 0.0
         self._diagnostics.judge(
             "limit",
             self._limited(),
-            f"the squeeze is at its limit of {maximum:g} N{need}; raise 'maximum' if the object "
-            "bears it, or take load off",
+            f"the object needs a squeeze of {needed:.3g} N, but the limit is {maximum:g} N; raise "
+            "'maximum' if the object can bear it, or take load off",
             WARN,
         )
         self._diagnostics.judge(

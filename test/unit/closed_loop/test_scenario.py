@@ -5,18 +5,20 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.scenario import (
     NODES,
     Scenario,
     changed,
-    find_scenario,
     load_scenario,
     resolved,
-    scenario_names,
 )
+from tactile_hand_ros.closed_loop.scenario_file import find_scenario
+from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 SHIPPED = {
@@ -155,8 +157,20 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: {pacing: slow}", r"plant.pacing is 'slow', expected one of lockstep, realtime"),
         (
             "manipulation_controller: {law: {name: pid}}",
-            r"law.name is 'pid', expected one of optimal, contact, kawamura",
+            r"law.name is refused: 'pid' is not a law, expected one of optimal, contact, kawamura",
         ),
+        ("law: kawamuro", r"did you mean 'kawamura'"),
+        ("law: [1]", r"manipulation_controller.law is \[1\], expected a mapping"),
+        ("law: a\nmanipulation_controller: {law: b}", r"'law' is given twice"),
+        (
+            "targets: [{position: [0, 0, 0], rotation: [0, 0, 45]}]",
+            r"\[0, 0, 0.7854\] if .*degrees",
+        ),
+        ("targets: [{position: [0, 0, 0], rotation: held}]", r"'held' is neither .* nor keep"),
+        ("plant: {initial_joints: [60, 0, 90]}", r"in rad: \[1.047, 0, 1.571\] if .*degrees"),
+        ("plant: {object: {rotation: [0, 0, 30]}}", r"half a turn; angles are in rad"),
+        ("duration: 1:30", r"duration is '1:30', expected a finite number"),
+        ("seed: 1_000", r"seed is '1_000', expected a whole number"),
         ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
         ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
         ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),
@@ -219,7 +233,7 @@ def test_a_copy_of_the_paper_may_extend_the_paper(tmp_path):
 def test_scenarios_that_extend_each_other_are_refused(tmp_path):
     (tmp_path / "a.yaml").write_text("extends: b\n")
     (tmp_path / "b.yaml").write_text("extends: a\n")
-    with pytest.raises(ConfigurationError, match="in a circle: a -> b -> a"):
+    with pytest.raises(ConfigurationError, match="makes a loop: a -> b -> a"):
         load_scenario(str(tmp_path / "a.yaml"))
     with pytest.raises(ConfigurationError, match="no scenario is called 'nowhere'"):
         load(tmp_path, "extends: nowhere")
@@ -246,3 +260,70 @@ def test_files_are_found_by_name_and_path(tmp_path):
     assert find_scenario("paper").is_file()
     (tmp_path / "x.yml").touch()
     assert find_scenario(str(tmp_path / "x.yml")) == tmp_path / "x.yml"
+
+
+def test_a_scenario_that_extends_itself_is_a_loop(tmp_path):
+    for base in ("mine", "mine.yaml"):
+        with pytest.raises(ConfigurationError, match="makes a loop: mine -> mine"):
+            load(tmp_path, f"extends: {base}")
+    # A user's own `paper` may be built on that of the package.
+    assert load(tmp_path, "extends: paper\nduration: 2", name="paper").duration == 2.0
+
+
+def test_a_child_has_its_own_description(tmp_path):
+    assert load(tmp_path, "extends: paper").description == ""
+    assert load(tmp_path, "extends: paper\ndescription: Mine.").description == "Mine."
+
+
+def test_a_hand_lies_beside_the_file_that_names_it(tmp_path, monkeypatch):
+    (tmp_path / "child").mkdir()
+    monkeypatch.chdir(tmp_path)
+    load(tmp_path, "extends: paper\nhand: hands/own.yaml", name="parent")
+    child = load(tmp_path / "child", "extends: ../parent.yaml")
+    assert child.hand == child.plant.hand == str(tmp_path / "hands" / "own.yaml")
+    on_command_line = load_scenario("paper", {"hand": "here.yaml"})
+    assert on_command_line.hand == str(tmp_path / "here.yaml")
+
+
+def test_another_hand_drops_the_layout_that_was_for_the_old_one(tmp_path):
+    assert load(tmp_path, "extends: paper\nhand: own.yaml").layout == ""
+    assert load(tmp_path, "extends: paper\nhand: own.yaml\nlayout: flat").layout == "flat"
+    assert load(tmp_path, "extends: paper\nhand: paper").layout == "three_faces"
+    assert load_scenario("paper", {"hand": "own.yaml"}).layout == ""
+    both = {"layout": "flat", "hand": "own.yaml"}
+    assert load_scenario("paper", both).layout == "flat"
+
+
+def test_kept_orientation_is_that_of_the_target_before_or_of_the_first_grasp(tmp_path):
+    kept = load(
+        tmp_path,
+        """
+        extends: pinch
+        duration: 3
+        targets:
+          - {time: 0, position: [0, 0.05, 0.41], rotation: keep}
+          - {time: 1, position: [0, 0.05, 0.41], rotation: [0, 0, 0.1]}
+          - {time: 2, position: [0, 0.06, 0.41], rotation: keep}
+        """,
+    )
+    start = ClosedLoop(kept).run(1)
+    believed = rotation_from_quaternion(start.auxiliary_quaternion[0])
+    np.testing.assert_allclose(kept.targets[0].target().orientation, believed, atol=1e-9)
+    assert kept.targets[2].rotation == kept.targets[1].rotation == (0.0, 0.0, 0.1)
+    assert "keep" not in resolved(kept) and "null" not in resolved(kept)
+
+
+def test_mistakes_in_changes_name_the_option_and_not_the_file(tmp_path):
+    cases = {
+        "plant.rat": (3, "^--set plant.rat: unknown key 'rat'"),
+        "plant.rate": ("fast", "^--set plant.rate: plant.rate is 'fast'"),
+        "plant.object": ({"mass": -1.0}, "^--set plant.object: plant.object.mass is -1.0"),
+        "law": ("optimall", "^--set law: .*did you mean 'optimal'"),
+    }
+    for key, (value, message) in cases.items():
+        with pytest.raises(ConfigurationError, match=message):
+            load_scenario("paper", {key: value})
+    with pytest.raises(ConfigurationError, match="^--duration: duration is -1"):
+        load_scenario("paper", {"duration": -1.0}, {"duration": "--duration"})
+    with pytest.raises(ConfigurationError, match="mine.yaml: seed is -1"):
+        load(tmp_path, "seed: -1", **{"duration": 20.0})

@@ -181,12 +181,24 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.urdf", "<mass value=", '<mass value="-1" x=', r"'f1_.*mass is -1, expected .*>= 0"),
         ("hand.urdf", " ixx=", ' ixx="-1" x=', r"'f1_.*principal moments -1"),
         ("hand.urdf", "<axis xyz=", '<axis xyz="inf 0 0" x=', r"'f1_joint_1'.*axis xyz has 'inf'"),
+        (
+            "hand.urdf",
+            '<joint name="f1_joint_2" type="revolute">',
+            '<joint name="f1_joint_2" type="revolute"><mimic joint="f1_joint_1"/>',
+            r"'f1_joint_2': it follows joint 'f1_joint_1' by <mimic>.*remove <mimic>",
+        ),
         ("hand.urdf", "inertial>", "nothing>", r"'f1_joint_1' of .* moves no mass.*<inertial>"),
     ],
 )
 def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
     with pytest.raises(HandModelError, match=message):
         Hand.load(edited(tmp_path, old, new, file))
+
+
+def test_angles_that_look_like_degrees_are_questioned(tmp_path):
+    bent = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90]}}}"
+    with pytest.raises(ConfigurationError, match=r"\[0, 0, 1.571\] if these are degrees"):
+        Hand.load(edited(tmp_path, "urdf: hand.urdf", bent, "hand.yaml"))
 
 
 def test_half_a_surrogate_pair_is_not_text(tmp_path):

@@ -12,11 +12,8 @@ from ament_index_python.packages import get_package_prefix
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.command import (
-    full_namespace,
-    shares_process,
-    split_ros_arguments,
-)
+from tactile_hand_ros.orchestrator.command import split_ros_arguments
+from tactile_hand_ros.orchestrator.conduct import full_namespace, shares_process
 from tactile_hand_ros.orchestrator.monitor import Look
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.steering import how_to_steer

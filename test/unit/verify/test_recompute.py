@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,13 +28,13 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
-from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.laws import OWN_LAWS, Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.errors import BagError, ConfigurationError
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.audit import audit
-from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, load_law, recompute
+from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, recompute
 from tactile_hand_ros.verify.recorded_inputs import read_inputs
 
 TICKS = 250
@@ -204,22 +203,36 @@ def test_shadow_of_a_run_with_requests_applies_them_where_the_run_did(
 def test_law_of_the_user(
     paper: tuple[Scenario, Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A class in a file of the working directory takes the place of (14)."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "my_laws.py").write_text(
         "from tactile_hand_ros.control.laws import OptimalLaw\n"
         "class Mine(OptimalLaw):\n"
-        "    def squeeze(self):\n        return 2.0 * super().squeeze()\n"
+        "    def drive(self, wrench):\n"
+        "        return 2.0 * super().drive(wrench)\n"
     )
-    monkeypatch.chdir(tmp_path)
-    try:
-        law = load_law("my_laws:Mine")
-    finally:
-        sys.modules.pop("my_laws", None)
-    result = recompute(write(tmp_path, *paper), law=law)
+    result = recompute(write(tmp_path, *paper), {"law.name": "my_laws:Mine"})
     assert {c.topic for c in result.comparisons if not c.same} == {"joint_command"}
-    for name in ("my_laws:Other", "nowhere:Law", "nothing", "numpy:array"):
-        with pytest.raises(ConfigurationError, match="--law"):
-            load_law(name)
+
+
+def test_a_bag_cannot_import_a_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A foreign bag may name any code; only what the user names is imported."""
+    (tmp_path / "mine.yaml").write_text("extends: paper\nduration: 0.1\nlaw: foreign_law:Mine")
+    (tmp_path / "foreign_law.py").write_text(
+        "from tactile_hand_ros.control.laws import OptimalLaw as Mine"
+    )
+    scenario = load_scenario(str(tmp_path / "mine.yaml"))
+    run = write(tmp_path / "run", scenario, ClosedLoop(scenario).run())
+    OWN_LAWS.clear()  # as in another process
+    replay = ["replay", str(run.path), "--recompute"]
+    for words in (replay, [*replay, "--nodes"]):
+        assert main(words) == 2
+        assert "name it yourself: --law foreign_law:Mine" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    assert main([*replay, "--law", "foreign_law:Mine"]) == 0
+    assert main(["audit", str(run.path)]) == 0
+    assert "not known to the audit" in capsys.readouterr().out
 
 
 def test_keys_of_controllers_may_be_short() -> None:

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenario files as plain data: found, laid over what they extend, changed by single values."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tactile_hand_ros.config.model import did_you_mean, read_yaml
+from tactile_hand_ros.config.paths import config_directory, scenario_names
+from tactile_hand_ros.control.own_law import folder_of
+from tactile_hand_ros.errors import ConfigurationError
+
+_MOST_LAYERS = 8  # of scenarios that extend each other
+_NOT_INHERITED = ("name", "description")  # they say what the extended scenario is about
+_YAML = (".yaml", ".yml")
+CONTROLLER = "manipulation_controller"
+_LAW = f"{CONTROLLER}.law"
+
+
+def find_scenario(name: str) -> Path:
+    """Return the file of a scenario given by name (``paper``) or by path (``my/run.yaml``).
+
+    Raises:
+        ConfigurationError: If neither a file nor a scenario of that name exists.
+    """
+    path = Path(os.path.expanduser(name))
+    if path.suffix in _YAML:
+        if path.is_file():
+            return path
+        raise ConfigurationError(
+            f"scenario file '{path}' does not exist; give a YAML file or one of: "
+            + ", ".join(scenario_names())
+        )
+    if name in scenario_names():
+        return config_directory() / "scenarios" / f"{name}.yaml"
+    raise ConfigurationError(
+        f"no scenario is called '{name}'{did_you_mean(name, scenario_names())} Give one of them or "
+        "the path of a YAML file"
+    )
+
+
+def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a scenario and lay it over the one that it extends.
+
+    Raises:
+        ConfigurationError: If a file cannot be read, or scenarios extend each other in a loop.
+    """
+    path = path.resolve()
+    chain = " -> ".join(each.stem for each in (*seen, path))
+    if path in seen:
+        raise ConfigurationError(f"{seen[-1]}: 'extends' makes a loop: {chain}; remove one of them")
+    if len(seen) >= _MOST_LAYERS:
+        raise ConfigurationError(f"more than {_MOST_LAYERS} scenarios extend each other: {chain}")
+    data = read_yaml(path)
+    if not isinstance(data, dict):
+        raise ConfigurationError(
+            f"'{path}' holds {type(data).__name__}; expected a mapping of keys to values"
+        )
+    data = _complete(data, path)
+    base = data.pop("extends", None)
+    if base is None:
+        return data
+    under = read_layers(_find_base(str(base), path), (*seen, path))
+    for key in _NOT_INHERITED:
+        under.pop(key, None)
+    return merged(_without_layout(under, data), data)
+
+
+def _find_base(base: str, path: Path) -> Path:
+    """Return the scenario that another extends: a file beside it, else one of the package.
+
+    A user's ``paper.yaml`` may extend ``paper``, which then is the one of the package.
+    """
+    beside = path.parent / os.path.expanduser(base if base.endswith(_YAML) else f"{base}.yaml")
+    is_itself = beside.resolve() == path
+    if base.endswith(_YAML):
+        return beside if beside.is_file() else find_scenario(str(beside))
+    if beside.is_file() and not (is_itself and base in scenario_names()):
+        return beside
+    return find_scenario(base)
+
+
+def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return a scenario with what depends on the place of its file: hand and own law."""
+    data = dict(data)
+    if isinstance(hand := data.get("hand"), str):
+        data["hand"] = _beside(hand, path.parent)
+    law = _own_section(data, path)
+    if isinstance(name := law.get("name"), str):
+        law.setdefault("folder", folder_of(name, path.parent))
+    return data
+
+
+def _own_section(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the law of a scenario as the mapping that it is short for, put into `data`.
+
+    ``law: NAME``, at the top or in the controller's section, is short for ``law: {name: NAME}``
+    there.
+    """
+    given = [data.pop("law")] if "law" in data else []
+    section = data.get(CONTROLLER, {} if given else None)
+    if not isinstance(section, dict):
+        if given:
+            data["law"] = given[0]  # validation will say what is wrong
+        return {}
+    given += [section["law"]] if "law" in section else []
+    if not given:
+        return {}
+    if len(given) > 1:
+        raise ConfigurationError(f"{path}: 'law' is given twice, at the top and in '{CONTROLLER}'")
+    law = {"name": given[0]} if isinstance(given[0], str) else given[0]
+    law = dict(law) if isinstance(law, dict) else law
+    data[CONTROLLER] = {**section, "law": law}
+    return law if isinstance(law, dict) else {}
+
+
+def _beside(hand: str, folder: Path) -> str:
+    """Return a hand's file as an absolute path; names of hands stay."""
+    if not hand.endswith(_YAML) or hand.startswith("~"):
+        return hand
+    return os.path.normpath(folder.resolve() / hand)
+
+
+def _without_layout(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a scenario without its layout where another hand is laid over it."""
+    if over.get("hand", under.get("hand")) == under.get("hand"):
+        return under
+    return {key: value for key, value in under.items() if key != "layout"}
+
+
+def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay mappings over each other key by key; lists and values are replaced whole."""
+    out = dict(under)
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(out.get(key), dict):
+            value = merged(out[key], value)
+        out[key] = value
+    return out
+
+
+def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, str]:
+    """Put values into a scenario by dotted key; files are looked for in the working directory.
+
+    Args:
+        data: The scenario, which is changed.
+        changes: Values by dotted key (``plant.rate``).
+
+    Returns:
+        The key of `changes` by the place that it sets.
+
+    Raises:
+        ConfigurationError: If a path leads through something that has no keys.
+    """
+    here, places = Path.cwd(), {}
+    # The hand first: a layout that is given with it must stay.
+    for key, value in sorted(changes.items(), key=lambda pair: pair[0] != "hand"):
+        place = f"{CONTROLLER}.{key}" if key.split(".")[0] == "law" else key
+        if place == "hand" and isinstance(value, str):
+            value = _beside(value, here)
+            data.pop("layout" if value != data.get("hand") else "", None)
+        if place == _LAW and isinstance(value, str):
+            place = f"{_LAW}.name"
+        if place == f"{_LAW}.name" and isinstance(value, str):
+            _put(data, f"{_LAW}.folder".split("."), folder_of(value, here))
+        _put(data, place.split("."), value)
+        places[place] = key
+    return places
+
+
+def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
+    """Set a value by its path."""
+    place: Any = data
+    for index, key in enumerate(keys):
+        if not isinstance(place, dict):
+            raise ConfigurationError(
+                f"'{'.'.join(keys)}' cannot be set: '{'.'.join(keys[:index])}' has no keys in it; "
+                "set it as a whole"
+            )
+        if index == len(keys) - 1:
+            place[key] = value
+        else:
+            place = place.setdefault(key, {})

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every command line of this package does alike: one sentence for each error, and its code."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import errno
+import io
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
+from typing import Any
+
+from tactile_hand_ros.errors import TactileHandError
+
+EXIT_REFUSED = 2
+EXIT_INTERRUPTED = 130
+
+_ADVICE = {
+    errno.ENOSPC: "; free some space or write elsewhere",
+    errno.EDQUOT: "; free some space or write elsewhere",
+    errno.EACCES: "; check the permissions",
+    errno.EPERM: "; check the permissions",
+    errno.EROFS: "; write elsewhere",
+}
+
+
+def run_command(program: str, command: Callable[[], Any]) -> int:
+    """Run a command and return its exit code.
+
+    Args:
+        program: Name of the program, put before each sentence.
+        command: Returns an exit code, or anything else for success.
+
+    Returns:
+        0 after success, 2 with one sentence on stderr when something was refused or could not be
+        read or written, 130 after Ctrl-C.
+    """
+    if sys.stdout is None:
+        say(program, "the standard output is closed; redirect it to a file or to /dev/null.")
+        return EXIT_REFUSED
+    _print_any_character()
+    try:
+        with _interruptible():
+            code = command()
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output has left
+        _drop_output()
+        return 0
+    except (_CtrlC, KeyboardInterrupt):
+        say(program, "interrupted.")
+        return EXIT_INTERRUPTED
+    except Exception as error:
+        sentence, code = _explained(error)
+        if not sentence and code is None:
+            raise  # a defect
+        _drop_unwritten()
+        say(program, sentence)
+    return code if isinstance(code, int) else 0
+
+
+class _CtrlC(BaseException):
+    """What a Ctrl-C raises: Typer would turn a KeyboardInterrupt into a silent exit code."""
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C raise `_CtrlC`, where nothing else is done about it."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _raise_ctrl_c)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGINT) is _raise_ctrl_c:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _raise_ctrl_c(number: int, frame: FrameType | None) -> None:
+    raise _CtrlC
+
+
+class LastingOutput(io.TextIOBase):
+    """The standard output for work that must go on when nothing can be written any more.
+
+    Attributes:
+        problem: Why something could not be written, None as long as all could, or if the reader has
+            left.
+    """
+
+    def __init__(self) -> None:
+        """Write to the standard output as it is now: a progress bar replaces it for a while."""
+        self.problem: OSError | None = None
+        self._stream = sys.stdout
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The encoding of the standard output."""
+        return self._stream.encoding
+
+    def isatty(self) -> bool:
+        """Return whether the standard output is a terminal."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the standard output."""
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Write a text, or drop it."""
+        self._try(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, or drop it."""
+        self._try(self._stream.flush)
+
+    def _try(self, step: Callable[[], Any]) -> None:
+        try:
+            step()
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):
+                self.problem = self.problem or error
+            _redirect(self._stream, os.devnull)
+
+
+def say(program: str, sentence: str) -> None:
+    """Print a sentence on stderr, where there is one."""
+    if sentence and sys.stderr is not None:
+        try:
+            print(f"{program}: {sentence}", file=sys.stderr, flush=True)
+        except OSError:  # the terminal is gone
+            _redirect(sys.stderr, os.devnull)
+
+
+def os_sentence(error: OSError) -> str:
+    """Return what an error of the operating system means, in one sentence."""
+    where = (
+        f"'{error.filename}' cannot be used" if error.filename else "it cannot be read or written"
+    )
+    reason = error.strerror or str(error) or type(error).__name__
+    return f"{where}: {reason}{_ADVICE.get(error.errno or 0, '')}."
+
+
+def nearest(wrong: str, valid: Sequence[str]) -> str:
+    """Return ", did you mean 'this'?" or a full stop."""
+    near = difflib.get_close_matches(wrong, valid, n=1)
+    return f", did you mean '{near[0]}'?" if near else "."
+
+
+def _explained(error: Exception) -> tuple[str, int | None]:
+    """Return sentence and exit code of an error; no code if it is a defect."""
+    if isinstance(error, TactileHandError):
+        return str(error), EXIT_REFUSED
+    if isinstance(error, OSError):
+        return os_sentence(error), EXIT_REFUSED
+    return _usage(error)
+
+
+def _usage(error: Any) -> tuple[str, int | None]:
+    """Return what is wrong with the options, as Click reports it; no code for other errors."""
+    if isinstance(error.__cause__, EOFError):  # Typer wraps it
+        return "a file or the input ended too early.", EXIT_REFUSED
+    if not hasattr(error, "format_message") or not hasattr(error, "exit_code"):
+        return "", None
+    message = error.format_message().rstrip(".")
+    if not message:  # without any argument help was printed instead
+        return "", int(error.exit_code)
+    if hasattr(error, "possibilities"):
+        message = f"there is no option {error.option_name}"
+        message += nearest(error.option_name, _options(error.ctx))
+    elif not message.endswith("?"):
+        message += "."
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else ""
+    return f"{message} See `{path} --help`." if path else message, int(error.exit_code)
+
+
+def _options(context: Any) -> list[str]:
+    """Return the names of all options of a command."""
+    return [name for each in context.command.params for name in each.opts if name[:1] == "-"]
+
+
+def _print_any_character() -> None:
+    """Write what the terminal's encoding lacks as an escape, instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _drop_unwritten() -> None:
+    """Forget output that cannot be written; the interpreter would try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_output()
+
+
+def _drop_output() -> None:
+    _redirect(sys.stdout, os.devnull)
+
+
+def _redirect(stream: Any, path: str) -> None:
+    os.dup2(os.open(path, os.O_WRONLY), stream.fileno())

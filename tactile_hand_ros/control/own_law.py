@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of the user's own, ``module:Class``.
+
+Importing a module runs its code. So nothing is imported because a configuration names it: a bag
+may come from anywhere. `take_law` imports, and is called only with what the user has named, in a
+scenario file, on a command line or as a parameter of a node. All others find what it has taken.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tactile_hand_ros.control.laws import OWN_LAWS, LawConfig
+from tactile_hand_ros.errors import ConfigurationError
+
+
+def take_law(config: LawConfig) -> None:
+    """Import the law that a configuration names, unless it is one of this package.
+
+    Raises:
+        ConfigurationError: If there is no such module or class, or it is no law.
+    """
+    if ":" not in config.name:
+        return
+    module, _, attribute = config.name.partition(":")
+    found = getattr(_imported(config, module), attribute, None)
+    if found is None:
+        raise _wrong(config, f"its module has no '{attribute}'", "a class of that name")
+    _check_signatures(config, found)
+    OWN_LAWS[config.name, config.folder] = found
+
+
+def folder_of(name: str, beside: Path) -> str:
+    """Return the folder to import a law from: `beside` if its module is there, else none."""
+    top = name.partition(":")[0].partition(".")[0]
+    is_there = (beside / f"{top}.py").is_file() or (beside / top / "__init__.py").is_file()
+    return str(beside.resolve()) if ":" in name and is_there else ""
+
+
+def _imported(config: LawConfig, module: str) -> ModuleType:
+    top = module.partition(".")[0]
+    if top in sys.stdlib_module_names:
+        raise _wrong(config, f"'{top}' is a module of Python itself", "another name for yours")
+    if config.folder:
+        _forget(top, Path(config.folder))
+        sys.path.insert(0, config.folder)
+        importlib.invalidate_caches()
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name not in (module, top):  # something that it needs
+            raise _wrong(config, f"it needs the module '{error.name}'", "that installed") from None
+        raise _wrong(
+            config, f"there is no module '{module}'", "it beside the scenario file or on PYTHONPATH"
+        ) from None
+    except Exception as error:
+        reason = f"its module fails with {type(error).__name__}: {error}"
+        raise _wrong(config, reason, "one that can be imported") from error
+    finally:
+        if config.folder:
+            sys.path.remove(config.folder)
+
+
+def _forget(top: str, folder: Path) -> None:
+    """Forget a module of the same name from another folder."""
+    loaded = getattr(sys.modules.get(top), "__file__", None)
+    if loaded is not None and folder not in Path(loaded).parents:
+        for name in [each for each in sys.modules if each.partition(".")[0] == top]:
+            del sys.modules[name]
+
+
+def _check_signatures(config: LawConfig, factory: Any) -> None:
+    """Refuse what cannot be called as a law is, see `Law`."""
+    if not callable(factory):
+        raise _wrong(config, f"it is a {type(factory).__name__}", "a class")
+    wrench = np.zeros(6)
+    expected: list[tuple[str, Any, str, tuple[Any, ...]]] = [
+        ("constructor", factory, "(config, radii)", (config, np.zeros(3)))
+    ]
+    if inspect.isclass(factory):  # what a function makes is only known when it is called
+        expected += [
+            ("squeeze", getattr(factory, "squeeze", None), "squeeze(self)", (None,)),
+            ("drive", getattr(factory, "drive", None), "drive(self, wrench)", (None, wrench)),
+        ]
+    for name, method, signature, arguments in expected:
+        if method is None:
+            raise _wrong(config, f"it has no {name}", signature)
+        try:
+            inspect.signature(method).bind(*arguments)
+        except TypeError as error:
+            raise _wrong(config, f"its {name} does not fit ({error})", signature) from None
+        except ValueError:  # a builtin that does not say what it takes
+            continue
+
+
+def _wrong(config: LawConfig, problem: str, expected: str) -> ConfigurationError:
+    where = f" in {config.folder}" if config.folder else ""
+    return ConfigurationError(
+        f"the law '{config.name}'{where} cannot be used: {problem}; expected {expected}"
+    )

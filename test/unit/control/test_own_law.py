@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of the user's own: found beside the scenario, checked, and never imported for a bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.preflight import check_scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.config.model import parse_yaml, validate
+from tactile_hand_ros.errors import ConfigurationError
+
+LAW = """
+from tactile_hand_ros.control.laws import OptimalLaw
+
+class MyLaw(OptimalLaw):
+    gain = 1.0
+
+    def squeeze(self):
+        return self.gain * super().squeeze()
+"""
+
+
+def write(folder: Path, law: str = LAW, scenario: str = "law: my_law:MyLaw") -> str:
+    folder.mkdir(exist_ok=True)
+    (folder / "my_law.py").write_text(law)
+    (folder / "mine.yaml").write_text(f"extends: paper\n{scenario}\n")
+    return str(folder / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    "scenario", ["law: my_law:MyLaw", "manipulation_controller: {law: {name: my_law:MyLaw}}"]
+)
+def test_a_law_beside_the_scenario_runs_and_keeps_the_gains(tmp_path: Path, scenario: str) -> None:
+    mine = load_scenario(write(tmp_path / "a", scenario=scenario))
+    check_scenario(mine)
+    assert mine.manipulation_controller.law.k_p == 3.0
+    ran, paper = ClosedLoop(mine).run(5), ClosedLoop(load_scenario("paper")).run(5)
+    np.testing.assert_array_equal(ran.command, paper.command)
+
+
+def test_a_law_of_the_same_name_in_another_folder_is_another_law(tmp_path: Path) -> None:
+    one = load_scenario(write(tmp_path / "a"))
+    two = load_scenario(write(tmp_path / "b", LAW.replace("gain = 1.0", "gain = 2.0")))
+    first, second = ClosedLoop(one).run(1).command, ClosedLoop(two).run(1).command
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(ClosedLoop(one).run(1).command, first)
+
+
+def test_a_law_is_found_on_the_path_and_in_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "a")
+    (tmp_path / "a" / "my_law.py").rename(tmp_path / "a" / "law_on_path.py")
+    monkeypatch.chdir(tmp_path / "a")
+    chosen = {"law": "law_on_path:MyLaw"}
+    assert load_scenario("paper", chosen).manipulation_controller.law.folder == str(tmp_path / "a")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path / "a"))
+    assert load_scenario("paper", chosen).manipulation_controller.law.folder == ""
+
+
+def test_a_recorded_configuration_imports_nothing(tmp_path: Path) -> None:
+    mark = tmp_path / "imported"
+    file = write(tmp_path / "a", LAW + f"open({str(mark)!r}, 'w').close()\n")
+    text = resolved(load_scenario("paper")).replace(
+        "name: optimal\n    folder: ''", f"name: my_law:MyLaw\n    folder: {Path(file).parent}"
+    )
+    assert "my_law:MyLaw" in text
+    recorded = validate(Scenario, parse_yaml(text))  # as `Run.scenario` reads it
+    with pytest.raises(ConfigurationError, match="name it yourself: --law my_law:MyLaw"):
+        ClosedLoop(recorded)
+    with pytest.raises(ConfigurationError, match="name it yourself"):
+        ClosedLoop(recorded.changed({"seed": 2}))
+    assert not mark.exists()
+    load_scenario(file)
+    assert mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "message"),
+    [
+        ("nowhere:MyLaw", LAW, "there is no module 'nowhere'; expected it beside the scenario"),
+        ("my_law:Mine", LAW, "its module has no 'Mine'"),
+        ("my_law:MyLaw", "import missing_thing", "it needs the module 'missing_thing'"),
+        ("my_law:MyLaw", "1 / 0", "its module fails with ZeroDivisionError: division by zero"),
+        ("my_law:MyLaw", "class MyLaw(", "its module fails with SyntaxError"),
+        ("my_law:MyLaw", "MyLaw = 3", "it is a int; expected a class"),
+        ("json:MyLaw", LAW, "'json' is a module of Python itself"),
+        ("my_law:MyLaw", "class MyLaw:\n  pass", "its constructor does not fit"),
+        (
+            "my_law:MyLaw",
+            "class MyLaw:\n  def __init__(self, c, r): pass\n  def squeeze(self): pass",
+            r"it has no drive; expected drive\(self, wrench\)",
+        ),
+        (
+            "my_law:MyLaw",
+            LAW + "    def drive(self): pass",
+            r"its drive does not fit .*; expected drive\(self, wrench\)",
+        ),
+    ],
+)
+def test_what_is_no_law_is_refused(tmp_path: Path, name: str, law: str, message: str) -> None:
+    file = write(tmp_path / "a", law, f"law: {name}")
+    with pytest.raises(ConfigurationError, match=f"'{name}'.*{message}"):
+        load_scenario(file)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return 3.0", r"returns 3.0 from squeeze\(\); expected an array of 9 finite torques"),
+        ("return super().squeeze()[:2]", "array of 9 finite torques"),
+        ("return super().squeeze() * float('nan')", "array of 9 finite torques"),
+        ("return self.lost", "fails at the first tick with AttributeError: .*lost"),
+    ],
+)
+def test_a_law_without_torques_is_refused_before_it_holds_anything(
+    tmp_path: Path, body: str, message: str
+) -> None:
+    law = LAW.replace("return self.gain * super().squeeze()", body)
+    scenario = load_scenario(write(tmp_path / "a", law))
+    with pytest.raises(ConfigurationError, match=message):
+        check_scenario(scenario)

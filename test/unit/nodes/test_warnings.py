@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes warn of what is so: of slips where they threaten, of limits that are too low."""
+
+from __future__ import annotations
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
+from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
+from tactile_hand_ros.ros.diagnostics import Diagnostics
+
+SECOND = 1000  # ticks
+
+
+def warnings_of(name: str, seconds: int) -> list[str]:
+    """Run a scenario and return what optimizer and regulator warn of, second by second."""
+    loop = ClosedLoop(load_scenario(name))
+    fingers = loop.plant.hand.finger_names
+    optimizer, regulator = Diagnostics("optimizer"), Diagnostics("regulator")
+    optimizer_report = OptimizerReport(optimizer)
+    regulator_report = RegulatorReport(regulator, fingers)
+    feel, solve = loop.regulator.step, loop.optimizer.solve
+
+    def felt(stamp, contacts, forces):
+        squeeze = feel(stamp, contacts, forces)
+        r = loop.regulator
+        state = GripState(r.learned_friction, r.slip_likelihood, r.state)
+        regulator_report.note(r, stamp, contacts, forces, state)
+        return squeeze
+
+    def solved(contacts, cones):
+        optimal = solve(contacts, cones)
+        learned = cones and Cones(loop.regulator.learned_friction, cones.load)
+        optimizer_report.note(optimal, learned)
+        return optimal
+
+    loop.regulator.step, loop.optimizer.solve = felt, solved  # type: ignore[method-assign]
+    said = []
+    for _ in range(seconds):
+        loop.run(SECOND)
+        optimizer_report.report()
+        regulator_report.report(loop.regulator)
+        for status in (optimizer.status(), regulator.status()):
+            said += [status.message] if status.level != DiagnosticStatus.OK else []
+    return said
+
+
+@pytest.mark.parametrize("name", ["crush_limit", "lost_contact"])
+def test_a_reserve_that_is_used_up_is_no_slip(name: str) -> None:
+    assert warnings_of(name, 3) == []

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Makefile in awkward places, and what the set-up shows while pip works."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PIP_INSTALL = ROOT / "requirements" / "pip_install.py"
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Return a tree that is set up already, with a command that prints its arguments."""
+    tree = tmp_path / "it's a tree"
+    bin_folder = tree / ".venv" / "bin"
+    bin_folder.mkdir(parents=True)
+    shutil.copy(ROOT / "Makefile", tree)
+    (tree / "requirements").mkdir()
+    for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
+        (tree / name).touch()
+    for name in ("ros", "run"):
+        (tree / "requirements" / f"{name}.txt").touch()
+    (tree / ".venv" / ".created").write_text(f"{tree}/.venv\n")
+    (tree / ".venv" / ".run").touch()
+    (tree / ".venv" / ".sources").write_text("setup.py setup.cfg package.xml pyproject.toml \n")
+    (tree / ".venv" / ".package").touch()
+    command = bin_folder / "tactile-hand"
+    command.write_text("#!/bin/sh\nprintf '<%s>' \"$@\"\n")
+    command.chmod(0o755)
+    return tree
+
+
+def make(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["make", *words], cwd=tree, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("name", ["paper", "it's.yaml", "my runs/a b.yaml", 'say "x".yaml'])
+def test_any_name_of_a_scenario_arrives_whole(tree: Path, name: str) -> None:
+    done = make(tree, "run", f"SCENARIO={name}", "ARGS=--duration 3")
+    assert done.stdout == f"<run><{name}><--duration><3>", done.stderr
+
+
+def test_demo_is_the_paper(tree: Path) -> None:
+    done = make(tree, "demo", "ARGS=--quiet")
+    assert done.stdout == "<run><paper><--quiet>", done.stderr
+
+
+def test_set_up_shows_what_pip_does() -> None:
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import pip_install as p; "
+        "print(*map(p.progress, sys.stdin.read().splitlines()), sep='|')"
+    )
+    said = """Collecting numpy==1.26.4
+  Downloading numpy-1.26.4-cp311-cp311-manylinux_2_17_x86_64.whl (18.3 MB)
+  Downloading https://index/packages/ros_jazzy_rclpy-7.1.3-py3-none-any.whl (4.2 MB)
+  Downloading tiny-1.0-py3-none-any.whl (12 kB)
+  Using cached pin-3.4.0-cp311-cp311-manylinux_2_28_x86_64.whl (9.1 MB)
+Installing collected packages: a, b, c"""
+    folder = str(PIP_INSTALL.parent)
+    command = [sys.executable, "-c", code, folder]
+    shown = subprocess.run(command, input=said, capture_output=True, text=True, timeout=60).stdout
+    assert shown.strip().split("|") == [
+        "",
+        "  downloads numpy (18.3 MB)",
+        "  downloads ros_jazzy_rclpy (4.2 MB)",
+        "",
+        "  takes pin (9.1 MB) from the cache",
+        "  unpacks 3 packages",
+    ]
+
+
+def test_set_up_that_fails_shows_what_pip_said(tmp_path: Path) -> None:
+    missing = str(tmp_path / "missing")
+    command = [sys.executable, PIP_INSTALL, "--no-index", missing]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and missing in done.stderr and done.stdout == ""
