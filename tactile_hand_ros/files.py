@@ -15,8 +15,17 @@ def replace_text(path: Path, text: str) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    with _draft_of(path) as draft, draft.open("x", encoding="utf-8") as file:
-        file.write(text)
+    replace_bytes(path, text.encode())
+
+
+def replace_bytes(path: Path, data: bytes) -> None:
+    """Write a file, or leave what was there.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    with _draft_of(path) as draft, draft.open("xb") as file:
+        file.write(data)
         file.flush()
         os.fsync(file.fileno())  # or a crash of the machine could leave an empty file
 

@@ -16,7 +16,7 @@ from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.control.slip.split import ConeWatch
-from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.rotations import quaternions_of_rows
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
@@ -141,10 +141,10 @@ class ClosedLoop:
         record.grasp_force[row] = grasp_force
         if command.pose is not None:
             record.auxiliary_position[row] = command.pose.position
-            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+            record.auxiliary_quaternion[row] = _quaternion(command.pose.orientation)
         self._write_desired(record, row)
         record.object_position[row] = state.position
-        record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
+        record.object_quaternion[row] = _quaternion(state.rotation)
         record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
         record.true_forces[row] = true.forces
         record.true_slid[row] = state.slid
@@ -155,6 +155,11 @@ class ClosedLoop:
     def _write_desired(self, record: Record, row: int) -> None:
         while self._targets and self._targets[0].stamp <= self.stamp:
             target = self._targets.pop(0).target()
-            self._desired = target.position, quaternion_from_rotation(target.orientation)
+            self._desired = target.position, _quaternion(target.orientation)
         if self._desired is not None:
             record.desired_position[row], record.desired_quaternion[row] = self._desired
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Return the quaternion of a rotation, shape (1, 4)."""
+    return quaternions_of_rows(rotation.reshape(1, 9))

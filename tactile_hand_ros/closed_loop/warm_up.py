@@ -10,14 +10,13 @@ from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
-from tactile_hand_ros.jit.compiled import is_complete, mark_complete
+from tactile_hand_ros.jit.compiled import is_complete, keep
 
 
 def warm_up() -> None:
     """Compile everything, unless that was done for these sources and kept."""
     if not is_complete():
-        run_every_block()
-        mark_complete()
+        keep(run_every_block)
 
 
 def run_every_block() -> None:

@@ -289,15 +289,16 @@ class Controller:
             )
         except GraspError as error:
             return self.hold(theta, rates, str(error))
+        total = parts.total
         # The square overflows only for torques that no joint could have: one check for all of them.
-        if not math.isfinite(float(parts.total @ parts.total)):
+        if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
         self._hold.release()
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
-        torque = self._for_middle_of_period(parts.total)
+        torque = self._for_middle_of_period(total)
         return Command(self._with_gravity(torque, theta), Mode.DRIVE, pose, refused)
 
     def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:

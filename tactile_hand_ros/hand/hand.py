@@ -40,6 +40,8 @@ class Hand:
     """A hand with k fingers and m joints.
 
     Attributes:
+        fingers: Number of fingers k.
+        joints: Number of joints m.
         finger_names: Names of the k fingers.
         joint_names: Names of the m joints, in the order of every joint array.
         radii: Fingertip radii r, shape (k,), m.
@@ -71,6 +73,8 @@ class Hand:
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
         self._centres = [self._data.oMf[frame].translation for frame in self._tips]
         self._model.gravity.linear = np.zeros(3) if gravity is None else np.asarray(gravity)
+        self.fingers = len(self._tips)
+        self.joints = int(self._model.nv)
         self.finger_names = config.finger_names
         self.radii = np.array(config.radii)
         self.joint_names = list(self._model.names[1:])
@@ -88,16 +92,6 @@ class Hand:
     def load(cls, name: str, layout: str = "", gravity: Array | None = None) -> Hand:
         """Load a hand by name (``paper``) or by the path of its YAML file."""
         return cls(load_hand_config(name), layout, gravity)
-
-    @property
-    def fingers(self) -> int:
-        """Number of fingers k."""
-        return len(self._tips)
-
-    @property
-    def joints(self) -> int:
-        """Number of joints m."""
-        return int(self._model.nv)
 
     def fingertips(self, theta: Array) -> Fingertips:
         """Return tip centres and Jacobians, equation (1).

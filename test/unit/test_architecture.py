@@ -36,7 +36,7 @@ LAYERS = {
     "files": set(),
     "names": set(),
     "config": {"errors"},
-    "jit": {"config", "errors"},
+    "jit": {"config", "errors", "files"},
     "cholesky": {"jit"},
     "rotations": {"jit"},
     "hand": BASE,

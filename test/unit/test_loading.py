@@ -18,14 +18,14 @@ MODEL = {"pinocchio", "tactile_hand_ros.hand.hand"}
 SOLVER = {"osqp", "scipy.sparse", "tactile_hand_ros.control.optimizer.cone_optimizer"}
 HULL = {"scipy.spatial"}
 PLANT = {"tactile_hand_ros.simulation.plant"}
-COMPILER = {"numba"}
+COMPILER = {"numba", "llvmlite", "scipy.linalg"}
 
 UNNEEDED = {
-    "plant": FIGURES | COMMANDS | SOLVER | HULL,
-    "tactile_sensor": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT,
-    "slip_regulator": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT,
-    "force_optimizer": FIGURES | COMMANDS | MODEL | HULL | PLANT,
-    "manipulation_controller": FIGURES | COMMANDS | SOLVER | HULL | PLANT,
+    "plant": FIGURES | COMMANDS | SOLVER | HULL | COMPILER,
+    "tactile_sensor": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT | COMPILER,
+    "slip_regulator": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT | COMPILER,
+    "force_optimizer": FIGURES | COMMANDS | MODEL | HULL | PLANT | COMPILER,
+    "manipulation_controller": FIGURES | COMMANDS | SOLVER | HULL | PLANT | COMPILER,
     "recorder": FIGURES | COMMANDS | MODEL | SOLVER | HULL | PLANT | COMPILER,
     # It checks the scenario, but what it calls once need not be compiled.
     "orchestrator": FIGURES | HULL | COMPILER,
