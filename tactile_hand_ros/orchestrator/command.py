@@ -68,6 +68,9 @@ def run(
     composed: Annotated[
         bool, typer.Option("--composed", help="Run all nodes in one process, for small computers.")
     ] = False,
+    separate_recorder: Annotated[
+        bool, typer.Option("--separate-recorder", help="Record in another process than --composed.")
+    ] = False,
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
@@ -102,6 +105,7 @@ def run(
         report=report,
         open_report=open_report,
         composed=composed,
+        separate_recorder=separate_recorder,
         namespace=namespace,
         startup_timeout=startup_timeout,
         priority=priority,

@@ -58,6 +58,7 @@ def conduct(request: Request, signals: Signals, ros_arguments: Sequence[str]) ->
         record=request.record,
         interactive=request.interactive,
         composed=request.composed,
+        separate_recorder=request.separate_recorder,
         startup_timeout=request.startup_timeout,
         scheduling=Scheduling(
             parse_priority(str(request.priority)), parse_cpus(request.cpus) if request.cpus else ()

@@ -244,11 +244,14 @@ class WaitSetExecutor(SurvivingExecutor):
 
     def _deliver(self) -> None:
         """Let the nodes of this process answer each other, in rounds, until all is read."""
+        if self._direct is None:
+            return
         for _ in range(_ROUNDS):
             if not self._direct or self._stale:
-                return
+                break
             self._direct.deliver(self._finish)
             self._call_afterwards()
+        self._direct.rest()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)

@@ -17,6 +17,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.utilities import get_default_context
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
@@ -25,6 +26,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.direct.publisher import DirectPublisher
+from tactile_hand_ros.ros.direct.rosout import RosoutLogger
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
@@ -77,7 +79,10 @@ class TactileNode(Node, Generic[C]):
             ConfigurationError: If a parameter that was given is unknown or refused.
         """
         self._guard = Guard(self)  # first: rclpy creates services of its own
-        super().__init__(name, **kwargs)
+        direct = direct_delivery(kwargs.get("context") or get_default_context())
+        super().__init__(name, enable_rosout=direct is None, **kwargs)
+        if direct is not None:
+            self._logger = RosoutLogger(self)
         try:
             self._config_parameters = ConfigParameters(
                 self, model, self._take_config, self.check_config

@@ -56,8 +56,9 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
         _init(line, factories)
         for factory in factories:
             nodes.append(factory())
-            _check_ready(nodes[-1])
-            _announce(nodes[-1])
+        for node in nodes:
+            _check_ready(node)
+            _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
     return _stop(nodes, _serve(nodes))

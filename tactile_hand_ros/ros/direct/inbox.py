@@ -48,6 +48,22 @@ class Inbox:
         self._messages.clear()
 
 
+class Tap:
+    """Calls a subscription back at once with what publishers of its process send, as bytes.
+
+    For one that only keeps the bytes, such as a recorder's: the publisher waits for it.
+    """
+
+    def __init__(self, subscription: Subscription) -> None:
+        """Take the callback of a subscription whose messages no executor takes."""
+        self.subscription = subscription
+        self.topic = subscription.topic_name
+        self.put: Callable[[bytes], None] = subscription.callback
+
+    def clear(self) -> None:
+        """Do nothing: nothing waits."""
+
+
 def history_depth(profile: QoSProfile) -> int | None:
     """Return how many messages a history holds, None for all."""
     return None if profile.history == HistoryPolicy.KEEP_ALL else max(1, profile.depth)

@@ -9,9 +9,9 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
-from rclpy.serialization import serialize_message
 
-from tactile_hand_ros.ros.direct.inbox import Inbox, history_depth, is_latched
+from tactile_hand_ros.ros.direct.inbox import Inbox, Tap, history_depth, is_latched
+from tactile_hand_ros.ros.messages.serialized import serialized
 
 
 class DirectPublisher(Publisher):
@@ -30,7 +30,7 @@ class DirectPublisher(Publisher):
         """
         self._noted, self._forget = noted, forget
         self._full_topic = self.topic_name
-        self.inboxes: tuple[Inbox, ...] = ()
+        self.inboxes: tuple[Inbox | Tap, ...] = ()
         self._is_latched = self._is_read_here = is_latched(self.qos_profile)
         self._kept: deque[bytes] = deque(maxlen=history_depth(self.qos_profile))
         # Held until `destroy`, which saves a third of the cost of a message.
@@ -47,7 +47,7 @@ class DirectPublisher(Publisher):
         else:
             super().publish(msg)  # also refuses what is not a message of this type
             if self._is_read_here:
-                self._hand_over(serialize_message(msg))
+                self._hand_over(serialized(msg))
 
     def _hand_over(self, data: bytes) -> None:
         for inbox in self.inboxes:
@@ -56,14 +56,14 @@ class DirectPublisher(Publisher):
             self._kept.append(data)
         self._noted()
 
-    def matches(self, inbox: Inbox) -> bool:
+    def matches(self, inbox: Inbox | Tap) -> bool:
         """Return whether a subscription takes what this publisher offers."""
         if inbox.topic != self._full_topic:  # which has one type in a process
             return False
         wanted = inbox.subscription.qos_profile
         return bool(qos_check_compatible(self.qos_profile, wanted)[0] != QoSCompatibility.ERROR)
 
-    def link(self, inbox: Inbox) -> None:
+    def link(self, inbox: Inbox | Tap) -> None:
         """Serve one more subscription, and give it what is kept for those that come later."""
         self.inboxes = (*self.inboxes, inbox)
         self._is_read_here = True
@@ -71,7 +71,7 @@ class DirectPublisher(Publisher):
             for data in self._kept:
                 inbox.put(data)
 
-    def unlink(self, inbox: Inbox) -> None:
+    def unlink(self, inbox: Inbox | Tap) -> None:
         """Stop serving a subscription."""
         self.inboxes = tuple(each for each in self.inboxes if each is not inbox)
         self._is_read_here = bool(self.inboxes) or self._is_latched
