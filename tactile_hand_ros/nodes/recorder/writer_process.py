@@ -62,6 +62,11 @@ class WriterProcess:
         self.lost: Counter[int] = Counter()
         self.is_open = True
 
+    @property
+    def process_id(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def begin(self, folder: Path, **options: Any) -> None:
         """Create the bag with the options of `BagWriter`; `check` says whether that worked."""
         self.folder = folder
