@@ -24,6 +24,7 @@ What the middleware throws (a request that cannot be taken, an answer that canno
 from __future__ import annotations
 
 import inspect
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
@@ -47,9 +48,9 @@ from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
-_ROUNDS = 16
-"""How often nodes of this process answer each other, three ticks or so, before timers and messages
-from elsewhere get their turn."""
+_TURN = 0.002
+"""Time in which nodes of this process answer each other before timers and messages from elsewhere
+get their turn [s]."""
 
 _NEEDED = {
     "WaitSet": (
@@ -246,11 +247,12 @@ class WaitSetExecutor(SurvivingExecutor):
         """Let the nodes of this process answer each other, in rounds, until all is read."""
         if self._direct is None:
             return
-        for _ in range(_ROUNDS):
-            if not self._direct or self._stale:
-                break
+        end = time.monotonic() + _TURN
+        while self._direct and not self._stale:
             self._direct.deliver(self._finish)
             self._call_afterwards()
+            if time.monotonic() > end:
+                break
         self._direct.rest()
 
     def _has_open_tasks(self) -> bool:
