@@ -228,7 +228,7 @@ class Session:
 
     def _conduct(self, node: Node, view: View) -> None:
         steering = Steering(node, self._check)
-        monitor = Monitor(node)
+        monitor = Monitor(node, closely=not self.plan.record)
         wiring = Wiring(node, self.plan.scenario, recorded=self.plan.record)
         self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
         steering.command(self.plan.scenario.targets)

@@ -48,7 +48,7 @@ from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
-_TURN = 0.002
+_TURN = 0.005
 """Time in which nodes of this process answer each other before timers and messages from elsewhere
 get their turn [s]."""
 

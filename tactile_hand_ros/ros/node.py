@@ -148,9 +148,17 @@ class TactileNode(Node, Generic[C]):
         else:
             self.diagnostics.clear("configuration")
 
-    def after_reading(self, callback: Callable[[], None]) -> None:
-        """Call back once when all that has arrived is read; at once where nobody can tell."""
-        executor, guarded = self.executor, self._guard.wrap("ticks", callback)
+    def guarded(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback whose errors the node survives; see `Guard.wrap`."""
+        return self._guard.wrap(source, callback)
+
+    def after_reading(self, guarded: Callable[[], None]) -> None:
+        """Call back once when all that has arrived is read; at once where nobody can tell.
+
+        Args:
+            guarded: The callback, made once by `guarded`.
+        """
+        executor = self.executor
         if isinstance(executor, WaitSetExecutor):
             executor.after_reading(guarded)
         else:

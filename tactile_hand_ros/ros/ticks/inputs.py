@@ -72,6 +72,7 @@ class TickInputs:
         self._streams = streams
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
         self._trigger = topics[0]
+        self._answer = node.guarded("ticks", self._answer_waiting)
         self._senders = OneSender()
         self._conflict = (
             f"two senders of {self._trigger} publish the same ticks differently; stop one"
@@ -133,7 +134,7 @@ class TickInputs:
         if stamp > self._answered_blindly:
             self._backlog.put(stamp, matched)
             if len(self._backlog) == 1:
-                self._node.after_reading(self._answer_waiting)
+                self._node.after_reading(self._answer)
 
     def _wait(self, watch: InputWatch, stamp: int, value: Any) -> None:
         was_blind = watch.blind

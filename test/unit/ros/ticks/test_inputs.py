@@ -70,6 +70,9 @@ class Ear:
         assert options["raw"]
         self.callbacks[topic] = callback
 
+    def guarded(self, source: str, callback: Callable[[], None]) -> Callable[[], None]:
+        return callback
+
     def after_reading(self, callback: Callable[[], None]) -> None:
         if self.reads_late:
             self.waiting.append(callback)
