@@ -25,6 +25,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
+from tactile_hand_ros.ros.direct.lean_publisher import LeanPublisher
 from tactile_hand_ros.ros.direct.publisher import DirectPublisher
 from tactile_hand_ros.ros.direct.rosout import RosoutLogger
 from tactile_hand_ros.ros.executor import WaitSetExecutor
@@ -223,7 +224,7 @@ class TactileNode(Node, Generic[C]):
         """Create a publisher as rclpy does; it may serve subscriptions of its process itself."""
         direct = direct_delivery(self.context)
         if direct is None:
-            return super().create_publisher(*args, **kwargs)
+            return super().create_publisher(*args, publisher_class=LeanPublisher, **kwargs)
         publisher = super().create_publisher(*args, publisher_class=DirectPublisher, **kwargs)
         direct.add_publisher(publisher)
         return publisher

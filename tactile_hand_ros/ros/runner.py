@@ -20,6 +20,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.jit.release import release_compiler
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
@@ -69,6 +70,7 @@ def _serve(nodes: Sequence[Node]) -> int:
     # once, which takes longer than what it would find is worth. A script may have disabled it.
     gc.freeze()
     gc.enable()
+    release_compiler()
     try:
         spin(nodes)
     except BaseException as error:

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
@@ -67,11 +67,6 @@ class Tap:
 def history_depth(profile: QoSProfile) -> int | None:
     """Return how many messages a history holds, None for all."""
     return None if profile.history == HistoryPolicy.KEEP_ALL else max(1, profile.depth)
-
-
-def is_latched(profile: QoSProfile) -> bool:
-    """Return whether subscriptions that come later get the last messages."""
-    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def _callback_for_bytes(subscription: Subscription) -> Callable[[bytes], Any]:

@@ -169,7 +169,6 @@ def _wrenches(
     wanted: bool = True,
 ) -> Stream:
     decoders = {
-        topic(name): _force_decoder(names.contact_frame(name), nan_allowed)
-        for name in finger_names
+        topic(name): _force_decoder(names.contact_frame(name), nan_allowed) for name in finger_names
     }
     return Stream(WrenchStamped, decoders, True, from_driver, wanted)
