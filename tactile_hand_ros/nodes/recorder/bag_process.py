@@ -5,8 +5,7 @@ Python runs one thread at a time, so a thread that packs and compresses messages
 tick. This process gets them through a pipe, looks into it every few milliseconds, and ignores
 signals: it ends when the pipe does. What is in the pipe is written even if the sender was killed.
 
-``python -m tactile_hand_ros.nodes.recorder.bag_process REPLIES`` reads stdin and answers on a
-file descriptor; see `WriterProcess`.
+It reads stdin and answers on the file descriptor that its argument names; see `WriterProcess`.
 """
 
 from __future__ import annotations
@@ -100,7 +99,3 @@ def _frames(pipe: int) -> Iterator[tuple[tuple[int, int, int, int], bytes]]:
 def _reply(replies: int, result: Any) -> None:
     with contextlib.suppress(BrokenPipeError):
         os.write(replies, pickle.dumps(result))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -19,7 +19,13 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import bag_process
 from tactile_hand_ros.nodes.recorder.bag_process import FRAME
 
-_MODULE = bag_process.__name__
+# What lies in the working directory must not be taken for a library.
+_PROGRAM = f"""
+import sys
+sys.path = [path for path in sys.path if path]
+from {bag_process.__name__} import main
+sys.exit(main())
+"""
 _PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to everybody
 _MOST_WAITING = 64 << 20
 """Bytes that wait here while the pipe is full; what comes then is lost, and counted."""
@@ -43,7 +49,7 @@ class WriterProcess:
         """Start the process; `begin` tells it what to write."""
         answers, replies = os.pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", _MODULE, str(replies)],
+            [sys.executable, "-c", _PROGRAM, str(replies)],
             stdin=subprocess.PIPE,
             pass_fds=(replies,),
             start_new_session=True,  # a Ctrl-C is not for it

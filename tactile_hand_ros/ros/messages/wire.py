@@ -155,7 +155,7 @@ class CdrTemplate:
         _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _SECOND))
         return bytes(self._buffer)
 
-    def encode(self, stamp_ns: int, *values: Array) -> bytes:
+    def encode(self, stamp_ns: int, *values: NDArray[Any]) -> bytes:
         """Return the bytes with a stamp [ns] and one array per block, flat and of its size.
 
         Raises:
@@ -320,7 +320,7 @@ class JointCodec:
             template.length(count).doubles(count)
         self._template = template.finish()
 
-    def encode(self, stamp_ns: int, *values: Array) -> bytes:
+    def encode(self, stamp_ns: int, *values: NDArray[Any]) -> bytes:
         """Return the message with one array of shape (m,) per field.
 
         Raises:
