@@ -11,7 +11,8 @@ from typing import Any
 import psutil
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import serialize_message
+from rcl_interfaces.msg import Log
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import PATIENCE, Graph
 
@@ -20,7 +21,7 @@ from tactile_hand_ros.bag.metadata_file import read_metadata
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.stream import is_being_written
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.parameters import to_params_yaml
@@ -81,6 +82,12 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
     return found
 
 
+def said(found: dict[str, list[bytes]]) -> set[str]:
+    """Return what the nodes of the hand have logged; over DDS the gaps in the bytes are dirty."""
+    logged = [deserialize_message(data, Log) for data in found["/rosout"]]
+    return {str(each) for each in logged if each.name in NODES}
+
+
 def announced(bag: Path) -> dict[str, Any]:
     """Return what the metadata of a bag says about each topic: type, hash and offers."""
     topics = [entry["topic_metadata"] for entry in read_metadata(bag)["topics_with_message_count"]]
@@ -105,7 +112,7 @@ def test_it_writes_what_a_recorder_outside_writes(domain: int, tmp_path: Path) -
     ticks = graph.scenario.ticks
     assert len(inside["/joint_states"]) == len(inside["/joint_command"]) == ticks
     assert inside["/note"] == [bytes(serialize_message(Float64(data=float(i)))) for i in range(20)]
-    assert outside["/rosout"] and set(outside["/rosout"]) <= set(inside["/rosout"])
+    assert said(outside) and said(outside) <= said(inside)
     for topic in outside.keys() - SHARED:
         assert inside[topic] == outside[topic], topic
     known, others = announced(graph.bag), announced(graph.other_bag)
@@ -127,7 +134,8 @@ def test_killed_with_its_hand_it_loses_the_last_ticks_at_most(domain: int, tmp_p
     stamps = [stamp_of(data) for data in payloads(graph.bag)["/joint_states"]]
     tick = graph.scenario.plant.tick
     assert stamps == [tick * i for i in range(len(stamps))]
-    assert 1e-9 * stamps[-1] > seen - 5e-9 * tick
+    in_a_turn = 30  # ticks, far more than fit into the 5 ms until messages are handed on
+    assert 1e-9 * stamps[-1] > seen - 1e-9 * in_a_turn * tick
 
 
 def test_the_hand_goes_on_when_its_bag_cannot_be_written(domain: int, tmp_path: Path) -> None:
