@@ -49,7 +49,8 @@ REGULATOR = "slip_regulator"
 OPTIMIZER = "force_optimizer"
 CONTROLLER = "manipulation_controller"
 RECORDER = "recorder"
-COMPOSED = "composed"  # all nodes but the recorder in one process
+COMPOSED = "composed"  # all nodes in one process
+RECORD = "--record"  # its argument that adds the recorder
 ORCHESTRATOR = "orchestrator"
 
 

@@ -181,7 +181,9 @@ def usage_of(orchestrator: psutil.Process) -> Usage:
         children = []
     for child in children:
         try:
-            words = {Path(word).name for word in child.cmdline()[:2]}
+            # Of the recorder inside `composed`, what has a process is a module that writes its bag.
+            line = child.cmdline()[:3]
+            words = {part for word in line for part in (Path(word).name, *word.split("."))}
             name = next((name for name in PROCESSES if name in words), None)
             if name is not None:
                 cpu[name] = sum(child.cpu_times()[:2])

@@ -46,7 +46,8 @@ class ReadingPublisher:
         # At once: who solves (13) can begin while the forces are still being written.
         self._contacts_publisher.publish(contacts)
         self._sent = [contacts]
-        pairs = zip(self._wrenches, self._wrench_publishers, reading.forces, strict=True)
+        forces = reading.forces.tolist()
+        pairs = zip(self._wrenches, self._wrench_publishers, forces, strict=True)
         for codec, publisher, force in pairs:
             message = codec.encode(force, stamp_ns)
             publisher.publish(message)

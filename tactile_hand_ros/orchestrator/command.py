@@ -74,6 +74,12 @@ def run(
             show_default=False,
         ),
     ] = None,
+    separate_recorder: Annotated[
+        bool,
+        typer.Option(
+            "--separate-recorder", help="Record in another process than that of --composed."
+        ),
+    ] = False,
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
@@ -108,6 +114,7 @@ def run(
         report=report,
         open_report=open_report,
         composed=composed,
+        separate_recorder=separate_recorder,
         namespace=namespace,
         startup_timeout=startup_timeout,
         priority=priority,

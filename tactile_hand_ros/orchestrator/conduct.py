@@ -59,6 +59,7 @@ def conduct(request: Request, signals: Signals, ros_arguments: Sequence[str]) ->
         record=request.record,
         interactive=request.interactive,
         composed=shares_process(scenario, request.composed),
+        separate_recorder=request.separate_recorder,
         startup_timeout=request.startup_timeout,
         scheduling=Scheduling(
             parse_priority(str(request.priority)), parse_cpus(request.cpus) if request.cpus else ()

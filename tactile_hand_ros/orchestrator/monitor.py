@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.names import PLANT
+from tactile_hand_ros.names import CONTROLLER, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
@@ -43,25 +43,32 @@ class Look:
 
 
 class Monitor:
-    """Subscriptions that hold one message each and decode it only when somebody looks."""
+    """Subscriptions that hold one message each and decode it only when somebody looks.
 
-    def __init__(self, node: Node) -> None:
+    Each subscription to a topic of the tick costs its publisher a packet a tick. So there is one,
+    and the rest is what the nodes say of themselves once a second. Without a recording the distance
+    to the target decides on the goal, and is followed closely.
+    """
+
+    def __init__(self, node: Node, *, closely: bool = False) -> None:
         """Subscribe.
 
         Args:
             node: A node in the namespace of the run. Its executor does not see the subscriptions.
+            closely: Whether to follow the distance to the target at each tick.
         """
         self._node = node
         self._command = self._subscribe(JointState, names.JOINT_COMMAND, _LATEST)
-        self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
-        self._force = self._subscribe(WrenchStamped, names.GRASP_FORCE, _LATEST)
-        self._desired = self._subscribe(PoseStamped, names.DESIRED_POSE, _ALL)
+        self._closely = closely
+        if closely:
+            self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
+            self._desired = self._subscribe(PoseStamped, names.DESIRED_POSE, _ALL)
         self._diagnostics = self._subscribe(DiagnosticArray, names.DIAGNOSTICS, _ALL)
         self._last: dict[str, Any] = {}
         self._targets: list[tuple[int, Any]] = []
         self._status: dict[str, tuple[bytes, str]] = {}
         self._facts: dict[str, dict[str, str]] = {}
-        self._plant = f"{node.get_namespace().rstrip('/')}/{PLANT}"
+        self._namespace = node.get_namespace().rstrip("/")
         self.tick = -1
 
     def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
@@ -77,14 +84,25 @@ class Monitor:
 
     def look(self) -> Look:
         """Return what is known now."""
-        self._take_targets()
-        pose = self._newest(self._pose, PoseStamped)
-        force = self._newest(self._force, WrenchStamped)
+        said = self._said(CONTROLLER, "position_error_m")
         return Look(
             time=max(0.0, 1e-9 * self.answered()),
-            position_error=np.nan if pose is None else self._error(pose),
-            grasp_force=np.nan if force is None else float(force.wrench.force.y),
+            position_error=self._distance() if self._closely else said,
+            grasp_force=self._said(REGULATOR, "grasp_force_n"),
         )
+
+    def _distance(self) -> float:
+        """Return the distance to the target at the newest pose [m]."""
+        self._take_targets()
+        pose = self._newest(self._pose, PoseStamped)
+        return float(np.nan) if pose is None else self._error(pose)
+
+    def _said(self, node: str, key: str) -> float:
+        """Return a number in the newest diagnostics of a node."""
+        return float(self._facts_of(node).get(key, "nan"))
+
+    def _facts_of(self, node: str) -> dict[str, str]:
+        return self.facts().get(f"{self._namespace}/{node}", {})
 
     def faults(self) -> list[str]:
         """Return a sentence for each node that reports a warning or an error."""

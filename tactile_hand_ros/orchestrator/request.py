@@ -21,6 +21,7 @@ class Request:
     report: bool
     open_report: bool
     composed: bool | None
+    separate_recorder: bool
     namespace: str
     startup_timeout: float
     priority: int

@@ -22,6 +22,7 @@ from tactile_hand_ros.names import (
     CONTROLLER,
     OPTIMIZER,
     PLANT,
+    RECORD,
     RECORDER,
     REGULATOR,
     SENSOR,
@@ -68,7 +69,8 @@ class Plan:
         namespace: Namespace of all nodes, ``/`` for none.
         record: Whether to record a bag.
         interactive: Whether to go on until a signal.
-        composed: Whether the nodes share one process, all but the recorder.
+        composed: Whether the nodes share one process.
+        separate_recorder: Whether the recorder has a process of its own also then.
         startup_timeout: Longest wait for the graph [s].
         scheduling: How the nodes are scheduled, all but the recorder: it may be late.
     """
@@ -78,6 +80,7 @@ class Plan:
     record: bool = True
     interactive: bool = False
     composed: bool = False
+    separate_recorder: bool = False
     startup_timeout: float = 30.0
     scheduling: Scheduling = Scheduling()
 
@@ -88,7 +91,8 @@ class Plan:
 
     def process(self, node: str) -> str:
         """Return the executable that a node runs in."""
-        return COMPOSED if self.composed and node != RECORDER else node
+        is_apart = node == RECORDER and self.separate_recorder
+        return COMPOSED if self.composed and not is_apart else node
 
 
 @dataclass
@@ -192,7 +196,8 @@ class Session:
             self.signals.check()
             files = [self.directory.write_parameters(*pair).resolve() for pair in configs.items()]
             parameters = [word for file in files for word in ("--params-file", str(file))]
-            own = () if name == RECORDER else scheduling.arguments
+            own = [] if name == RECORDER else list(scheduling.arguments)
+            own += [RECORD] if name == COMPOSED and RECORDER in configs else []
             self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
         # What is loaded stays; see the executable, which has disabled the collector until here.
         gc.freeze()
@@ -227,7 +232,7 @@ class Session:
 
     def _conduct(self, node: Node, view: View) -> None:
         steering = Steering(node, self._check)
-        monitor = Monitor(node)
+        monitor = Monitor(node, closely=not self.plan.record)
         wiring = Wiring(node, self.plan.scenario, recorded=self.plan.record)
         self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
         steering.command(self.plan.scenario.targets)

@@ -8,7 +8,7 @@ as taking the message. ``take_message`` of the object behind the public ``handle
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -34,18 +34,32 @@ class DirectTakeGroup(CallbackGroup):
         """Do nothing: nothing was begun."""
 
 
+def _ignore(_: bytes) -> None:
+    """Stand in for a callback."""
+
+
 def subscribe_directly(
-    node: Node, kind: Any, topic: str, profile: QoSProfile, **options: Any
+    node: Node,
+    kind: Any,
+    topic: str,
+    profile: QoSProfile,
+    tap: Callable[[bytes], None] = _ignore,
+    **options: Any,
 ) -> Subscription:
-    """Subscribe to serialized messages that are only taken with `taken` or `take_latest`."""
+    """Subscribe to serialized messages that are only taken with `taken` or `take_latest`.
+
+    Args:
+        node: Owner of the subscription.
+        kind: Message class.
+        topic: Name of the topic.
+        profile: Quality of service.
+        tap: Called at once with what publishers of this process send, if they deliver directly.
+        **options: For `rclpy.node.Node.create_subscription`.
+    """
     group = DirectTakeGroup()
     return node.create_subscription(
-        kind, topic, _never_called, profile, callback_group=group, raw=True, **options
+        kind, topic, tap, profile, callback_group=group, raw=True, **options
     )
-
-
-def _never_called(_: bytes) -> None:
-    """Stand in for a callback."""
 
 
 def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, Any]]:

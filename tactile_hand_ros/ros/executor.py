@@ -24,6 +24,7 @@ What the middleware throws (a request that cannot be taken, an answer that canno
 from __future__ import annotations
 
 import inspect
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
@@ -47,9 +48,9 @@ from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
-_ROUNDS = 16
-"""How often nodes of this process answer each other, three ticks or so, before timers and messages
-from elsewhere get their turn."""
+_TURN = 0.005
+"""Time in which nodes of this process answer each other before timers and messages from elsewhere
+get their turn [s]."""
 
 _NEEDED = {
     "WaitSet": (
@@ -244,11 +245,15 @@ class WaitSetExecutor(SurvivingExecutor):
 
     def _deliver(self) -> None:
         """Let the nodes of this process answer each other, in rounds, until all is read."""
-        for _ in range(_ROUNDS):
-            if not self._direct or self._stale:
-                return
+        if self._direct is None:
+            return
+        end = time.monotonic() + _TURN
+        while self._direct and not self._stale:
             self._direct.deliver(self._finish)
             self._call_afterwards()
+            if time.monotonic() > end:
+                break
+        self._direct.rest()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)

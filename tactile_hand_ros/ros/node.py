@@ -17,6 +17,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rclpy.utilities import get_default_context
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
@@ -24,7 +25,9 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
+from tactile_hand_ros.ros.direct.lean_publisher import LeanPublisher
 from tactile_hand_ros.ros.direct.publisher import DirectPublisher
+from tactile_hand_ros.ros.direct.rosout import RosoutLogger
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
@@ -78,7 +81,10 @@ class TactileNode(Node, Generic[C]):
             ConfigurationError: If a parameter that was given is unknown or refused.
         """
         self._guard = Guard(self)  # first: rclpy creates services of its own
-        super().__init__(name, **kwargs)
+        direct = direct_delivery(kwargs.get("context") or get_default_context())
+        super().__init__(name, enable_rosout=direct is None, **kwargs)
+        if direct is not None:
+            self._logger = RosoutLogger(self)
         try:
             self._config_parameters = ConfigParameters(
                 self, model, self._take_config, self.check_config
@@ -145,9 +151,17 @@ class TactileNode(Node, Generic[C]):
         else:
             self.diagnostics.clear("configuration")
 
-    def after_reading(self, callback: Callable[[], None]) -> None:
-        """Call back once when all that has arrived is read; at once where nobody can tell."""
-        executor, guarded = self.executor, self._guard.wrap("ticks", callback)
+    def guarded(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback whose errors the node survives; see `Guard.wrap`."""
+        return self._guard.wrap(source, callback)
+
+    def after_reading(self, guarded: Callable[[], None]) -> None:
+        """Call back once when all that has arrived is read; at once where nobody can tell.
+
+        Args:
+            guarded: The callback, made once by `guarded`.
+        """
+        executor = self.executor
         if isinstance(executor, WaitSetExecutor):
             executor.after_reading(guarded)
         else:
@@ -212,7 +226,7 @@ class TactileNode(Node, Generic[C]):
         """Create a publisher as rclpy does; it may serve subscriptions of its process itself."""
         direct = direct_delivery(self.context)
         if direct is None:
-            return super().create_publisher(*args, **kwargs)
+            return super().create_publisher(*args, publisher_class=LeanPublisher, **kwargs)
         publisher = super().create_publisher(*args, publisher_class=DirectPublisher, **kwargs)
         direct.add_publisher(publisher)
         return publisher

@@ -20,6 +20,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.jit.release import release_compiler
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
@@ -56,8 +57,9 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
         scheduling = _init(line, factories)
         for factory in factories:
             nodes.append(factory())
-            _check_ready(nodes[-1])
-            _announce(nodes[-1])
+        for node in nodes:
+            _check_ready(node)
+            _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
     return _stop(nodes, _serve(nodes, scheduling))
@@ -68,6 +70,7 @@ def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
     # once, which takes longer than what it would find is worth. A script may have disabled it.
     gc.freeze()
     gc.enable()
+    release_compiler()
     try:
         scheduling.prepare(nodes[0].context)
         spin(nodes)

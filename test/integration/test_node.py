@@ -124,7 +124,8 @@ class Fragile(Example):
         super().__init__(**kwargs)
         self.safe = []
         self.subscribe(Float64, "y", self._fail)
-        self.subscribe(Float64, "later", lambda _: self.after_reading(self._fail))
+        fail = self.guarded("ticks", self._fail)
+        self.subscribe(Float64, "later", lambda _: self.after_reading(fail))
         self.create_timer(0.01, self._fail)
         self.create_service(Trigger, "~/fail", lambda request, response: self._fail())
 

@@ -122,7 +122,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         optimal, learned = self._solve(stamp, contacts, friction, forces)
-        pairs = zip(self._codecs, optimal.forces, strict=True)
+        pairs = zip(self._codecs, optimal.forces.tolist(), strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
         self._accepted.take_effect(stamp)

@@ -17,7 +17,9 @@ from std_srvs.srv import Trigger
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
+from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
 from tactile_hand_ros.ros.diagnostics import WARN
+from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.node import TactileNode, set_period
 from tactile_hand_ros.ros.realtime.scheduling import use_batch_scheduling
@@ -56,7 +58,15 @@ class RecorderNode(TactileNode[RecorderConfig]):
         """
         super().__init__("recorder", RecorderConfig, **kwargs)
         self._is_over = is_over
-        self._recording = Recording(self, self.config)
+        self._failure: BagError | None = None
+        direct = direct_delivery(self.context)
+        if direct is None:
+            self._recording = Recording(self, self.config)
+        else:
+            self._recording = shared = SharedRecording(self, self.config)
+            shared.step()
+            direct.when_published(shared.meet)
+            direct.when_at_rest(self._on_rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         self._visits = self.create_timer(self.config.drain_period, self._step, clock=steady)
         if self.config.snapshot_duration > 0.0:
@@ -70,7 +80,13 @@ class RecorderNode(TactileNode[RecorderConfig]):
                 yield subscription
 
     def close(self) -> None:
-        """Write what is still on its way, then index and metadata."""
+        """Write what is still on its way, then index and metadata.
+
+        Raises:
+            BagError: If the bag is not whole.
+        """
+        if self._failure is not None:
+            raise self._failure
         self._recording.close()
 
     def publish_diagnostics(self) -> None:
@@ -94,12 +110,48 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.close()
             self.context.try_shutdown()
             return
-        came = self._recording.step()
+        try:
+            came = self._recording.step()
+        except BagError as error:
+            self._give_up(error)
+            return
         if came:
             self.diagnostics.tick()
         # The queues hold what comes in the meantime, with the time at which it came.
         is_idle = came < _FEW and self._recording.is_calm
         set_period(self._visits, _REST if is_idle else self.config.drain_period)
+
+    def _on_rest(self) -> None:
+        try:
+            self._recording.rest()
+        except BagError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: BagError) -> None:
+        """Stop recording, while a hand in the same process goes on.
+
+        Raises:
+            BagError: The error, where there is nothing else in the process.
+        """
+        if not isinstance(self._recording, SharedRecording):
+            raise error
+        if self._failure is None:
+            self._failure = error
+            self._visits.cancel()
+            self._recording.end()
+            self.diagnostics.fault("recording", str(error))
+            self.get_logger().error(str(error))
+            self.publish_diagnostics()
+
+    def check_ready(self) -> None:
+        """Check the parameters, and that the bag is there.
+
+        Raises:
+            ConfigurationError: If a QoS override names a topic that the node does not take.
+            BagError: If the bag cannot be created.
+        """
+        super().check_ready()
+        self._recording.check_ready()
 
     def _on_snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:

@@ -13,10 +13,12 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.nodes.recorder.sequence import SequenceTracker
+from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
 from tactile_hand_ros.ros.messages.types import message_class
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
+Tapped = tuple["RawTopic", bytes, int]  # topic, CDR, sent ns
 
 _DISCOVERY = 2.0
 """A publisher discovered so soon after subscribing may be older than the subscription [s]."""
@@ -60,6 +62,7 @@ class RawTopic:
         type_name: str,
         publishers: Sequence[TopicEndpointInfo],
         depth: int,
+        tapped: list[Tapped] | None = None,
     ) -> None:
         """Subscribe.
 
@@ -69,6 +72,7 @@ class RawTopic:
             type_name: Full name of its type.
             publishers: Its present publishers, whose offers are accepted.
             depth: Length of its queue.
+            tapped: Gets what publishers of this process send, if they deliver directly.
 
         Raises:
             BagError: If the type is not installed.
@@ -80,11 +84,14 @@ class RawTopic:
         self.channel: int | None = None
         self._class = message_class(type_name)
         self._node = node
+        self._direct = direct_delivery(node.context)
+        self._tapped: list[Tapped] = [] if tapped is None else tapped
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
         self._known = {bytes(publisher.endpoint_gid) for publisher in publishers}
         self._settled = time.monotonic() + _DISCOVERY
-        self._sequence = SequenceTracker(len(publishers), self._look)
+        self._inside = self._publishers_inside()
+        self._sequence = SequenceTracker(len(publishers) - self._inside, self._look)
 
     @property
     def latched(self) -> bool:
@@ -99,6 +106,11 @@ class RawTopic:
         one on, and all of publishers that appeared later.
         """
         return self._sequence.lost
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether the topic has publishers in other processes."""
+        return self.publishers > self._inside
 
     def drain(self, sink: Sink) -> int:
         """Hand all waiting messages to `sink` and return their number."""
@@ -127,6 +139,10 @@ class RawTopic:
         self._subscription = new
         self._node.destroy_subscription(old)
 
+    def end(self) -> None:
+        """Take no more messages."""
+        self._node.destroy_subscription(self._subscription)
+
     def _look(self) -> None:
         """Find publishers that appeared since the last adaptation."""
         self._count_publishers(self._node.get_publishers_info_by_topic(self.name))
@@ -139,16 +155,26 @@ class RawTopic:
         present = {bytes(publisher.endpoint_gid) for publisher in publishers}
         new = len(present - self._known)
         self._known |= present
+        self._inside = self._publishers_inside()
+        outside = len(present) - self._inside  # the others' messages have no numbers
         if self.latched or time.monotonic() < self._settled:
-            self._sequence.change(len(present), older=new)
+            self._sequence.change(outside, older=new)
         else:
-            self._sequence.change(len(present), younger=new)
+            self._sequence.change(outside, younger=new)
+
+    def _publishers_inside(self) -> int:
+        """Return how many publishers of this process deliver directly."""
+        return 0 if self._direct is None else self._direct.publisher_count(self._subscription)
 
     def _subscribe(self) -> Subscription:
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         return subscribe_directly(
-            self._node, self._class, self.name, self._qos, event_callbacks=quiet
+            self._node, self._class, self.name, self._qos, self._tap, event_callbacks=quiet
         )
+
+    def _tap(self, data: bytes) -> None:
+        self.received += 1
+        self._tapped.append((self, data, time.time_ns()))
 
     def _take(self) -> Iterator[tuple[bytes, int, int]]:
         """Yield data, time of reception and time of publication (ns) of the waiting messages."""

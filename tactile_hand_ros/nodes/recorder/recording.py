@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.bag.metadata import BagMetadata
 from tactile_hand_ros.bag.provenance import RECORD_NAME, provenance
@@ -21,10 +24,10 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.raw_topic import RawTopic
 from tactile_hand_ros.nodes.recorder.snapshot import SnapshotBuffer
+from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
 
 _CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
-_CALM_AFTER = 5.0  # s after the last change
 QUIET = 0.05  # s without a message after which nothing more is on its way
 LAST_CALL = 0.5  # s, longest wait for that when publishers go on
 _ATTENTION = 0.002  # s between two visits to the queues in that time
@@ -49,7 +52,12 @@ class Recording:
 
     Topics are subscribed as soon as the graph knows them, with or without a publisher, so that a
     publisher that appears later finds the subscription already there.
+
+    Attributes:
+        calm_after: Time after which a graph that does not change is looked at less often [s].
     """
+
+    calm_after = 5.0
 
     def __init__(self, node: Node, config: RecorderConfig) -> None:
         """Create the bag.
@@ -68,31 +76,44 @@ class Recording:
         self._refused: set[str] = set()
         self._next_discovery = 0.0
         often = config.discovery_period
-        self._attention = PollBackoff(often, _CALM_FACTOR * often, _CALM_AFTER)
+        self._attention = PollBackoff(often, _CALM_FACTOR * often, self.calm_after)
         self._next_flush = 0.0
         keeps = config.snapshot_duration
         self._buffer = SnapshotBuffer(keeps) if keeps > 0.0 else None
-        self._writer = self._begin(config)
+        self._writer: BagWriter | WriterProcess = self._begin(**self._bag(config))
+        # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
+        self._writer.add_metadata(RECORD_NAME, provenance(config.scenario))
 
-    def _begin(self, config: RecorderConfig) -> BagWriter:
-        """Create the bag, or continue the broken one that a killed recorder left."""
+    def _begin(self, **options: Any) -> BagWriter | WriterProcess:
+        """Create the bag with the options of `BagWriter`."""
+        return BagWriter(**options)
+
+    def _bag(self, config: RecorderConfig) -> dict[str, Any]:
+        """Return what the bag is to be; it continues the broken one that a recorder left."""
         broken = continue_bag(Path(config.output))
         if broken is not None:
             self._node.get_logger().warning(f"going on after a recorder died: {broken.sentence}")
-        origin = provenance(config.scenario)
-        # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
-        writer = BagWriter(
-            Path(config.output),
-            compression=config.compression,
-            chunk_size=config.chunk_size,
-            custom_data={**(broken.metadata.custom_data if broken else {}), **origin},
-            max_size=config.split_size,
-            max_duration=round(config.split_duration * 1e9),
-            earlier=broken.metadata if broken else None,
-            lazy=self._buffer is not None,
-        )
-        writer.add_metadata(RECORD_NAME, origin)
-        return writer
+        told = broken.metadata.custom_data if broken else {}
+        return {
+            "folder": Path(config.output),
+            "compression": config.compression,
+            "chunk_size": config.chunk_size,
+            "custom_data": {**told, **provenance(config.scenario)},
+            "max_size": config.split_size,
+            "max_duration": round(config.split_duration * 1e9),
+            "earlier": broken.metadata if broken else None,
+            "lazy": self._buffer is not None,
+        }
+
+    def check_ready(self) -> None:
+        """Make sure that the bag is there; without another process it is.
+
+        Raises:
+            BagError: If it cannot be created.
+        """
+
+    def rest(self) -> None:
+        """Hand over what publishers of this process have sent; without a hand in it, nothing."""
 
     @property
     def folder(self) -> Path:
@@ -106,7 +127,7 @@ class Recording:
             messages=self._writer.message_count,
             size=self._writer.bytes_received,
             topics=len(self._topics),
-            lost=sum(topic.lost for topic in self._topics.values()),
+            lost=sum(self.lost().values()),
             refused=len(self._refused),
         )
 
@@ -117,7 +138,11 @@ class Recording:
 
     def lost(self) -> dict[str, int]:
         """Return the topics that lost messages and how many."""
-        return {topic.name: topic.lost for topic in self._topics.values() if topic.lost}
+        counts = {topic.name: self._lost_of(topic) for topic in self._topics.values()}
+        return {name: count for name, count in counts.items() if count}
+
+    def _lost_of(self, topic: RawTopic) -> int:
+        return topic.lost
 
     def step(self) -> int:
         """Write what has arrived and look for topics when it is time.
@@ -222,7 +247,7 @@ class Recording:
         depth = self._config.queue_depth
         try:
             message_definition(type_name)
-            topic = RawTopic(self._node, name, type_name, publishers, depth)
+            topic = self._subscribe(name, type_name, publishers, depth)
         except BagError as error:
             self._refused.add(name)
             self._node.get_logger().error(f"{name} is not recorded: {error}")
@@ -231,6 +256,11 @@ class Recording:
         if publishers:
             self._open_channel(topic)
         return True
+
+    def _subscribe(
+        self, name: str, type_name: str, publishers: Sequence[TopicEndpointInfo], depth: int
+    ) -> RawTopic:
+        return RawTopic(self._node, name, type_name, publishers, depth)
 
     def _open_channel(self, topic: RawTopic) -> int:
         publishers = self._node.get_publishers_info_by_topic(topic.name)

@@ -148,9 +148,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         regulator = self._regulator
         grasp_force = self._checked(regulator.step(stamp, contacts, forces))
         state = GripState(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
-        self._grip_sent = self._grips.encode(
-            stamp, state.friction, state.evidence, state.grip.astype(float)
-        )
+        self._grip_sent = self._grips.encode(stamp, state.friction, state.evidence, state.grip)
         self._sent = self._codec.encode((0.0, grasp_force, 0.0), stamp)
         self.on_repeat()
         self._accepted.take_effect(stamp)

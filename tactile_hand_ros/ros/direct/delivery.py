@@ -12,8 +12,9 @@ from weakref import WeakKeyDictionary
 from rclpy.context import Context
 from rclpy.subscription import Subscription
 
-from tactile_hand_ros.ros.direct.inbox import Inbox
+from tactile_hand_ros.ros.direct.inbox import Inbox, Tap
 from tactile_hand_ros.ros.direct.publisher import DirectPublisher
+from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 
 
 class DirectDelivery:
@@ -21,11 +22,13 @@ class DirectDelivery:
 
     def __init__(self) -> None:
         """Start without endpoints."""
-        self._inboxes: list[Inbox] = []
+        self._inboxes: list[Inbox | Tap] = []
         self._publishers: list[DirectPublisher] = []
         self._waiting: deque[Inbox] = deque()
         self._thread = threading.get_ident()
         self._wake: Callable[[], None] = lambda: None
+        self._at_rest: list[Callable[[], None]] = []
+        self._on_publisher: list[Callable[[DirectPublisher], None]] = []
 
     def __bool__(self) -> bool:
         """Return whether messages wait."""
@@ -52,6 +55,15 @@ class DirectDelivery:
             if result is not None:
                 finish(result)
 
+    def when_at_rest(self, callback: Callable[[], None]) -> None:
+        """Call back again and again, each time that the nodes have answered each other."""
+        self._at_rest.append(callback)
+
+    def rest(self) -> None:
+        """Do what can wait until the nodes have answered each other."""
+        for callback in self._at_rest:
+            callback()
+
     def add_publisher(self, publisher: DirectPublisher) -> None:
         """Let a publisher serve the subscriptions that match."""
         publisher.join(self.note, self.remove_publisher)
@@ -59,6 +71,12 @@ class DirectDelivery:
         for inbox in self._inboxes:
             if publisher.matches(inbox):
                 publisher.link(inbox)
+        for callback in self._on_publisher:
+            callback(publisher)
+
+    def when_published(self, callback: Callable[[DirectPublisher], None]) -> None:
+        """Call back for each publisher that joins, before it publishes."""
+        self._on_publisher.append(callback)
 
     def remove_publisher(self, publisher: DirectPublisher) -> None:
         """Forget a publisher; what it has sent is delivered all the same."""
@@ -66,7 +84,8 @@ class DirectDelivery:
 
     def add_subscription(self, subscription: Subscription) -> None:
         """Let a subscription take from the publishers that match."""
-        inbox = Inbox(subscription, self._waiting)
+        is_taken = isinstance(subscription.callback_group, DirectTakeGroup)
+        inbox = Tap(subscription) if is_taken else Inbox(subscription, self._waiting)
         self._inboxes.append(inbox)
         for publisher in self._publishers:
             if publisher.matches(inbox):

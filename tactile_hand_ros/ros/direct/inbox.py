@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
@@ -48,14 +48,25 @@ class Inbox:
         self._messages.clear()
 
 
+class Tap:
+    """Calls a subscription back at once with what publishers of its process send, as bytes.
+
+    For one that only keeps the bytes, such as a recorder's: the publisher waits for it.
+    """
+
+    def __init__(self, subscription: Subscription) -> None:
+        """Take the callback of a subscription whose messages no executor takes."""
+        self.subscription = subscription
+        self.topic = subscription.topic_name
+        self.put: Callable[[bytes], None] = subscription.callback
+
+    def clear(self) -> None:
+        """Do nothing: nothing waits."""
+
+
 def history_depth(profile: QoSProfile) -> int | None:
     """Return how many messages a history holds, None for all."""
     return None if profile.history == HistoryPolicy.KEEP_ALL else max(1, profile.depth)
-
-
-def is_latched(profile: QoSProfile) -> bool:
-    """Return whether subscriptions that come later get the last messages."""
-    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def _callback_for_bytes(subscription: Subscription) -> Callable[[bytes], Any]:

@@ -28,7 +28,7 @@ LARGEST_NUMBER = 1e9
 """Largest magnitude that a message may carry, in SI units: larger ones overflow in products."""
 
 _SECOND = 1_000_000_000
-_LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
+LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
 _LONGEST_NAME = 80  # characters of a sender's text that an error repeats
 _UNIT_TOLERANCE = 1e-3
 _NAN3 = (math.nan,) * 3
@@ -92,7 +92,7 @@ def all_usable(values: Array) -> bool:
     """Return whether a contiguous array holds only numbers up to `LARGEST_NUMBER`."""
     flat = values.ravel()
     # One dot product is faster than two comparisons; a large sum only costs the second look.
-    return bool(flat.dot(flat) <= _LARGEST_SQUARE or (np.abs(flat) <= LARGEST_NUMBER).all())
+    return bool(flat.dot(flat) <= LARGEST_SQUARE or (np.abs(flat) <= LARGEST_NUMBER).all())
 
 
 def is_usable(number: float) -> bool:

@@ -72,7 +72,11 @@ class TickInputs:
         self._streams = streams
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
         self._trigger = topics[0]
+        self._answer = node.guarded("ticks", self._answer_waiting)
         self._senders = OneSender()
+        self._conflict = (
+            f"two senders of {self._trigger} publish the same ticks differently; stop one"
+        )
         self._backlog: Backlog[tuple[Any, ...]] = Backlog()
         self._matcher = StampMatcher(topics, on_restart=self._restart)
         self._watch = None if silence is None else InputWatch(silence)
@@ -121,8 +125,7 @@ class TickInputs:
         Without a trigger the node is silent, and the next one, in the end the driver, holds.
         """
         contested = self._senders.disagree(stamp, data)
-        text = f"two senders of {self._trigger} publish the same ticks differently; stop one"
-        self._node.diagnostics.judge("senders", contested, text)
+        self._node.diagnostics.judge("senders", contested, self._conflict)
         return contested
 
     def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:
@@ -131,7 +134,7 @@ class TickInputs:
         if stamp > self._answered_blindly:
             self._backlog.put(stamp, matched)
             if len(self._backlog) == 1:
-                self._node.after_reading(self._answer_waiting)
+                self._node.after_reading(self._answer)
 
     def _wait(self, watch: InputWatch, stamp: int, value: Any) -> None:
         was_blind = watch.blind

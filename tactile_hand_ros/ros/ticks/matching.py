@@ -22,6 +22,23 @@ REPEAT: Final = Repeat.REPEAT
 _MISSING: Final = object()
 
 
+class _Open:
+    """The values of a tick, in the order of the keys, and how many are still missing."""
+
+    __slots__ = ("missing", "values")
+
+    def __init__(self, count: int) -> None:
+        self.values: list[Any] = [_MISSING] * count
+        self.missing = count
+
+    def put(self, index: int, value: Any) -> bool:
+        """Add or replace a value; return whether all are there."""
+        # By identity: arrays do not compare to one truth.
+        self.missing -= self.values[index] is _MISSING
+        self.values[index] = value
+        return not self.missing
+
+
 class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
@@ -58,7 +75,7 @@ class StampMatcher:
     def reset(self) -> None:
         """Forget everything."""
         self.last: int | None = None
-        self._pending: dict[int, list[Any]] = {}  # values in the order of the keys
+        self._pending: dict[int, _Open] = {}
 
     @property
     def pending(self) -> int:
@@ -86,13 +103,11 @@ class StampMatcher:
                 return REPEAT if index == 0 else None
             if stamp_ns > 0 and last - stamp_ns <= self._restart_after:
                 return None
-        values = self._pending.get(stamp_ns)
-        if values is None:
-            values = self._pending[stamp_ns] = [_MISSING] * len(self.keys)
-        values[index] = value
-        # By identity: arrays do not compare to one truth.
-        if not any([value is _MISSING for value in values]):
-            return self._complete(stamp_ns, values)
+        opened = self._pending.get(stamp_ns)
+        if opened is None:
+            opened = self._pending[stamp_ns] = _Open(len(self.keys))
+        if opened.put(index, value):
+            return self._complete(stamp_ns, opened.values)
         if len(self._pending) > self._memory:
             del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None
@@ -104,12 +119,11 @@ class StampMatcher:
             stamp_ns: The stamp; by default the one that has waited longest.
         """
         if stamp_ns is None:
-            values = next(iter(self._pending.values()), None)
+            opened = next(iter(self._pending.values()), None)
         else:
-            values = self._pending.get(stamp_ns)
-        if values is None:
-            return []
-        return [key for key, value in zip(self.keys, values, strict=True) if value is _MISSING]
+            opened = self._pending.get(stamp_ns)
+        values = [] if opened is None else opened.values
+        return [key for key, value in zip(self.keys, values) if value is _MISSING]
 
     def _complete(self, stamp_ns: int, values: list[Any]) -> tuple[Any, ...]:
         restarted = self.last is not None and stamp_ns < self.last

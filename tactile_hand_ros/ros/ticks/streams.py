@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -46,6 +47,42 @@ class Stream:
     wanted: bool = True
 
 
+class Once:
+    """Decodes a message once for all nodes of a process that are given it one after the other.
+
+    What they get is one value, which none of them may change.
+    """
+
+    def __init__(self, decode: Decode) -> None:
+        """Take what decodes."""
+        self._decode = decode
+        self._last: tuple[bytes, tuple[int, Any]] = b"", (0, None)
+
+    def __call__(self, data: bytes) -> tuple[int, Any]:
+        """Return tick [ns] and value, see `Decode`."""
+        known, read = self._last
+        if data is not known:
+            read = self._decode(data)
+            self._last = data, read
+        return read
+
+
+@functools.cache
+def _contacts_decoder(fingers: int) -> Decode:
+    codec = ContactsCodec(fingers)
+
+    def decode(data: bytes) -> tuple[int, Contacts]:
+        stamp, poses = codec.decode(data)
+        return stamp, Contacts.from_poses(*poses)
+
+    return Once(decode)
+
+
+@functools.cache
+def _force_decoder(frame: str, nan_allowed: bool) -> Decode:
+    return Once(WrenchCodec(frame, nan_allowed=nan_allowed).decode)
+
+
 class Joints(NamedTuple):
     """Joint angles [rad] and rates [rad/s] in the hand's order, shape (m,)."""
 
@@ -67,13 +104,7 @@ def joints(joint_names: Sequence[str]) -> Stream:
 
 def contacts(fingers: int) -> Stream:
     """Declare the measured contacts; values are `Contacts` in the palm frame."""
-    codec = ContactsCodec(fingers)
-
-    def decode(data: bytes) -> tuple[int, Contacts]:
-        stamp, poses = codec.decode(data)
-        return stamp, Contacts.from_poses(*poses)
-
-    return Stream(PoseArray, {names.CONTACTS: decode}, from_driver=True)
+    return Stream(PoseArray, {names.CONTACTS: _contacts_decoder(fingers)}, from_driver=True)
 
 
 def forces(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
@@ -92,7 +123,7 @@ def grasp_force() -> Stream:
 
     def decode(data: bytes) -> tuple[int, float]:
         stamp, force = codec.decode(data)
-        return stamp, float(force[1])
+        return stamp, force[1]
 
     return Stream(WrenchStamped, {names.GRASP_FORCE: decode})
 
@@ -137,8 +168,7 @@ def _wrenches(
     from_driver: bool = False,
     wanted: bool = True,
 ) -> Stream:
-    decoders: dict[str, Decode] = {
-        topic(name): WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).decode
-        for name in finger_names
+    decoders = {
+        topic(name): _force_decoder(names.contact_frame(name), nan_allowed) for name in finger_names
     }
     return Stream(WrenchStamped, decoders, True, from_driver, wanted)

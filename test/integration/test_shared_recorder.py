@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder inside the process of the hand: the same bag, and the hand outlives its writer."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Log
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Float64
+from support.graph import PATIENCE, Graph
+
+from tactile_hand_ros import names
+from tactile_hand_ros.bag.metadata_file import read_metadata
+from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.bag.stream import is_being_written
+from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
+from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.messages.wire import stamp_of
+from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+
+SHARED = {"/diagnostics", "/rosout", "/parameter_events"}
+"""Topics with many publishers, some of which are there before a recorder is."""
+
+
+class RecordedGraph(Graph):
+    """The composed hand with its recorder, and perhaps a second one in a process of its own."""
+
+    def __init__(self, duration: float, domain: int, folder: Path, *, twice: bool = False) -> None:
+        values = {"duration": duration, "plant.autostart": False}
+        super().__init__(load_scenario("paper", values), domain, folder, composed=True)
+        self.bag, self.other_bag = folder / "inside", folder / "outside"
+        self._recorders = 1 + twice
+
+    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
+        arguments = ["--record", "--ros-args", "-p", f"recorder:output:={self.bag}"]
+        for name in nodes:
+            file = self._folder / f"{name}.yaml"
+            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
+            arguments += ["--params-file", str(file)]
+        if self._recorders == 2:
+            flags = ("-r", "__node:=outside", "-p", f"output:={self.other_bag}")
+            self._enter("outside", "recorder", "--ros-args", *flags)
+        return self._enter(executable, executable, *arguments)
+
+    def _enter(self, name: str, executable: str, *arguments: str) -> CapturedProcess:
+        process = self._stack.enter_context(start_executable(executable, *arguments))
+        self.processes[name] = process
+        return process
+
+    def wait_for_readers(self, recorders: int = 0) -> None:
+        """Wait until the recorders have met everybody, too."""
+        super().wait_for_readers(recorders + self._recorders)
+
+    @property
+    def writer(self) -> psutil.Process:
+        """The process that writes the bag."""
+        (child,) = psutil.Process(self.processes["composed"].pid).children()
+        return child
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """Reserve a ROS domain."""
+    with isolated_domain() as number:
+        yield number
+
+
+def payloads(bag: Path) -> dict[str, list[bytes]]:
+    """Return the messages of a bag by topic."""
+    found: dict[str, list[bytes]] = {}
+    for message in read_raw(bag):
+        found.setdefault(message.topic, []).append(message.data)
+    return found
+
+
+def said(found: dict[str, list[bytes]]) -> set[str]:
+    """Return what the nodes of the hand have logged; over DDS the gaps in the bytes are dirty."""
+    logged = [deserialize_message(data, Log) for data in found["/rosout"]]
+    return {str(each) for each in logged if each.name in NODES}
+
+
+def announced(bag: Path) -> dict[str, Any]:
+    """Return what the metadata of a bag says about each topic: type, hash and offers."""
+    topics = [entry["topic_metadata"] for entry in read_metadata(bag)["topics_with_message_count"]]
+    return {topic["name"]: topic for topic in topics}
+
+
+def test_it_writes_what_a_recorder_outside_writes(domain: int, tmp_path: Path) -> None:
+    """Bytes, types and offers are equal, of this process and of publishers elsewhere."""
+    with RecordedGraph(0.2, domain, tmp_path, twice=True) as graph:
+        note = graph.node.create_publisher(Float64, "note", 100)
+        wait_until(lambda: note.get_subscription_count() == 2, PATIENCE, "both recorders")
+        graph.begin(*[target.position for target in graph.scenario.targets])
+        for value in range(20):
+            note.publish(Float64(data=float(value)))
+        graph.finish()
+        graph.desire((0.0, 0.0, 0.0), frame="elsewhere")
+        graph.wait(lambda: graph.rejected("manipulation_controller", "desired_pose"), "a refusal")
+        for name in ("outside", "composed"):
+            graph.processes[name].send(signal.SIGINT)
+            assert graph.processes[name].wait() == 0, graph.processes[name].stderr
+    inside, outside = payloads(graph.bag), payloads(graph.other_bag)
+    ticks = graph.scenario.ticks
+    assert len(inside["/joint_states"]) == len(inside["/joint_command"]) == ticks
+    assert inside["/note"] == [bytes(serialize_message(Float64(data=float(i)))) for i in range(20)]
+    assert said(outside) and said(outside) <= said(inside)
+    for topic in outside.keys() - SHARED:
+        assert inside[topic] == outside[topic], topic
+    known, others = announced(graph.bag), announced(graph.other_bag)
+    for topic in others.keys() - SHARED:
+        assert known[topic] == others[topic]
+    assert summarize(graph.bag).custom_data["lost_messages"] == "0"
+
+
+def test_killed_with_its_hand_it_loses_the_last_ticks_at_most(domain: int, tmp_path: Path) -> None:
+    with RecordedGraph(60.0, domain, tmp_path) as graph:
+        graph.begin()
+        graph.wait(lambda: graph.time > 0.3, "some ticks")
+        seen = graph.time
+        graph.kill("composed")
+        (file,) = graph.bag.glob("*.mcap")
+        wait_until(lambda: not is_being_written(file), PATIENCE, "the end of the writer")
+    assert not (graph.bag / "metadata.yaml").exists()
+    recover(graph.bag, in_place=True)
+    stamps = [stamp_of(data) for data in payloads(graph.bag)["/joint_states"]]
+    tick = graph.scenario.plant.tick
+    assert stamps == [tick * i for i in range(len(stamps))]
+    in_a_turn = 30  # ticks, far more than fit into the 5 ms until messages are handed on
+    assert 1e-9 * stamps[-1] > seen - 1e-9 * in_a_turn * tick
+
+
+def test_the_hand_goes_on_when_its_bag_cannot_be_written(domain: int, tmp_path: Path) -> None:
+    with RecordedGraph(60.0, domain, tmp_path) as graph:
+        graph.begin()
+        graph.wait(lambda: graph.time > 0.05, "some ticks")
+        graph.writer.kill()
+        graph.wait(
+            lambda: graph.health["/recorder"].level == DiagnosticStatus.ERROR, "an error report"
+        )
+        assert "tactile-hand recover" in graph.health["/recorder"].message
+        later = graph.time + 0.1
+        graph.wait(lambda: graph.time > later, "more ticks")
+        assert graph.newest(names.JOINT_STATES).header.stamp.sec >= 0
+        assert graph.end(signal.SIGINT) == {"composed": 1}
+    recover(graph.bag, in_place=True)
+    assert payloads(graph.bag)["/joint_states"]
+
+
+def test_an_output_that_exists_is_refused(domain: int, tmp_path: Path) -> None:
+    flags = ("--record", "--ros-args", "-p", f"recorder:output:={tmp_path}")
+    with start_executable("composed", *flags) as composed:
+        assert composed.wait() == 2
+        assert "exists already" in composed.stderr and "Traceback" not in composed.stderr
