@@ -325,6 +325,7 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._reference.reset()
+        self._regrasp.follow(theta)
         self._last_torque = None
         self._drove = False
         self._open_stamp = None

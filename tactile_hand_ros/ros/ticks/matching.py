@@ -7,6 +7,8 @@ import enum
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
+from tactile_hand_ros.ros.ticks.leaps import Leaps
+
 _SECOND = 1_000_000_000
 
 
@@ -26,7 +28,8 @@ class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. A complete set at stamp 0, or more than
+    given up when a newer one is complete. A set that leaps ahead is given only when a second one
+    confirms it; see `Leaps`. A complete set at stamp 0, or more than
     ``restart_after_ns`` before the last one, means that the senders have begun anew: everything
     else is forgotten then. A single old message means nothing, whoever sent it.
     """
@@ -58,6 +61,7 @@ class StampMatcher:
     def reset(self) -> None:
         """Forget everything."""
         self.last: int | None = None
+        self._leaps = Leaps()
         self._pending: dict[int, list[Any]] = {}  # values in the order of the keys
 
     @property
@@ -92,7 +96,9 @@ class StampMatcher:
         values[index] = value
         # By identity: arrays do not compare to one truth.
         if not any([value is _MISSING for value in values]):
-            return self._complete(stamp_ns, values)
+            if not self._leaps.doubts(stamp_ns):
+                return self._complete(stamp_ns, values)
+            del self._pending[stamp_ns]
         if len(self._pending) > self._memory:
             del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None

@@ -127,7 +127,8 @@ class Ear:
         """Let joints come alone until they are answered; return the tick [ms] of that."""
         self.joints(first)
         self.now += 500 * MS
-        self.joints(first + 500)
+        for stamp in range(first + 100, first + 501, 100):
+            self.joints(stamp)
         assert self.kinds() == [("blind", first + 500)]
         return first + 500
 
@@ -242,6 +243,16 @@ def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> No
     assert ear.kinds() == []  # no longer blind: the time-out begins anew
     ear.others(at + 9)
     assert ear.kinds() == [("tick", at + 9)]
+
+
+def test_one_stamp_far_ahead_is_not_answered_blindly_and_silences_nothing(ear: Ear) -> None:
+    at = ear.go_blind(2)
+    ear.joints(at + 10**6)
+    ear.joints(at + 4)
+    assert ear.kinds() == [("blind", at + 4)]
+    ear.others(at + 8)
+    ear.joints(at + 8)
+    assert ear.kinds() == [("tick", at + 8)]
 
 
 def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear: Ear) -> None:
