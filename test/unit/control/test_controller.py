@@ -586,6 +586,23 @@ def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
     assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.2
 
 
+@pytest.mark.parametrize("wound_up", ["integral", "reference"])
+def test_while_the_joints_are_held_nothing_winds_up(wound_up):
+    """After 400 held ticks the torque is that of the first one, and then it goes on."""
+    values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
+    bench = Bench(**values)
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.step(3)
+    bench.controller.joints_held = True
+    first = bench.step().torque
+    held = bench.step(400).torque
+    np.testing.assert_allclose(held, first, atol=1e-12)
+    bench.controller.joints_held = False
+    free = [bench.step().torque for _ in range(30)]
+    assert np.abs(free[0] - held).max() < 0.001
+    assert np.abs(free[-1] - held).max() > 0.002
+
+
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     bench = Bench()
     bench.step()
