@@ -22,6 +22,7 @@ from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
+from tactile_hand_ros.ros.memory import ROOM, bound_memory
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
 from tactile_hand_ros.ros.scheduling import USAGE, take_scheduling
 
@@ -30,12 +31,19 @@ EXIT_FAILED = 1
 EXIT_REFUSED = 2
 
 
-def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run_node(
+    node: Callable[[], Node], args: Sequence[str] | None = None, *, room: int = ROOM
+) -> int:
     """Run one node until SIGINT, SIGTERM or shutdown; see `run_nodes`."""
-    return run_nodes([node], args)
+    return run_nodes([node], args, room=room)
 
 
-def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None) -> int:
+def run_nodes(
+    factories: Sequence[Callable[[], Node]],
+    args: Sequence[str] | None = None,
+    *,
+    room: int = ROOM,
+) -> int:
     """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
 
     Before a node is destroyed its ``close()`` is called, if it has one.
@@ -44,6 +52,7 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
         factories: Node classes or functions that make a node.
         args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
             ask for SCHED_FIFO and for processors, see `scheduling`.
+        room: Bytes by which the memory of the process may grow while it runs, see `memory`.
 
     Returns:
         0 after a normal end, 1 when a node gave up while running, 2 when the configuration
@@ -60,6 +69,7 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
             _announce(nodes[-1])
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
+    bound_memory(room)
     return _stop(nodes, _serve(nodes))
 
 
