@@ -106,9 +106,7 @@ class RawWriter:
         rcl, self._rmw = _libraries()
         self._node = rcl.rcl_node_get_rmw_handle(node.handle.pointer)
         never = _Time()
-        qos = _Qos(
-            _KEEP_LAST, _DEPTH, _RELIABLE, _VOLATILE, never, never, _AUTOMATIC, never, True
-        )
+        qos = _Qos(_KEEP_LAST, _DEPTH, _RELIABLE, _VOLATILE, never, never, _AUTOMATIC, never, True)
         self._writer = self._rmw.rmw_create_publisher(
             self._node, _type_support(kind), topic.encode(), byref(qos), byref(_Options())
         )
