@@ -34,6 +34,8 @@ class Outcome:
         recovered: Time from the end of the fault until the hand drives for good, s; None if it
             does not until the end.
         declared: What was declared first.
+        lost_before: Whether the object was lost before anything failed, which the fault is not
+            blamed for.
         error: Why the run could not be judged; empty if it was.
     """
 
@@ -49,6 +51,7 @@ class Outcome:
     limit: float = 0.0
     recovered: float | None = None
     declared: str = ""
+    lost_before: bool = False
     error: str = ""
 
     @property
@@ -81,6 +84,7 @@ def judge(hand: RunningHand, run: Run, begin: float, end: float) -> Outcome:
         end: When it ended, s.
     """
     after = hand.since(begin)
+    before = [event for event in hand.events if event.time < begin]
     safe, declared = _first_declared(hand, after)
     off_way = _off_way(hand, begin)
     return Outcome(
@@ -93,6 +97,7 @@ def judge(hand: RunningHand, run: Run, begin: float, end: float) -> Outcome:
         limit=hand.scenario.slip_regulator.maximum,
         recovered=recovery(hand, after, end),
         declared=declared,
+        lost_before=not hand.is_touching(before),
     )
 
 

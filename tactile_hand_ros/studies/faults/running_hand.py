@@ -35,6 +35,7 @@ from tactile_hand_ros.ros.messages.conversions import (
     stamp_to_ns,
 )
 from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -159,16 +160,30 @@ class RunningHand:
         self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
 
     def _await_readiness(self) -> None:
-        """Wait until a first run drives without a hold for a while."""
-        self._call(SetBool, "plant/run", SetBool.Request(data=True))
+        """Wait until every node has met all that it listens to, and the fault node."""
+        taken = [f"/{taps.PREFIX}{topic}" for topic in taps.tapped(self._tap, self.fingers)]
 
-        def drives() -> bool:
-            since = time.monotonic() - 0.5
-            late = self.since(since)
-            held = [self.read(e).data for e in self.events if e.topic == names.JOINT_HOLD][-1:]
-            return held == [False] and any(e.topic == names.AUXILIARY_POSE for e in late)
+        def met() -> bool:
+            values = self._peers()
+            return len(values) == len(NODES) and all(
+                int(count) >= 1
+                for facts in values.values()
+                for key, count in facts.items()
+                if key.startswith(f"{SUBSCRIPTIONS} ")
+                or key.removeprefix(f"{PUBLICATIONS} ") in taken
+            )
 
-        self.wait(drives, "a hand that drives")
+        self.wait(met, "nodes that have met each other")
+
+    def _peers(self) -> dict[str, dict[str, str]]:
+        """Return the last values in the diagnostics of each of the five nodes."""
+        found = {}
+        for event in self.events:
+            if event.topic == names.DIAGNOSTICS:
+                for status in self.read(event).status:
+                    if status.name.removeprefix("/") in NODES:
+                        found[status.name] = {pair.key: pair.value for pair in status.values}
+        return found
 
     def since(self, moment: float) -> list[Event]:
         """Return the events after a moment of the monotonic clock [s]."""
