@@ -13,10 +13,12 @@ from pathlib import Path
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.studies.faults import situations
+from tactile_hand_ros.studies.faults.by_calls import run_by_calls
 from tactile_hand_ros.studies.faults.injection import injected
 from tactile_hand_ros.studies.faults.outcome import Outcome, failed, judge, recovery
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 from tactile_hand_ros.studies.faults.space import Run
+from tactile_hand_ros.studies.parallel import parallel
 
 RESULTS = "faults.jsonl"
 
@@ -28,7 +30,10 @@ _BROKEN = (TactileHandError, TimeoutError, OSError)
 
 
 def run_campaign(
-    runs: Sequence[Run], done: Sequence[Outcome] = (), progress: Callable[[str], None] = str
+    runs: Sequence[Run],
+    done: Sequence[Outcome] = (),
+    jobs: int = -1,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Outcome]:
     """Yield the outcome of each run that is not done yet.
 
@@ -38,12 +43,18 @@ def run_campaign(
     Args:
         runs: The runs, in the order of their sessions.
         done: Outcomes of an earlier campaign.
+        jobs: Number of processes for the runs by function calls; real time needs the machine.
         progress: Called with the name of each run that is done.
     """
     known = {outcome.key for outcome in done}
     waiting = [run for run in runs if run.key not in known]
     for _, group in itertools.groupby(waiting, key=_session):
         left = list(group)
+        if left[0].cell.way == "calls":
+            for outcome in parallel(run_by_calls, [(run,) for run in left], jobs, ordered=True):
+                progress(str(outcome.cell))
+                yield outcome
+            continue
         while left:
             for outcome in _run_session(left):
                 progress(str(left.pop(0).cell))
@@ -51,7 +62,8 @@ def run_campaign(
 
 
 def _session(run: Run) -> tuple[str, str, str]:
-    return run.cell.way, run.cell.situation, run.cell.tap
+    cell = run.cell
+    return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
 
 
 def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
+import numpy as np
 from std_msgs.msg import Float64, String
 
 from tactile_hand_ros import names
@@ -32,7 +33,7 @@ _BUSY = "while True: pass"
 _LOOPS_PER_CORE = 2
 _FLOOD = 0.002  # s between two bursts of user commands
 _JUMP = 0.05  # m
-_STRAIGHT = (0.0, 0.0, 0.0, 1.0)
+_STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @contextmanager

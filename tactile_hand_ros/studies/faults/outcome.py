@@ -16,7 +16,7 @@ from tactile_hand_ros.studies.faults.space import Cell, Run
 
 Array = NDArray[np.float64]
 
-_LET_GO = 0.1  # m off its way: an object there is not in the hand, whatever touches it
+LET_GO = 0.1  # m off its way: an object there is not in the hand, whatever touches it
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def judge(hand: RunningHand, run: Run, begin: float, end: float) -> Outcome:
     return Outcome(
         *run.cell,
         run.seed,
-        dropped=not hand.is_touching(after) or off_way > _LET_GO,
+        dropped=not hand.is_touching(after) or off_way > LET_GO,
         moved=off_way,
         safe=None if safe is None else safe - begin,
         peak=hand.squeeze(after),
@@ -121,15 +121,17 @@ def _off_way(hand: RunningHand, begin: float) -> float:
     here, start = seen[0], all_seen[0]
     targets = hand.scenario.targets
     goal = start + _way(targets[-1].position, hand) if targets else here
-    return float(_distance_to_segment(seen, here, goal).max())
+    return float(distance_to_segment(seen, here, goal).max())
 
 
 def _way(position: Any, hand: RunningHand) -> Array:
     """Return the way of the object: that of the contacts, which begin at its centre of mass."""
-    return np.asarray(position) - np.asarray(hand.scenario.plant.object.position)
+    way: Array = np.subtract(position, hand.scenario.plant.object.position)
+    return way
 
 
-def _distance_to_segment(points: Array, a: Array, b: Array) -> Array:
+def distance_to_segment(points: Array, a: Array, b: Array) -> Array:
+    """Return how far points are from the straight line between two others, shape (n,), m."""
     line = b - a
     length = float(line @ line)
     share = np.zeros(len(points)) if length < 1e-12 else (points - a) @ line / length

@@ -37,15 +37,17 @@ from tactile_hand_ros.ros.messages.conversions import (
 from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.studies.faults import taps
 from tactile_hand_ros.studies.faults.fault_node import CONTROL
 
 Array = NDArray[np.float64]
 
-PATIENCE = 60.0
+PATIENCE = 180.0
 """Longest wait for the nodes of a session [s]."""
+
+_POLL = 0.01  # s
 
 
 class Event(NamedTuple):
@@ -81,6 +83,8 @@ class RunningHand:
         self._stack = ExitStack()
         self._clients: dict[str, Any] = {}
         self._types: dict[str, Any] = {}
+        self._facts: dict[str, dict[str, str]] = {}
+        self._looked_at = 0
 
     def __enter__(self) -> RunningHand:
         """Start everything and wait until the hand holds its object."""
@@ -177,13 +181,26 @@ class RunningHand:
 
     def _peers(self) -> dict[str, dict[str, str]]:
         """Return the last values in the diagnostics of each of the five nodes."""
-        found = {}
-        for event in self.events:
+        new, self._looked_at = self.events[self._looked_at :], len(self.events)
+        for event in new:
             if event.topic == names.DIAGNOSTICS:
                 for status in self.read(event).status:
                     if status.name.removeprefix("/") in NODES:
-                        found[status.name] = {pair.key: pair.value for pair in status.values}
-        return found
+                        facts = {pair.key: pair.value for pair in status.values}
+                        self._facts[status.name] = facts
+        return self._facts
+
+    def facts(self, name: str) -> dict[str, str]:
+        """Return the values in the last diagnostics of a node."""
+        return self._peers().get(f"/{name}", {})
+
+    def forget_but(self, count: int) -> None:
+        """Keep no more than the last events, in a run without end."""
+        self._peers()  # what the diagnostics say is kept
+        surplus = len(self.events) - count
+        if surplus > 0:
+            del self.events[:surplus]
+            self._looked_at = max(0, self._looked_at - surplus)
 
     def since(self, moment: float) -> list[Event]:
         """Return the events after a moment of the monotonic clock [s]."""
@@ -199,8 +216,17 @@ class RunningHand:
         return deserialize_message(event.data, self._types[event.topic])
 
     def wait(self, condition: Callable[[], Any], what: str, limit: float = PATIENCE) -> Any:
-        """Wait for a condition."""
-        return wait_until(condition, limit, what)
+        """Wait for a condition, which is looked at every few milliseconds.
+
+        Raises:
+            TimeoutError: If it stays false.
+        """
+        deadline, pause = time.monotonic() + limit, threading.Event()
+        while not (result := condition()):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"waited {limit:g} s in vain for {what}")
+            pause.wait(_POLL)
+        return result
 
     def _call(self, kind: Any, service: str, request: Any) -> Any:
         if service not in self._clients:
@@ -223,6 +249,7 @@ class RunningHand:
             turn = quaternion_from_rotation(rotation)
             self.poses.publish(codec.encode(position, turn, target.stamp))
         self.events.clear()
+        self._looked_at = 0
         self._call(SetBool, "plant/run", SetBool.Request(data=True))
 
     def wait_for_time(self, seconds: float) -> None:

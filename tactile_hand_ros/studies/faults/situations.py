@@ -11,7 +11,7 @@ from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.studies.stalls import GuardedLoop, Outcome, Watch
 
-RATES = {"lockstep": 500.0, "composed": 500.0, "processes": 250.0}
+RATES = {"calls": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}
 """Ticks per second of simulated time."""
 
 FAULT_TIME = 0.5
@@ -53,7 +53,7 @@ SITUATIONS = {
         0.5,
     ),
     "pulled": Situation(
-        "pull", {"plant.disturbances": [_vertical("ramp", 0.3, -8.0, duration=0.3)]}, 0.4
+        "pull", {"plant.disturbances": [_vertical("ramp", 0.3, -5.0, duration=0.3)]}, 0.4
     ),
     "heavy": Situation(
         "heavy",

@@ -12,8 +12,9 @@ import random
 from collections.abc import Iterator
 from typing import NamedTuple
 
-WAYS = ("lockstep", "composed", "processes")
-"""In lockstep in processes; in real time in one process; in real time in processes."""
+WAYS = ("calls", "lockstep", "composed", "processes")
+"""By function calls, without a clock; in lockstep in processes; in real time in one process and in
+processes."""
 
 SITUATIONS = ("at rest", "moving", "lifting", "pulled", "heavy")
 FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
@@ -85,7 +86,7 @@ def _exists(way: str, component: str, fault: str) -> bool:
     """
     if component == COMPUTER and fault == "stopped":
         return way != "composed"
-    return True
+    return not (way == "calls" and component == RECORDER)
 
 
 class Run(NamedTuple):
@@ -125,7 +126,8 @@ def sample(
 
 def _by_session(runs: list[Run], chance: random.Random) -> Iterator[Run]:
     def session(run: Run) -> tuple[str, str, str]:
-        return run.cell.way, run.cell.situation, run.cell.tap
+        cell = run.cell
+        return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
 
     groups: dict[tuple[str, str, str], list[Run]] = {}
     for run in runs:
