@@ -6,6 +6,7 @@ from __future__ import annotations
 import random
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from tactile_hand_ros.bench.fuzz.fuzz import Report, chance_of, keep
 from tactile_hand_ros.bench.fuzz.mutation import damaged
 from tactile_hand_ros.bench.soak import soak_scenario
 from tactile_hand_ros.closed_loop.scenario import NODES
-from tactile_hand_ros.ros.raw_writer import RawWriter, request_topic
+from tactile_hand_ros.ros.raw_writer import RawWriter, RawWriterError, request_topic
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _RATE = 250.0
@@ -109,7 +110,8 @@ def _attack(hand: RunningHand, report: Report, seconds: float, folder: Path) -> 
             chance = chance_of(report.seed, "live", number)
             which = chance.randrange(len(inputs))
             data = _damaged_behind_header(inputs[which][2], chance)
-            writers[which].write(data)
+            with suppress(RawWriterError):  # more bytes than the type can have are not sent
+                writers[which].write(data)
             sent.append(f"{inputs[which][0]} {data.hex()}")
         number += 1
         report.inputs["live"] += _BURST

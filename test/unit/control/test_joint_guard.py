@@ -143,6 +143,27 @@ def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     assert made.holds == {joint_guard.LATE: 2}
 
 
+def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
+    """New stamps on an old torque: a controller, or what is between, that is stuck."""
+    made = guard()
+    tick = follow(made)
+    for more in range(4):
+        step(made, tick + more, TORQUE, theta=THETA + 0.003 * more)
+        assert not made.reason
+    step(made, tick + 4, TORQUE, theta=THETA + 0.012)
+    step(made, tick + 5, TORQUE, theta=THETA + 0.012)
+    assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
+    step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.012)
+    assert not made.reason
+
+
+def test_a_torque_may_stay_the_same_while_the_joints_rest():
+    made = guard()
+    for tick in range(200):
+        step(made, tick, TORQUE)
+    assert not made.holds
+
+
 def held_after(made, tick, good):
     """Send a late command and then good ones; return for how many of these the joints are held."""
     step(made, tick, TORQUE, answers=tick - 4)
