@@ -16,6 +16,7 @@ from tactile_hand_ros.studies.faults.space import Cell, Run
 
 Array = NDArray[np.float64]
 
+_LEAST = 0.1  # N; a hand that squeezes less has not begun to hold
 LET_GO = 0.1  # m off its way: an object there is not in the hand, whatever touches it
 
 
@@ -97,7 +98,7 @@ def judge(hand: RunningHand, run: Run, begin: float, end: float) -> Outcome:
         limit=hand.scenario.slip_regulator.maximum,
         recovered=recovery(hand, after, end),
         declared=declared,
-        lost_before=not hand.is_touching(before),
+        lost_before=not hand.is_touching(before) or hand.squeeze(before[-200:]) < _LEAST,
     )
 
 
