@@ -23,11 +23,11 @@ from support.graph import Graph
 from support.messages import force_message, pose_message
 
 from tactile_hand_ros import names
+from tactile_hand_ros.bench.fuzz.raw_writer import RawWriter, request_topic
 from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
-from tactile_hand_ros.ros.raw_writer import RawWriter, request_topic
 
 P_D = np.array(load_scenario("paper").targets[0].position)
 ENDLESS = {"duration": 86400.0, "plant.autostart": False, "plant.rate": 250.0}

@@ -23,9 +23,9 @@ from std_srvs.srv import SetBool, Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.bench.fuzz.fuzz import Report, chance_of, keep
 from tactile_hand_ros.bench.fuzz.mutation import damaged
+from tactile_hand_ros.bench.fuzz.raw_writer import RawWriter, RawWriterError, request_topic
 from tactile_hand_ros.bench.soak import soak_scenario
 from tactile_hand_ros.closed_loop.scenario import NODES
-from tactile_hand_ros.ros.raw_writer import RawWriter, RawWriterError, request_topic
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _RATE = 250.0
