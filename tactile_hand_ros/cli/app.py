@@ -40,10 +40,12 @@ for _command in (
     *bags.COMMANDS,
     measure.reproduce,
     bench.bench,
+    measure.fuzz,
 ):
     app.command()(_command)
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
+study_app.command()(measure.faults)
 
 
 def _print_version(wanted: bool) -> None:

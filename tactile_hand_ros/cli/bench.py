@@ -56,6 +56,10 @@ def bench(
     loaded: Annotated[
         bool, typer.Option("--loaded", help="With --realtime, also beside a busy loop per core.")
     ] = False,
+    soak: Annotated[
+        float | None,
+        typer.Option(help="Only a long run in real time, composed and in processes [s].", min=5.0),
+    ] = None,
     scenarios: Annotated[
         str, typer.Option(help="Only scenarios in lockstep and in real time: all, or pull,gravity.")
     ] = "",
@@ -82,7 +86,13 @@ def bench(
 ) -> None:
     """Measure speed, compare it with the goals and with the last run, and save it."""
     figure_formats(formats)
-    kind = _kind(blocks=blocks, sizes=sizes, realtime=realtime, scenarios=bool(scenarios))
+    kind = _kind(
+        blocks=blocks,
+        sizes=sizes,
+        realtime=realtime,
+        soak=soak is not None,
+        scenarios=bool(scenarios),
+    )
     file = out or FOLDER / f"{kind}.{'jsonl' if scenarios else 'json'}"
     check_file(file)
     if figures is not None:
@@ -96,6 +106,8 @@ def bench(
         results, draw = _bench_realtime(rates, seconds, show, loaded=loaded)
     elif sizes:
         results, draw = _bench_sizes(ticks, repeats)
+    elif soak is not None:
+        results = _bench_soak(soak)
     else:
         results = _bench_all(ticks, repeats, blocks)
     _finish(results, file, show, in_full=not realtime)
@@ -196,6 +208,18 @@ def _bench_realtime(
     show("why ticks were missed", table.CAUSE_COLUMNS, table.cause_rows(runs))
     print(table.recommendation(runs))
     return r.results(runs), lambda: realtime_figure(runs)
+
+
+def _bench_soak(seconds: float) -> list[Result]:
+    """Run for a long time at 500 Hz in one process, then at 250 Hz in six."""
+    from tactile_hand_ros.bench import soak as s
+
+    results: list[Result] = []
+    for where, rate, composed in (("composed", 500.0, True), ("processes", 250.0, False)):
+        with Progress(f"soak, {where}", 2 * round(seconds)) as advance:
+            seen = s.soak(s.soak_scenario(rate), seconds, composed=composed, progress=advance)
+        results += s.results(seen, where)
+    return results
 
 
 def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callable[[], Figure]]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -95,3 +96,77 @@ def slip(
     if points:
         print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
     print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+
+
+def faults(
+    out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("faults"),
+    runs: Annotated[int, typer.Option(help="Number of injections.", min=1)] = 500,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    way: Annotated[
+        list[str] | None,
+        typer.Option(help="calls, lockstep, composed or processes; may be repeated."),
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Let parts of the running hand fail, and measure drops, time to safety and forces.
+
+    What is in the folder already is kept: an interrupted campaign goes on where it stopped.
+    """
+    from tactile_hand_ros.errors import ConfigurationError
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.studies.faults import campaign, space
+    from tactile_hand_ros.studies.faults import tables as fault_tables
+    from tactile_hand_ros.studies.faults.figure import faults_figure
+
+    ways = tuple(dict.fromkeys(way or space.WAYS))
+    if unknown := [name for name in ways if name not in space.WAYS]:
+        raise ConfigurationError(
+            f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
+        )
+    figure_formats(formats)
+    check_writable(out)
+    chosen = space.sample(runs, seed, ways=ways)
+    done = campaign.load(out)
+    outcomes = list(done)
+    try:
+        with Progress("injecting", len(chosen)) as advance:
+            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, -1, advance)):
+                outcomes.append(outcome)
+    except KeyboardInterrupt:
+        print(f"interrupted after {len(outcomes)} runs; the same command goes on")
+    files = [out / campaign.RESULTS, *fault_tables.write(outcomes, out)]
+    files += save(faults_figure(outcomes), out, "faults", figure_formats(formats))
+    title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
+    print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
+    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+
+
+def fuzz(
+    seconds: Annotated[float, typer.Option(help="How long [s].", min=1.0)] = 60.0,
+    seed: Annotated[int, typer.Option(help="Seed of all inputs.", min=0)] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for inputs that were not survived.")] = Path(
+        "fuzz"
+    ),
+    live: Annotated[bool, typer.Option(help="Also attack running nodes, half of the time.")] = True,
+    again: Annotated[
+        Path | None, typer.Option("--replay", help="Read a kept input again instead.")
+    ] = None,
+) -> None:
+    """Feed hostile bytes, requests and files to readers and nodes; count deaths, hangs, growth."""
+    from tactile_hand_ros.bench.fuzz.fuzz import fuzz as run_fuzz
+    from tactile_hand_ros.bench.fuzz.fuzz import replay
+    from tactile_hand_ros.bench.fuzz.live import fuzz_nodes
+    from tactile_hand_ros.bench.fuzz.targets import reading_targets
+
+    with reading_targets() as targets:
+        if again is not None:
+            print(replay(targets, again) or "survived")
+            return
+        share = 0.5 if live else 1.0
+        report = run_fuzz(targets, share * seconds, seed, out)
+    if live:
+        fuzz_nodes(report, (1.0 - share) * seconds, out)
+    print(json.dumps(report.data(), indent=2))
+    if report.findings or report.grew:
+        raise typer.Exit(1)

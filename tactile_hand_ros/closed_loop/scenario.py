@@ -19,6 +19,8 @@ from tactile_hand_ros.config.angles import HALF_TURN, check_radians
 from tactile_hand_ros.config.model import Config, param, parse_yaml, validate, yaml_text
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.joint_hold import JointHoldConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
@@ -155,7 +157,18 @@ class Scenario(Config):
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
             # Defaults too: those of a node need not be those of the scenario.
             data[node] = {**section, **top}
+        _limit_hold(data)
         return data
+
+    @model_validator(mode="after")
+    def _the_hold_stays_inside_the_crush_limit(self) -> Scenario:
+        hold, limit = self.plant.guard.hold.squeeze_limit, self.slip_regulator.maximum
+        if hold > limit:
+            raise ValueError(
+                f"plant.guard.hold.squeeze_limit = {hold:g} N is above slip_regulator.maximum = "
+                f"{limit:g} N; lower it, or leave it out to take over that limit"
+            )
+        return self
 
     @model_validator(mode="after")
     def _targets_are_in_order(self) -> Scenario:
@@ -183,6 +196,26 @@ class Scenario(Config):
         return section
 
 
+def _limit_hold(data: dict[str, Any]) -> None:
+    """Let the hold of the joints squeeze up to the regulator's limit, unless it has one of its own.
+
+    Args:
+        data: A scenario before validation; what is no mapping in it is left to the validation.
+    """
+    place: Any = data
+    for name, model in (("plant", PlantConfig), ("guard", GuardConfig), ("hold", JointHoldConfig)):
+        section = place.get(name, {})
+        if isinstance(section, model):
+            section = {key: getattr(section, key) for key in section.model_fields_set}
+        if not isinstance(section, dict):
+            return
+        place[name] = place = dict(section)
+    regulator = data["slip_regulator"]
+    if isinstance(regulator, dict):
+        default = SlipRegulatorConfig.model_fields["maximum"].default
+        place.setdefault("squeeze_limit", regulator.get("maximum", default))
+
+
 def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a finished section without those that only repeat the scenario's.
 
@@ -202,6 +235,9 @@ def resolved(scenario: Scenario) -> str:
     for node in NODES:
         for name in _SHARED:  # said once at the top
             data[node].pop(name, None)
+    hold = data["plant"]["guard"]["hold"]
+    if hold["squeeze_limit"] == scenario.slip_regulator.maximum:
+        del hold["squeeze_limit"]  # which follows that limit
     return yaml_text(data)
 
 

@@ -123,6 +123,8 @@ class Controller:
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
+        joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
+            integral and the reference wait for the end of that.
         dropped: Desired poses that were forgotten because too many waited.
         accepted: The desired pose that became the target in the last step; None if none did.
         target: The desired pose in force; None before the first tick.
@@ -145,6 +147,7 @@ class Controller:
         self._hold = SafeHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
+        self.joints_held = False
         self.dropped = 0
         self.accepted: Target | None = None
         self.reset()
@@ -283,6 +286,9 @@ class Controller:
             self._grasp = (theta, contacts, pose)
             refused = self._take_due_target(stamp, pose)
             assert self.target is not None
+            self._law.acts = not self.joints_held
+            if self.joints_held:
+                self._reference.reset()
             wanted = self._reference.step(self.target, pose, self.config.reference_time, dt)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
@@ -326,6 +332,7 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._reference.reset()
+        self._regrasp.follow(theta)
         self._last_torque = None
         self._drove = False
         self._open_stamp = None

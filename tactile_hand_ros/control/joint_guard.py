@@ -26,7 +26,12 @@ WRONG_SHAPE = "the command has the wrong number of torques"
 NOT_FINITE = "the command is not finite"
 TOO_FAST = "a joint is too fast"
 BLIND = "the joint states are not finite"
+STUCK = "the command does not change although the joints move"
+UNSTEADY = "commands have failed again and again; waiting until they are steady"
 
+_STUCK_MOTION = 0.01  # rad that a joint may move while all torques stay the same to the bit
+_CALM_TIME = 0.5  # s of good commands after which earlier holds are forgotten
+_FIRST_PATIENCE = 0.02  # s, doubled at each further hold
 _CALM = 0.8  # share of the speed limit below which a joint counts as slow again
 
 
@@ -44,6 +49,13 @@ class GuardConfig(Config):
     )
     blend_time: float = param(
         0.02, "time in which commands take over from a hold", unit="s", gt=0.0, le=10.0
+    )
+    patience: float = param(
+        0.25,
+        "longest time for which commands must be good to take over, when holds follow each other",
+        unit="s",
+        ge=0.0,
+        le=10.0,
     )
     hold: JointHoldConfig = JointHoldConfig()
 
@@ -67,8 +79,10 @@ class JointGuard:
     """Decides at each tick what torque reaches the joints.
 
     Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
-    finite, of the wrong shape or refused, and joints that are too fast, begin a hold; see
-    `JointHold`. Good commands take over again within `blend_time`.
+    finite, of the wrong shape, stuck or refused, and joints that are too fast, begin a hold; see
+    `JointHold`. Good commands take over again within `blend_time`: at once after a single hold, and
+    where holds follow each other, as on a computer that is too busy, after a time that doubles with
+    each up to `patience`. The hand then stands still instead of being passed to and fro.
 
     Attributes:
         reason: Why the joints are held; empty while commands act.
@@ -97,6 +111,10 @@ class JointGuard:
         self._past.clear()
         self._share = 1.0  # of the command in the torque; less than 1 in a hold
         self._last: Array | None = None  # commanded torque inside the limits
+        self._newest: TorqueCommand | None = None
+        self._posture = np.zeros(self._hand.joints)  # when the torque last changed
+        self._good = self._ticks(_CALM_TIME)  # good commands in a row
+        self._patience = 0  # good commands in a row after which they take over
         self.reason = ""
         self.held = 0
         self.holds: Counter[str] = Counter()
@@ -127,7 +145,7 @@ class JointGuard:
         if not (np.isfinite(theta).all() and np.isfinite(rates).all()):
             self._note(BLIND)
             return self._past[-1].torque if self._past else np.zeros(self._hand.joints)
-        reason = refused or self._judge(stamp, rates, command)
+        reason = self._with_patience(refused or self._judge(stamp, theta, rates, command))
         if not reason:
             self._share = min(1.0, self._share + 1e-9 * self._tick / self._config.blend_time)
             self.reason = ""
@@ -139,7 +157,37 @@ class JointGuard:
         self._past.append(_Sample(stamp, rates, torque))
         return torque
 
-    def _judge(self, stamp: int, rates: Array, command: TorqueCommand | None) -> str:
+    def _with_patience(self, reason: str) -> str:
+        """Return why the joints are held: for a reason, or because of the holds before this one."""
+        if not reason:
+            self._good += 1
+            return UNSTEADY if self._share == 0.0 and self._good <= self._patience else ""
+        if self._share > 0.0:  # a hold begins
+            is_calm = self._good >= self._ticks(_CALM_TIME)
+            longer = max(2 * self._patience, self._ticks(_FIRST_PATIENCE))
+            longest = self._ticks(self._config.patience)
+            self._patience = 0 if is_calm else min(longer, longest)
+        self._good = 0
+        return reason
+
+    def _ticks(self, seconds: float) -> int:
+        return round(1e9 * seconds / self._tick)
+
+    def _is_stuck(self, theta: Array, command: TorqueCommand) -> bool:
+        """Return whether new commands repeat an old torque although the joints have moved.
+
+        A law answers the joints: to another posture and other rates it gives another torque. The
+        same command again, as when the next is late, is judged by its age alone.
+        """
+        before, self._newest = self._newest, command
+        if before is None or not np.array_equal(before.torque, command.torque):
+            self._posture = theta.copy()
+            return False
+        if before.stamp == command.stamp and self.reason != STUCK:
+            return False
+        return bool(np.abs(theta - self._posture).max() > _STUCK_MOTION)
+
+    def _judge(self, stamp: int, theta: Array, rates: Array, command: TorqueCommand | None) -> str:
         """Return why a command may not act; empty if it may."""
         if command is None:
             return NO_COMMAND
@@ -152,6 +200,8 @@ class JointGuard:
             return WRONG_SHAPE
         if not np.isfinite(command.torque).all():
             return NOT_FINITE
+        if self._is_stuck(theta, command):
+            return STUCK
         limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
 
@@ -191,7 +241,8 @@ class JointGuard:
 
     def _note(self, reason: str) -> None:
         self.held += 1
-        self.holds[reason] += reason != self.reason
+        if UNSTEADY not in (reason, self.reason):  # else the hold before goes on
+            self.holds[reason] += reason != self.reason
         self.reason = reason
         self._last = None
 

@@ -138,7 +138,11 @@ LawFactory = Callable[[LawConfig, Array], Law]
 
 
 class ManipulationLaw:
-    """Virtual frame, integral action and load observer around one of the three laws."""
+    """Virtual frame, integral action and load observer around one of the three laws.
+
+    Attributes:
+        acts: Whether its torques reach the joints; otherwise the integral waits.
+    """
 
     def __init__(self, config: LawConfig, radii: Array, law: LawFactory | None = None) -> None:
         """Build a law for fingertips of the given radii, shape (k,), m.
@@ -153,6 +157,7 @@ class ManipulationLaw:
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
         self._observer = LoadObserver()
+        self.acts = True
         self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
@@ -237,7 +242,7 @@ class ManipulationLaw:
 
     def _integrate(self, error: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
-        if not self._integrates:
+        if not (self._integrates and self.acts):
             return
         c = self.config.integral
         for gain, limit, part in (

@@ -66,6 +66,13 @@ class Regrasp:
         """Forget the grasp that was left."""
         self._normals = None
 
+    def follow(self, theta: Array) -> None:
+        """Go on from a posture that something else has moved the joints to, shape (m,), rad."""
+        if self._normals is not None:
+            moved = self._depth[:, None] * self._normals
+            self._tips = self._hand.fingertips(theta).positions - moved
+            self._posture = theta.copy()
+
     def posture(self, contacts: Contacts, dt: float) -> Array:
         """Return the joint angles to hold now, shape (m,), rad; `leave` must have been called.
 

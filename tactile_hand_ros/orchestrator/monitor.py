@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.names import CONTROLLER, REGULATOR
+from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
@@ -117,7 +117,7 @@ class Monitor:
 
     def plant_facts(self) -> dict[str, str]:
         """Return the values in the plant's newest diagnostics."""
-        return self.facts().get(self._plant, {})
+        return self._facts_of(PLANT)
 
     @property
     def is_at_rest(self) -> bool:

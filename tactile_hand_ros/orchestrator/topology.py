@@ -44,6 +44,7 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.TRUE_CONTACTS, names.PLANT, (names.SENSOR,)),
         Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, names.PLANT),
+        Link(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
         Link(names.ROBOT_DESCRIPTION, names.PLANT),
         Link(names.CLOCK, names.PLANT),
         Link(names.CONTACTS, names.SENSOR, (names.OPTIMIZER, names.CONTROLLER)),

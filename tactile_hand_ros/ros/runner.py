@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -20,7 +22,6 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.release import release_compiler
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
@@ -30,13 +31,24 @@ EXIT_OK = 0
 EXIT_FAILED = 1
 EXIT_REFUSED = 2
 
+ROOM = 512 * 2**20
+"""What a process may grow by while it runs [bytes]: a hundred messages of a megabyte in some of its
+queues, and what a tick needs."""
 
-def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+
+def run_node(
+    node: Callable[[], Node], args: Sequence[str] | None = None, *, room: int = ROOM
+) -> int:
     """Run one node until SIGINT, SIGTERM or shutdown; see `run_nodes`."""
-    return run_nodes([node], args)
+    return run_nodes([node], args, room=room)
 
 
-def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None) -> int:
+def run_nodes(
+    factories: Sequence[Callable[[], Node]],
+    args: Sequence[str] | None = None,
+    *,
+    room: int = ROOM,
+) -> int:
     """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
 
     Before a node is destroyed its ``close()`` is called, if it has one.
@@ -45,6 +57,7 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
         factories: Node classes or functions that make a node.
         args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
             ask for SCHED_FIFO and for processors, see `scheduling`.
+        room: Bytes by which the memory of the process may grow while it runs.
 
     Returns:
         0 after a normal end, 1 when a node gave up while running, 2 when the configuration
@@ -62,7 +75,29 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
             _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
+    _bound_memory(room)
     return _stop(nodes, _serve(nodes, scheduling))
+
+
+def _bound_memory(room: int) -> None:
+    """Let the data of this process grow by so many bytes from now on, and no further.
+
+    The C code that reads a request believes the length of a sequence: six damaged bytes then ask
+    for gigabytes and occupy the process for half a minute. Beyond the bound that fails at once, and
+    the request is refused. A lower limit that is in force already stays.
+    """
+    limit = _data_bytes() + room
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    known = [value for value in (soft, hard) if value != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min([limit, *known]), hard))
+
+
+def _data_bytes() -> int:
+    """Return the size of the private writable memory of this process, as the limit counts it."""
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmData:"):
+            return 1024 * int(line.split()[1])
+    raise OSError("/proc/self/status has no line VmData; expected Linux")
 
 
 def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
@@ -70,7 +105,6 @@ def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
     # once, which takes longer than what it would find is worth. A script may have disabled it.
     gc.freeze()
     gc.enable()
-    release_compiler()
     try:
         scheduling.prepare(nodes[0].context)
         spin(nodes)

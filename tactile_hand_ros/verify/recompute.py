@@ -330,6 +330,8 @@ def _apply(controller: Controller, request: Request) -> None:
         controller.reset()
     elif request.service == "enable":
         controller.enabled = request.value
+    elif request.service == names.JOINT_HOLD:
+        controller.joints_held = request.value
     elif request.value:
         controller.grasp()
     else:

@@ -48,7 +48,7 @@ class Effect(NamedTuple):
 
 
 class Request(NamedTuple):
-    """A service call: reset, enable or grasp, with the value of its request."""
+    """A service call, with the value of its request, or whether the joints are held."""
 
     service: str
     value: bool

@@ -7,9 +7,13 @@ import signal
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Bool
 from support.graph import Graph
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.domains import isolated_domain
 
@@ -37,6 +41,15 @@ def holds(graph: Graph) -> bool:
 
 def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> None:
     with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
+        told: list[bool] = []
+        known: list[str] = []
+        requests = names.accepted_requests(names.CONTROLLER)
+        graph.node.create_subscription(
+            Bool, names.JOINT_HOLD, lambda m: told.append(m.data), qos.latched_qos()
+        )
+        graph.node.create_subscription(
+            DiagnosticArray, requests, lambda m: known.append(m.status[0].message), qos.user_qos()
+        )
         graph.begin(P_D)
         start = graph.position()
         graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")
@@ -47,10 +60,13 @@ def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> Non
         assert np.linalg.norm(graph.position() - at) < 0.003
         assert np.isfinite(graph.contacts).all()
         assert 8.0 < graph.forces[:, 1].sum() < 48.0
+        assert told[-1]
         graph.start("manipulation_controller")
         graph.wait(lambda: graph.says("plant", "mode", "running"), "commands")
         graph.wait(lambda: graph.hears("manipulation_controller", "desired_pose"), "its readiness")
         graph.desire(P_D)
         graph.wait(lambda: np.linalg.norm(graph.position() - at) > 0.02, "the motion")
         assert np.isfinite(graph.contacts).all()
+        graph.wait(lambda: not told[-1], "the end of the hold")
+        assert names.JOINT_HOLD in known  # the new controller was told at once
         assert set(graph.end(signal.SIGINT).values()) == {0}

@@ -50,8 +50,8 @@ LAYERS = {
     "verify": BASE | RUNS | {"ros"},
     "report": BASE | RUNS,
     "orchestrator": BASE | RUNS | {"report", "ros", "nodes"},
-    "studies": BASE | RUNS | {"report", "simulation"},
-    "bench": BASE | RUNS | {"report", "verify", "simulation", "ros", "orchestrator"},
+    "studies": BASE | RUNS | {"report", "simulation", "ros", "nodes"},
+    "bench": BASE | RUNS | {"report", "verify", "simulation", "ros", "orchestrator", "studies"},
 }
 CLOCKS = {"time", "datetime"}
 # What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.

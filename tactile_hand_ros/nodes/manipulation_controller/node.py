@@ -23,6 +23,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
@@ -123,6 +124,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.subscribe(
             PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos(), raw=True
         )
+        self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=qos.latched_qos())
         self._feels = self.config.law.observer.time > 0.0
         declared = (
             streams.joints(hand.joint_names),
@@ -178,6 +180,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
             self.reject(names.DESIRED_POSE, text)
             self.diagnostics.value("dropped_poses", self._controller.dropped)
+
+    def _on_joint_hold(self, message: Bool) -> None:
+        if message.data != self._controller.joints_held:
+            self._controller.joints_held = message.data
+            self._accepted.request(names.JOINT_HOLD, message.data)
 
     def on_tick(
         self,
@@ -243,6 +250,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Publish at the next tick what stays in force when the stamps start over."""
         self._accepted.begin(self.config)
         self._accepted.request("enable", self._controller.enabled)
+        if self._controller.joints_held:
+            self._accepted.request(names.JOINT_HOLD, True)
 
     def _answer(self, stamp: int, command: Command) -> None:
         self._sent = self._commands.encode(stamp, self._limited(command.torque))

@@ -78,6 +78,7 @@ class PlantDriver:
         What changes the mode is told at once, not when the next diagnostics are due.
         """
         self._run.release()
+        self._topics.tell_hold(self._run.guard.holding)
         self._senders.reset()
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
@@ -173,7 +174,8 @@ class PlantDriver:
         self._tell_hold()
 
     def _tell_hold(self) -> None:
-        """Tell at once when the joints begin or cease to be held, but not all the time."""
+        """Tell at once when the joints begin or cease to be held; in diagnostics now and then."""
+        self._topics.tell_hold(self._run.guard.holding)
         reason = self._run.guard.reason
         if reason == self._told:
             return

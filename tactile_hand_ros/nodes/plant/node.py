@@ -42,7 +42,8 @@ class PlantNode(TactileNode[PlantConfig]):
     `ground_truth/slip` (sensor_msgs/JointState by finger: distance slid, m, and sliding speed,
     m/s), `ground_truth/object_pose` (geometry_msgs/PoseStamped, palm frame, m), `clock`
     (rosgraph_msgs/Clock; `/clock` outside of namespaces). Once: `robot_description`
-    (std_msgs/String, URDF). Once a second: `/diagnostics`.
+    (std_msgs/String, URDF). At each change, latched: `joint_hold` (std_msgs/Bool, whether the
+    guard holds the joints or commands are still taking over). Once a second: `/diagnostics`.
 
     Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; the stamp is
     the tick that it answers).

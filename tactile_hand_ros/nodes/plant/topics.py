@@ -8,7 +8,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from tactile_hand_ros import names
 from tactile_hand_ros.hand.hand import Hand
@@ -40,6 +40,8 @@ class PlantTopics:
         latched = qos.latched_qos()
         self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
         self._description.publish(String(data=hand.description))
+        self._hold = node.create_publisher(Bool, names.JOINT_HOLD, latched)
+        self._is_held: bool | None = None
 
     def publish(self, state: PlantState, stamp_ns: int) -> None:
         """Publish a tick [ns], first what others wait for."""
@@ -51,6 +53,12 @@ class PlantTopics:
         quaternion = quaternion_from_rotation(state.rotation)
         self._pose_publisher.publish(self._pose.encode(state.position, quaternion, stamp_ns))
         self._clock_publisher.publish(clock_bytes(stamp_ns))
+
+    def tell_hold(self, is_held: bool) -> None:
+        """Publish whether the joints are held, where that has changed."""
+        if is_held != self._is_held:
+            self._is_held = is_held
+            self._hold.publish(Bool(data=is_held))
 
     def repeat(self) -> None:
         """Publish what others wait for once more, byte by byte."""

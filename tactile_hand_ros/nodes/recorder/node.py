@@ -28,6 +28,9 @@ from tactile_hand_ros.ros.runner import run_node
 _REST = 0.1  # s between two visits to the queues when next to nothing comes
 _FEW = 10  # messages of a visit that are next to nothing, such as the diagnostics of some nodes
 
+_ROOM = 4 * 2**30
+"""Bytes by which its memory may grow: its queues are long, and others' messages may be large."""
+
 
 class RecorderNode(TactileNode[RecorderConfig]):
     """Records the chosen topics as a rosbag2 folder until it is stopped.
@@ -184,7 +187,7 @@ _node_that_ends_with_a_signal.__doc__ = RecorderNode.__doc__  # shown by --help
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder until SIGINT or SIGTERM and return the exit code."""
     use_batch_scheduling()  # its queues are long; the hand's are not
-    return run_node(_node_that_ends_with_a_signal, args)
+    return run_node(_node_that_ends_with_a_signal, args, room=_ROOM)
 
 
 if __name__ == "__main__":

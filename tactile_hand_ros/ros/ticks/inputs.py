@@ -17,6 +17,7 @@ from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.backlog import Backlog
 from tactile_hand_ros.ros.ticks.input_watch import InputWatch
+from tactile_hand_ros.ros.ticks.leaps import Leaps
 from tactile_hand_ros.ros.ticks.matching import REPEAT, StampMatcher
 from tactile_hand_ros.ros.ticks.one_sender import OneSender
 from tactile_hand_ros.ros.ticks.streams import Decode, Stream
@@ -82,6 +83,7 @@ class TickInputs:
         self._watch = None if silence is None else InputWatch(silence)
         self._reason = ""
         self._answered_blindly = -1
+        self._leaps = Leaps()
         for stream in streams:
             for topic, decode in stream.decoders.items() if stream.wanted else ():
                 take = partial(self._take, topic, decode)
@@ -138,6 +140,8 @@ class TickInputs:
 
     def _wait(self, watch: InputWatch, stamp: int, value: Any) -> None:
         was_blind = watch.blind
+        if self._leaps.doubts(stamp):
+            return
         if watch.triggered(stamp):
             if not was_blind:
                 self._complain(self._matcher.missing(stamp))

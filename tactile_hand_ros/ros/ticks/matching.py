@@ -7,6 +7,8 @@ import enum
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
+from tactile_hand_ros.ros.ticks.leaps import Leaps
+
 _SECOND = 1_000_000_000
 
 
@@ -43,7 +45,8 @@ class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. A complete set at stamp 0, or more than
+    given up when a newer one is complete. A set that leaps ahead is given only when a second one
+    confirms it; see `Leaps`. A complete set at stamp 0, or more than
     ``restart_after_ns`` before the last one, means that the senders have begun anew: everything
     else is forgotten then. A single old message means nothing, whoever sent it.
     """
@@ -75,6 +78,7 @@ class StampMatcher:
     def reset(self) -> None:
         """Forget everything."""
         self.last: int | None = None
+        self._leaps = Leaps()
         self._pending: dict[int, _Open] = {}
 
     @property
@@ -107,7 +111,9 @@ class StampMatcher:
         if opened is None:
             opened = self._pending[stamp_ns] = _Open(len(self.keys))
         if opened.put(index, value):
-            return self._complete(stamp_ns, opened.values)
+            if not self._leaps.doubts(stamp_ns):
+                return self._complete(stamp_ns, opened.values)
+            del self._pending[stamp_ns]
         if len(self._pending) > self._memory:
             del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None

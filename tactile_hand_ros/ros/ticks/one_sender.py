@@ -19,6 +19,7 @@ class OneSender:
         """Start without messages."""
         self._first: OrderedDict[int, bytes] = OrderedDict()
         self._until: int | None = None
+        self._last = 0
 
     def disagree(self, stamp: int, data: bytes) -> bool:
         """Note a message and return whether two senders disagree or did so just before.
@@ -27,9 +28,10 @@ class OneSender:
             stamp: Its tick, ns; 0 means that time starts over.
             data: The serialized message.
         """
-        if stamp == 0 and 0 not in self._first:
+        if stamp == 0 and self._last > 0:
             self._first.clear()
             self._until = None
+        self._last = stamp
         if self._first.setdefault(stamp, data) != data:
             self._until = stamp + _LASTING_NS
         if len(self._first) > _MEMORY:

@@ -327,3 +327,22 @@ def test_mistakes_in_changes_name_the_option_and_not_the_file(tmp_path):
         load_scenario("paper", {"duration": -1.0}, {"duration": "--duration"})
     with pytest.raises(ConfigurationError, match="mine.yaml: seed is -1"):
         load(tmp_path, "seed: -1", **{"duration": 20.0})
+
+
+def test_the_hold_squeezes_up_to_the_limit_of_the_regulator():
+    def limit_of(scenario: Scenario) -> float:
+        return scenario.plant.guard.hold.squeeze_limit
+
+    assert limit_of(load_scenario("paper")) == 40.0
+    assert limit_of(load_scenario("crush_limit")) == 15.0
+    raised = load_scenario("crush_limit").changed({"slip_regulator.maximum": 20.0})
+    assert limit_of(raised) == 20.0
+    own = load_scenario("paper", {"plant.guard.hold.squeeze_limit": 12.0})
+    assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
+    assert limit_of(Scenario(plant=PlantConfig(), slip_regulator={"maximum": 30.0})) == 30.0
+
+
+def test_a_hold_that_may_squeeze_harder_than_the_regulator_is_refused():
+    changes = {"plant.guard.hold.squeeze_limit": 16.0}
+    with pytest.raises(ConfigurationError, match=r"squeeze_limit = 16 N is above .* = 15 N; lower"):
+        load_scenario("crush_limit", changes)

@@ -556,20 +556,51 @@ def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
 
 
 def test_an_interruption_of_the_opening_is_not_made_up_for():
-    """The fingers wait while disabled or without touch, and after a reset they begin anew."""
-    for interrupt in (miss, idle):
-        bench = Bench()
-        bench.step()
-        bench.controller.release()
-        before = bench.step(5).torque
-        interrupt(bench)
-        bench.stamp += 10_000_000_000
-        np.testing.assert_allclose(bench.step().torque, before, atol=1e-4)
+    """The fingers wait without touch, and after a reset they begin from where they are."""
+    bench = Bench()
+    bench.step()
+    bench.controller.release()
+    before = bench.step(5).torque
+    miss(bench)
+    bench.stamp += 10_000_000_000
+    np.testing.assert_allclose(bench.step().torque, before, atol=1e-4)
     bench.controller.reset()
     bench.stamp += 10_000_000_000
     bench.step()
     bench.controller.release()
     np.testing.assert_allclose(bench.step().torque, REST, atol=1e-4)
+
+
+def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
+    """They stay where they were put, and go on opening from there at their speed."""
+    bench.step()
+    bench.controller.release()
+    bench.step(5)
+    bench.controller.enabled = False
+    there = bench.theta + np.linspace(-0.2, 0.3, 9)
+    bench.step(theta=there)
+    bench.controller.enabled = True
+    first = bench.step(theta=there)
+    assert first.mode is Mode.OPEN
+    np.testing.assert_allclose(first.torque, REST, atol=1e-4)
+    assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.2
+
+
+@pytest.mark.parametrize("wound_up", ["integral", "reference"])
+def test_while_the_joints_are_held_nothing_winds_up(wound_up):
+    """After 400 held ticks the torque is that of the first one, and then it goes on."""
+    values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
+    bench = Bench(**values)
+    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.step(3)
+    bench.controller.joints_held = True
+    first = bench.step().torque
+    held = bench.step(400).torque
+    np.testing.assert_allclose(held, first, atol=1e-12)
+    bench.controller.joints_held = False
+    free = [bench.step().torque for _ in range(30)]
+    assert np.abs(free[0] - held).max() < 0.001
+    assert np.abs(free[-1] - held).max() > 0.002
 
 
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():

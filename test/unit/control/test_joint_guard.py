@@ -143,6 +143,62 @@ def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     assert made.holds == {joint_guard.LATE: 2}
 
 
+def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
+    """New stamps on an old torque: a controller, or what is between, that is stuck."""
+    made = guard()
+    tick = follow(made)
+    for more in range(4):
+        step(made, tick + more, TORQUE, theta=THETA + 0.003 * more)
+        assert not made.reason
+    step(made, tick + 4, TORQUE, theta=THETA + 0.012)
+    step(made, tick + 5, TORQUE, theta=THETA + 0.012)
+    assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
+    step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.012)
+    assert not made.reason
+
+
+def test_a_torque_may_stay_the_same_while_the_joints_rest():
+    made = guard()
+    for tick in range(200):
+        step(made, tick, TORQUE)
+    assert not made.holds
+
+
+def held_after(made, tick, good):
+    """Send a late command and then good ones; return for how many of these the joints are held."""
+    step(made, tick, TORQUE, answers=tick - 4)
+    held = 0
+    for more in range(1, good + 1):
+        step(made, tick + more, TORQUE)
+        held += bool(made.reason)
+    return held
+
+
+def test_holds_that_follow_each_other_last_longer_and_longer():
+    """On a computer that is too busy the hand stands still, and is not passed to and fro."""
+    made = guard(patience=0.1)
+    tick = follow(made)
+    held = []
+    for _ in range(6):
+        held.append(held_after(made, tick, 60))
+        tick += 61
+    assert held == [0, 10, 20, 40, 50, 50]  # ticks of 2 ms
+    assert made.holds == {joint_guard.LATE: 6}
+    for _ in range(260):
+        step(made, tick, TORQUE)
+        tick += 1
+    assert held_after(made, tick, 60) == 0
+
+
+def test_commands_that_are_never_good_for_long_do_not_take_over_any_more():
+    made = guard()
+    tick = follow(made)
+    for _ in range(8):
+        held_after(made, tick, 20)
+        tick += 21
+    assert held_after(made, tick, 20) == 20 and made.reason == joint_guard.UNSTEADY
+
+
 def test_reset_forgets_everything():
     made = guard()
     step(made, follow(made) + 9, TORQUE, answers=0)

@@ -139,6 +139,38 @@ def test_what_is_missing_is_named():
     assert matcher.missing(8) == ["contacts"]
 
 
+@pytest.mark.parametrize("ahead", [150_000_000, 900_000_000, 10**12, 2**31 * 10**9 - 1])
+def test_one_stamp_far_ahead_does_not_silence_the_others(ahead):
+    """A single hostile message, whatever its stamp: it is not answered, and all others are."""
+    restarts = []
+    matcher = StampMatcher(("a",), on_restart=lambda: restarts.append(1))
+    answered = []
+    for tick in range(6):
+        stamp = 2_000_000 * tick
+        if tick in (2, 4):
+            assert matcher.put("a", stamp + ahead, "hostile") is None
+        answered.append(matcher.put("a", stamp, tick))
+    assert answered == [(tick,) for tick in range(6)] and not restarts and not matcher.pending
+
+
+def test_ticks_that_were_lost_cost_one_tick_more():
+    matcher = StampMatcher(("a",))
+    matcher.put("a", 0, 0)
+    assert matcher.put("a", 10**10, 1) is None
+    assert matcher.put("a", 10**10 + 1, 2) == (2,)
+    assert matcher.put("a", 10**10 + 2, 3) == (3,)
+
+
+def test_slow_ticks_are_answered_when_they_are_sent_again():
+    """A plant in lockstep repeats a tick that is not answered, and its ticks may be far apart."""
+    matcher = StampMatcher(("a", "b"))
+    answers = []
+    for tick in range(4):
+        sent = [matcher.put(key, tick * 10**10, tick) for key in "abab"]
+        answers.append([answer for answer in sent if isinstance(answer, tuple)])
+    assert answers == [[(tick, tick)] for tick in range(4)]
+
+
 def test_values_are_never_compared():
     matcher = StampMatcher(("a", "b", "c"))
     value = np.zeros(3)

@@ -26,3 +26,11 @@ def test_time_that_starts_over_is_no_second_sender():
         made.disagree(tick * TICK, b"first")
     for tick in range(4):
         assert not made.disagree(tick * TICK, b"second")
+
+
+def test_time_that_starts_over_after_a_few_ticks_is_no_second_sender():
+    """Also while the first tick of the run before is still remembered."""
+    made = OneSender()
+    for run in (b"first", b"second", b"third"):
+        for tick in range(4):
+            assert not made.disagree(tick * TICK, run)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the injections of the campaign, session by session, and keeps each result at once."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.studies.faults import situations
+from tactile_hand_ros.studies.faults.by_calls import run_by_calls
+from tactile_hand_ros.studies.faults.injection import injected
+from tactile_hand_ros.studies.faults.outcome import Outcome, failed, judge, recovery
+from tactile_hand_ros.studies.faults.running_hand import RunningHand
+from tactile_hand_ros.studies.faults.space import Run
+from tactile_hand_ros.studies.parallel import parallel
+
+RESULTS = "faults.jsonl"
+
+_RECOVERY = 10.0  # s, longest wait for a hand that drives again
+_AFTERWARDS = 0.3  # s that are watched after it does
+_SPREAD = 0.2  # s of simulated time over which faults begin
+
+_BROKEN = (TactileHandError, TimeoutError, OSError)
+
+
+def run_campaign(
+    runs: Sequence[Run],
+    done: Sequence[Outcome] = (),
+    jobs: int = -1,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Iterator[Outcome]:
+    """Yield the outcome of each run that is not done yet.
+
+    One session of nodes serves all runs of the same way, situation and tap that follow each other;
+    it is started again when a run has broken it.
+
+    Args:
+        runs: The runs, in the order of their sessions.
+        done: Outcomes of an earlier campaign.
+        jobs: Number of processes for the runs by function calls; real time needs the machine.
+        progress: Called with the name of each run that is done.
+    """
+    known = {outcome.key for outcome in done}
+    waiting = [run for run in runs if run.key not in known]
+    for _, group in itertools.groupby(waiting, key=_session):
+        left = list(group)
+        if left[0].cell.way == "calls":
+            for outcome in parallel(run_by_calls, [(run,) for run in left], jobs, ordered=True):
+                progress(str(outcome.cell))
+                yield outcome
+            continue
+        while left:
+            for outcome in _run_session(left):
+                progress(str(left.pop(0).cell))
+                yield outcome
+
+
+def _session(run: Run) -> tuple[str, str, str]:
+    cell = run.cell
+    return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
+
+
+def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:
+    """Yield outcomes until all runs are done or one could not be judged."""
+    cell, run = runs[0].cell, runs[0]
+    scenario = situations.scenario(cell.situation, cell.way)
+    composed = cell.way == "composed"
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            with RunningHand(scenario, Path(folder), cell.tap, composed=composed) as hand:
+                for run in runs:
+                    yield run_one(hand, run)
+        except _BROKEN as error:
+            yield failed(run, error)
+
+
+def run_one(hand: RunningHand, run: Run) -> Outcome:
+    """Inject one fault and return what became of the object.
+
+    Raises:
+        TimeoutError: If the hand does not begin.
+    """
+    hand.begin()
+    late = random.Random(run.seed).uniform(0.0, _SPREAD)
+    hand.wait_for_time(situations.SITUATIONS[run.cell.situation].time + late)
+    begin = time.monotonic()
+    with injected(hand, run):
+        _pass_time(hand, situations.FAULT_TIME)
+    end = time.monotonic()
+    deadline = end + _RECOVERY
+
+    def is_back() -> bool:
+        late = time.monotonic() > deadline
+        return late or recovery(hand, hand.since(begin), end) is not None
+
+    hand.wait(is_back, "the recovery")
+    _pass_time(hand, _AFTERWARDS)
+    return judge(hand, run, begin, end)
+
+
+def _pass_time(hand: RunningHand, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    hand.wait(lambda: time.monotonic() >= until, "time that passes")
+
+
+def load(folder: Path) -> list[Outcome]:
+    """Return the outcomes that a campaign has kept in a folder."""
+    file = folder / RESULTS
+    if not file.exists():
+        return []
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return [Outcome(**json.loads(line)) for line in lines if line.endswith("}")]
+
+
+def keep(folder: Path, outcomes: Iterator[Outcome]) -> Iterator[Outcome]:
+    """Yield outcomes, each of which is in the file before the next one begins."""
+    with (folder / RESULTS).open("a", encoding="utf-8") as file:
+        for outcome in outcomes:
+            file.write(json.dumps(outcome.data()) + "\n")
+            file.flush()
+            yield outcome

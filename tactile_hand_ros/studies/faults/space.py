@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can fail, how, while the hand does what, and how its nodes run: the cells of the campaign.
+
+The words for faults are those of PX4's failure injection: off, stuck, garbage, wrong, slow,
+delayed, intermittent.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Iterator
+from typing import NamedTuple
+
+WAYS = ("calls", "lockstep", "composed", "processes")
+"""By function calls, without a clock; in lockstep in processes; in real time in one process and in
+processes."""
+
+SITUATIONS = ("at rest", "moving", "lifting", "pulled", "heavy")
+FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+NONE = "none"
+"""No fault: what the hand does in that way and situation anyway."""
+
+JOINTS, FINGER, SKIN = "joint link", "skin of one finger", "skin of all fingers"
+REGULATOR, OPTIMIZER, CONTROLLER = "regulator", "optimizer", "controller"
+RECORDER, USER, COMPUTER = "recorder", "user commands", "computer"
+
+FAULTS_OF = {
+    JOINTS: (*FAULTS, "clock step"),
+    FINGER: FAULTS,
+    SKIN: FAULTS,
+    REGULATOR: FAULTS,
+    OPTIMIZER: FAULTS,
+    CONTROLLER: FAULTS,
+    RECORDER: ("off", "stuck", "full disk"),
+    USER: ("stuck", "garbage", "wrong", "delayed", "intermittent"),
+    COMPUTER: ("starved", "stopped"),
+}
+
+_TAPS = {
+    "joints": (JOINTS, CONTROLLER),
+    "touch": (FINGER, SKIN),
+    "forces": (REGULATOR, OPTIMIZER),
+    "": (RECORDER, USER, COMPUTER),
+}
+"""Which topics go through the fault node while a component may fail; see `taps.TAPPED`."""
+
+
+class Cell(NamedTuple):
+    """One fault of one component, in one situation and one way to run."""
+
+    way: str
+    situation: str
+    component: str
+    fault: str
+
+    @property
+    def tap(self) -> str:
+        """Name of the group of topics that pass the fault node."""
+        return next(tap for tap, parts in _TAPS.items() if self.component in parts)
+
+    def __str__(self) -> str:
+        """Return the cell in words."""
+        return f"{self.way}, {self.situation}: {self.component} {self.fault}"
+
+
+def cells() -> list[Cell]:
+    """Return all cells that exist."""
+    return [
+        Cell(way, situation, component, fault)
+        for way, situation in itertools.product(WAYS, SITUATIONS)
+        for component, faults in FAULTS_OF.items()
+        for fault in (*faults, *((NONE,) if component in _BASES else ()))
+        if _exists(way, component, fault)
+    ]
+
+
+_BASES = (JOINTS, FINGER, REGULATOR, USER)
+"""One component of each tap, with which the runs without a fault are counted."""
+
+
+def _exists(way: str, component: str, fault: str) -> bool:
+    """Return whether a fault can be injected there.
+
+    Composed nodes stop together with the plant, whose time then stands still.
+    """
+    if component == COMPUTER and fault == "stopped":
+        return way != "composed"
+    return not (way == "calls" and component == RECORDER)
+
+
+class Run(NamedTuple):
+    """One injection: a cell, and the seed of its moment and of its noise."""
+
+    cell: Cell
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Return what tells the run from all others of a campaign."""
+        return f"{'/'.join(self.cell)}/{self.seed}"
+
+
+def sample(
+    runs: int, seed: int, *, ways: tuple[str, ...] = WAYS, among: list[Cell] | None = None
+) -> list[Run]:
+    """Return a balanced sample: no cell comes twice more often than another.
+
+    The runs that share a session follow each other; the sessions come in random order, so that what
+    an interrupted campaign has done is a fair sample, too.
+
+    Args:
+        runs: Number of injections.
+        seed: Seed of the choice, of the order and of each run.
+        ways: Ways to run that take part.
+        among: Cells to choose from; all by default.
+    """
+    chance = random.Random(seed)
+    chosen = [cell for cell in (among or cells()) if cell.way in ways]
+    drawn: list[Run] = []
+    while len(drawn) < runs and chosen:
+        chance.shuffle(chosen)
+        drawn += [Run(cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
+    return list(_by_session(drawn, chance))
+
+
+def _by_session(runs: list[Run], chance: random.Random) -> Iterator[Run]:
+    def session(run: Run) -> tuple[str, str, str]:
+        cell = run.cell
+        return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
+
+    groups: dict[tuple[str, str, str], list[Run]] = {}
+    for run in runs:
+        groups.setdefault(session(run), []).append(run)
+    order = list(groups)
+    chance.shuffle(order)
+    for key in order:
+        yield from groups[key]

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign keeps each result at once, goes on where it stopped, and sums up."""
+
+import json
+
+from tactile_hand_ros.studies.faults import campaign, space, tables
+from tactile_hand_ros.studies.faults.figure import faults_figure
+from tactile_hand_ros.studies.faults.outcome import Outcome
+
+RUNS = space.sample(12, seed=5, ways=("composed",))
+
+
+def made(run, **values):
+    given = {"moved": 0.001, "safe": 0.008, "peak": 20.0, "limit": 40.0, "recovered": 0.5}
+    return Outcome(*run.cell, run.seed, **{**given, **values})
+
+
+def test_what_is_kept_is_not_run_again(tmp_path):
+    done = [made(run, dropped=index == 0) for index, run in enumerate(RUNS)]
+    for _ in campaign.keep(tmp_path, iter(done[:7])):
+        pass
+    with (tmp_path / campaign.RESULTS).open("a") as file:
+        file.write('{"way": "comp')  # as after a power cut
+    known = campaign.load(tmp_path)
+    assert known == done[:7]
+    assert list(campaign.run_campaign(RUNS[:7], known)) == []
+
+
+def test_the_tables_leave_out_what_no_fault_is_to_blame_for(tmp_path):
+    outcomes = [made(run) for run in RUNS]
+    outcomes[0] = made(RUNS[0], lost_before=True, dropped=True)
+    outcomes[1] = made(RUNS[1], error="TimeoutError: no answer")
+    assert len(tables.judged(outcomes)) == len(RUNS) - 2
+    first = tables.row("all", [made(RUNS[2], dropped=True), made(RUNS[3])])
+    assert first == ["all", "2", "1", "9.5 to 90.5 %", "1.0", "8", "0.50", "0.50"]
+    table, summary = tables.write(outcomes, tmp_path)
+    assert len(table.read_text().splitlines()) == len(RUNS) + 1
+    content = json.loads(summary.read_text())
+    assert content["lost before the fault"] == 1 and len(content["not judged"]) == 1
+    assert all(each["survivable"] for each in content["survivability"])
+    assert faults_figure(outcomes).axes
