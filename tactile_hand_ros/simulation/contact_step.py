@@ -14,7 +14,7 @@ from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.kinematics import Fingertips, tip_jacobians
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import rodrigues
-from tactile_hand_ros.simulation.coulomb import solve_contacts
+from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
 
 Array = NDArray[np.float64]
@@ -99,6 +99,7 @@ class StepResult(NamedTuple):
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
         past: What the next step needs of this one.
         residual: Largest relative violation of the contact laws.
+        outcome: EXACT, RELAXED or UNSOLVED of `coulomb`.
     """
 
     theta: Array
@@ -108,6 +109,7 @@ class StepResult(NamedTuple):
     sliding: Array
     past: Past
     residual: float
+    outcome: int
 
 
 def no_past(fingers: int, v: Array) -> Past:
@@ -230,13 +232,14 @@ def step(
         rows[3 * i : 3 * i + 3], turn[3 * i : 3 * i + 3] = every[j], turning[j]
         mu[i], start[i], closing[i] = friction[j], past.impulses[j], _closing(gaps[j], h)
     inverse_times, free = _response(h, v, hand, body, rotation, rows)
-    impulses, sliding, residual = np.zeros((k, 3)), np.zeros((k, 2)), 0.0
+    impulses, sliding, residual, outcome = np.zeros((k, 3)), np.zeros((k, 2)), 0.0, EXACT
     settled, struck = np.zeros(k, dtype=np.bool_), False
     if c > 0:
         delassus, before = rows @ inverse_times, rows @ free
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = _strikes(solved.impulses, near, past.settled)
-        if struck and turn.any():  # how contacts turned before says nothing of how they do now
+        if (struck or solved.outcome != EXACT) and turn.any():
+            # How contacts turned before says nothing of how they do now.
             solved = solve_contacts(delassus, before, closing, mu, start)
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
@@ -244,14 +247,14 @@ def step(
             impulses[j] = solved.impulses[i]
             sliding[j, 0], sliding[j, 1] = solved.velocities[i, 0], solved.velocities[i, 2]
             settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j]) < TOUCH
-        residual = solved.residual
+        residual, outcome = solved.residual, solved.outcome
     theta = hand.theta + 0.5 * h * (v[:m] + free[:m])
     position, rotation = _moved(position, rotation, 0.5 * h, free[m:])
     # Back onto the rotations, before rounding errors of many products add up: one step of Newton's
     # iteration to the nearest rotation (Higham 1986).
     rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
     following = Past(free if struck else v, every, impulses, settled, slid)
-    return StepResult(theta, free, position, rotation, sliding, following, residual)
+    return StepResult(theta, free, position, rotation, sliding, following, residual, outcome)
 
 
 @compiled

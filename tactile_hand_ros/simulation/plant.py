@@ -27,6 +27,7 @@ from tactile_hand_ros.simulation.contact_step import (
     observed,
     step,
 )
+from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
 from tactile_hand_ros.simulation.disturbance import external_wrench
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -69,7 +70,18 @@ class PlantState(NamedTuple):
 
 
 class Plant:
-    """A hand that holds an object; `advance` moves both in time."""
+    """A hand that holds an object; `advance` moves both in time.
+
+    Attributes:
+        config: Its parameters.
+        hand: The hand.
+        solid: The object's shape.
+        friction: Coulomb friction of each finger now, shape (k,).
+        time: Simulated time, s.
+        contact_residual: Largest relative violation of the contact laws in the last step.
+        relaxed_steps: Steps since the start in which a penetration could not be left.
+        unsolved_steps: Steps since the start in which the contact laws were not met.
+    """
 
     def __init__(self, config: PlantConfig) -> None:
         """Build hand and object and put them at their start.
@@ -116,6 +128,7 @@ class Plant:
         self._torque = np.zeros(self.hand.joints)
         self._past = no_past(k, self._v)
         self.contact_residual = 0.0
+        self.relaxed_steps = self.unsolved_steps = 0
         self._sliding = np.zeros((k, 2))
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
         return self.state
@@ -178,6 +191,8 @@ class Plant:
         self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
         self._past, self._sliding = after.past, after.sliding
         self.contact_residual = after.residual
+        self.relaxed_steps += after.outcome == RELAXED
+        self.unsolved_steps += after.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
 
