@@ -117,8 +117,8 @@ class OptimalForces(NamedTuple):
             the next two.
         sum_residual: |sum f_n - 1|.
         stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
-        bound_residual: Largest share that a lower bound is missed by, and largest cost of a bound
-            that pulls without being touched, scaled by max W.
+        bound_residual: Largest force that a lower bound is missed by, or that a bound pulls from
+            afar, weighted by its share of the largest multiplier.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
         cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
@@ -366,6 +366,7 @@ def optimality(
         least: Lower bound of the normal forces.
     """
     unbalanced, total, slope, bound = np.zeros(6), -1.0, 0.0, 0.0
+    pull = max(np.abs(y).max(), weights.max())
     for i in range(len(x)):
         gradient = 2.0 * weights[i] * x[i]
         for j in range(6):
@@ -376,7 +377,7 @@ def optimality(
             total += x[i]
             gradient += y[6] + push
             above = x[i] - least
-            bound = max(bound, -above, abs(push * above) / weights.max())
+            bound = max(bound, -above, abs(push * above) / pull)
         slope = max(slope, abs(gradient))
     size = max(np.abs(x).max(), 1.0)
     return (
