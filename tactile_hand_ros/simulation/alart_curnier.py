@@ -64,7 +64,7 @@ def residual(laws: Laws, p: Array) -> float:
     """
     out = np.empty(len(p))
     violation(laws, p, 1.0, out)
-    return np.abs(out).max()
+    return float(np.abs(out).max())
 
 
 @compiled

@@ -157,10 +157,11 @@ def _tidy(laws: Laws, p: Array) -> float:
 @compiled
 def _without_gain(laws: Laws, p: Array) -> Array:
     """Return p, shortened where its work p b + p W p / 2 on the two bodies would be positive."""
-    work, stopping = p @ laws.offset, p @ (laws.delassus @ p)
+    work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
     if not work < 0.0:
         return np.zeros(len(p))
-    return p * min(1.0, -2.0 * work / max(stopping, 1e-300))
+    share: float = min(1.0, -2.0 * work / max(stopping, 1e-300))
+    return share * p
 
 
 @compiled
