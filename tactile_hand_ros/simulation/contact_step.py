@@ -14,7 +14,7 @@ from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.kinematics import Fingertips, tip_jacobians
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import rodrigues
-from tactile_hand_ros.simulation.coulomb import solve_contacts
+from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
 
 Array = NDArray[np.float64]
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # share of a penetration that is removed in a step
+_FASTEST_RECOVERY = 5e-3  # and its highest speed, m/s: what leaves is not to fly off
+_SAME_FRAME = 2.5  # trace of R_before^T R; less where the axes of a frame have jumped
 
 
 class HandTerms(NamedTuple):
@@ -68,6 +70,24 @@ class Body(NamedTuple):
     wrench: Array
 
 
+class Past(NamedTuple):
+    """What a step needs of the one before.
+
+    Attributes:
+        velocities: Joint rates, velocity and spin of the object at its start, shape (m + 6,).
+        rows: A of `velocity_map` half a step after its start, shape (k, 3, m + 6).
+        impulses: Impulses on the object in contact frames, shape (k, 3), N s.
+        settled: Which contacts were closed and pushed already, so that nothing struck, shape (k,).
+        slid: Distance that each contact has slid since the start, shape (k,), m.
+    """
+
+    velocities: Array
+    rows: Array
+    impulses: Array
+    settled: NDArray[np.bool_]
+    slid: Array
+
+
 class StepResult(NamedTuple):
     """Outcome of a step.
 
@@ -76,20 +96,27 @@ class StepResult(NamedTuple):
         velocities: Joint rates, velocity and spin of the object after the step, shape (m + 6,).
         position: Centre of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
-        impulses: Impulses on the object in contact frames, shape (k, 3), N s.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
-        slid: Distance that each contact has slid since the start, shape (k,), m.
+        past: What the next step needs of this one.
         residual: Largest relative violation of the contact laws.
+        outcome: EXACT, RELAXED or UNSOLVED of `coulomb`.
     """
 
     theta: Array
     velocities: Array
     position: Array
     rotation: Array
-    impulses: Array
     sliding: Array
-    slid: Array
+    past: Past
     residual: float
+    outcome: int
+
+
+def no_past(fingers: int, v: Array) -> Past:
+    """Return the past of k fingers that start to move with velocities v, shape (m + 6,)."""
+    k, n = fingers, len(v)
+    settled = np.zeros(k, dtype=np.bool_)
+    return Past(v, np.zeros((k, 3, n)), np.zeros((k, 3)), settled, np.zeros(k))
 
 
 @compiled
@@ -175,14 +202,7 @@ def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array)
 
 @compiled
 def step(
-    h: float,
-    v: Array,
-    hand: HandTerms,
-    body: Body,
-    shape: Shape,
-    friction: Array,
-    guess: Array,
-    slid: Array,
+    h: float, v: Array, hand: HandTerms, body: Body, shape: Shape, friction: Array, past: Past
 ) -> StepResult:
     """Advance velocities by a step h, in s, so that the contact laws hold at its end.
 
@@ -196,50 +216,92 @@ def step(
         body: The object at its start.
         shape: Shape of the object.
         friction: Coulomb friction of each finger, shape (k,).
-        guess: Impulses of the last step, shape (k, 3), N s.
-        slid: Distance that each contact has slid so far, shape (k,), m.
+        past: What is known of the step before.
     """
     k, m = hand.support.shape
-    position, rotation = _moved(body, 0.5 * h, v[m:])
+    position, rotation = _moved(body.position, body.rotation, 0.5 * h, v[m:])
     points, frames, gaps = contact_geometry(shape, position, rotation, hand.tips, hand.radii)
+    every = velocity_map(hand, position, points, frames)
+    turning, slid = _since(h, v, every, past)
     near = np.flatnonzero(gaps < NEAR)
     c = len(near)
-    every = velocity_map(hand, position, points, frames)
-    rows = np.empty((3 * c, m + 6))
+    rows, mu, start = np.empty((3 * c, m + 6)), np.empty(c), np.empty((c, 3))
+    closing, turn = np.empty(c), np.empty(3 * c)
     for i in range(c):
-        rows[3 * i : 3 * i + 3] = every[near[i]]
+        j = near[i]
+        rows[3 * i : 3 * i + 3], turn[3 * i : 3 * i + 3] = every[j], turning[j]
+        mu[i], start[i], closing[i] = friction[j], past.impulses[j], _closing(gaps[j], h)
     inverse_times, free = _response(h, v, hand, body, rotation, rows)
-    impulses, sliding, residual = np.zeros((k, 3)), np.zeros((k, 2)), 0.0
+    impulses, sliding, residual, outcome = np.zeros((k, 3)), np.zeros((k, 2)), 0.0, EXACT
+    settled, struck = np.zeros(k, dtype=np.bool_), False
     if c > 0:
-        closing, mu, start = np.empty(c), np.empty(c), np.empty((c, 3))
-        for i in range(c):
-            j = near[i]
-            # The gap at the start of the step, from the one half a step ahead.
-            gap = gaps[j] - 0.5 * h * (rows[3 * i + 1] @ v)
-            closing[i] = gap / h if gap > 0.0 else _RECOVERY * gap / h
-            mu[i] = friction[j]
-            start[i] = guess[j]
-        solved = solve_contacts(rows @ inverse_times, rows @ free, closing, mu, start)
+        delassus, before = rows @ inverse_times, rows @ free
+        solved = solve_contacts(delassus, before + turn, closing, mu, start)
+        struck = _strikes(solved.impulses, near, past.settled)
+        if (struck or solved.outcome != EXACT) and turn.any():
+            # How contacts turned before says nothing of how they do now.
+            solved = solve_contacts(delassus, before, closing, mu, start)
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
-            impulses[near[i]] = solved.impulses[i]
-            sliding[near[i], 0] = solved.velocities[i, 0]
-            sliding[near[i], 1] = solved.velocities[i, 2]
-        residual = solved.residual
+            j = near[i]
+            impulses[j] = solved.impulses[i]
+            sliding[j, 0], sliding[j, 1] = solved.velocities[i, 0], solved.velocities[i, 2]
+            settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j]) < TOUCH
+        residual, outcome = solved.residual, solved.outcome
     theta = hand.theta + 0.5 * h * (v[:m] + free[:m])
-    position, rotation = _moved(body, h, 0.5 * (v[m:] + free[m:]))
+    position, rotation = _moved(position, rotation, 0.5 * h, free[m:])
     # Back onto the rotations, before rounding errors of many products add up: one step of Newton's
     # iteration to the nearest rotation (Higham 1986).
     rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
-    slid = slid + h * np.sqrt(sliding[:, 0] ** 2 + sliding[:, 1] ** 2)
-    return StepResult(theta, free, position, rotation, impulses, sliding, slid, residual)
+    following = Past(free if struck else v, every, impulses, settled, slid)
+    return StepResult(theta, free, position, rotation, sliding, following, residual, outcome)
 
 
 @compiled
-def _moved(body: Body, h: float, v: Array) -> tuple[Array, Array]:
+def _since(h: float, v: Array, rows: Array, past: Past) -> tuple[Array, Array]:
+    """Compare contacts with those of the last step, from whose middle to this one's v led.
+
+    Returns:
+        The turning (A - A_before) v / 2, shape (k, 3), m/s, by which A v grows until the end of the
+        step, zero for contacts that have just closed, and the distance slid, shape (k,), m.
+    """
+    k, m = len(rows), len(v) - 6
+    turning, slid = np.zeros((k, 3)), past.slid.copy()
+    for i in range(k):
+        if past.impulses[i, 1] <= 0.0:
+            continue
+        now, then, same = rows[i] @ v, past.rows[i] @ v, 0.0
+        for j in range(3):
+            for a in range(m, m + 3):  # the columns of G^T that hold the contact frame
+                same += rows[i, j, a] * past.rows[i, j, a]
+        if same < _SAME_FRAME:
+            continue
+        if past.settled[i]:
+            turning[i] = 0.5 * (now - then)
+        slid[i] += 0.5 * h * np.hypot(now[0] + then[0], now[2] + then[2])
+    return turning, slid
+
+
+@compiled
+def _closing(gap: float, h: float) -> float:
+    """Return the speed at which a gap may close within a step, or a penetration must be left."""
+    return gap / h if gap > 0.0 else max(_RECOVERY * gap / h, -_FASTEST_RECOVERY)
+
+
+@compiled
+def _strikes(impulses: Array, near: NDArray[np.intp], settled: NDArray[np.bool_]) -> bool:
+    """Return whether a contact is pushed that was not closed and pushed before."""
+    for i in range(len(near)):
+        if impulses[i, 1] > 0.0 and not settled[near[i]]:
+            return True
+    return False
+
+
+@compiled
+def _moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array, Array]:
     """Return position and rotation after a time h at a velocity and spin v, shape (6,)."""
     turn = rodrigues(h * v[3], h * v[4], h * v[5])
-    return body.position + h * v[:3], turn @ body.rotation
+    return position + h * v[:3], turn @ rotation
 
 
 @compiled

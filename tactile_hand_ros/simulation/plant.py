@@ -23,9 +23,11 @@ from tactile_hand_ros.simulation.contact_step import (
     HandTerms,
     contact_geometry,
     half_step,
+    no_past,
     observed,
     step,
 )
+from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
 from tactile_hand_ros.simulation.disturbance import external_wrench
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -68,7 +70,18 @@ class PlantState(NamedTuple):
 
 
 class Plant:
-    """A hand that holds an object; `advance` moves both in time."""
+    """A hand that holds an object; `advance` moves both in time.
+
+    Attributes:
+        config: Its parameters.
+        hand: The hand.
+        solid: The object's shape.
+        friction: Coulomb friction of each finger now, shape (k,).
+        time: Simulated time, s.
+        contact_residual: Largest relative violation of the contact laws in the last step.
+        relaxed_steps: Steps since the start in which a penetration could not be left.
+        unsolved_steps: Steps since the start in which the contact laws were not met.
+    """
 
     def __init__(self, config: PlantConfig) -> None:
         """Build hand and object and put them at their start.
@@ -106,17 +119,17 @@ class Plant:
         self.time = 0.0
         self._steps = 0
         self._theta = self._initial_joints.copy()
-        self._v = self._v_before = np.zeros(self.hand.joints + 6)
+        self._v = np.zeros(self.hand.joints + 6)
         self._position = np.array(c.position)
         self._rotation = rotation_from_vector(c.rotation)
         self._close_gaps()
         k = self.hand.fingers
         self.friction = np.full(k, c.friction)
         self._torque = np.zeros(self.hand.joints)
-        self._impulses = np.zeros((k, 3))
+        self._past = no_past(k, self._v)
         self.contact_residual = 0.0
+        self.relaxed_steps = self.unsolved_steps = 0
         self._sliding = np.zeros((k, 2))
-        self._slid = np.zeros(k)
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
         return self.state
 
@@ -164,7 +177,7 @@ class Plant:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
-        theta, ahead = half_step(h, self._theta, v, self._v_before)
+        theta, ahead = half_step(h, self._theta, v, self._past.velocities)
         terms = self.hand.raw_dynamics(theta, ahead[:m])
         hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
         wrench = self._weight
@@ -173,11 +186,13 @@ class Plant:
         body = Body(
             self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
         )
-        after = step(h, v, hand, body, self.solid.shape, self.friction, self._impulses, self._slid)
-        self._v_before, self._v = v, after.velocities
+        after = step(h, v, hand, body, self.solid.shape, self.friction, self._past)
+        self._v = after.velocities
         self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
-        self._impulses, self._sliding, self._slid = after.impulses, after.sliding, after.slid
+        self._past, self._sliding = after.past, after.sliding
         self.contact_residual = after.residual
+        self.relaxed_steps += after.outcome == RELAXED
+        self.unsolved_steps += after.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
 
@@ -187,7 +202,12 @@ class Plant:
         m, h = self.hand.joints, self.config.time_step
         tips = self.hand.tip_positions(self._theta)
         points, frames, gaps = observed(
-            self.solid.shape, self._position, self._rotation, tips, self.hand.radii, self._impulses
+            self.solid.shape,
+            self._position,
+            self._rotation,
+            tips,
+            self.hand.radii,
+            self._past.impulses,
         )
         return PlantState(
             self._theta,
@@ -198,9 +218,9 @@ class Plant:
             self._v[m : m + 3],
             self._v[m + 3 :],
             Contacts(points, frames),
-            self._impulses / h,
+            self._past.impulses / h,
             self._sliding,
-            self._slid,
+            self._past.slid,
             gaps,
         )
 

@@ -51,6 +51,12 @@ class ObjectConfig(Config):
             raise ValueError(f"size = {self.size}: all three edges must be positive")
         if min(self.inertia) <= 0.0:
             raise ValueError(f"inertia = {self.inertia}: all three values must be positive")
+        *others, largest = sorted(self.inertia)
+        if largest > sum(others) * (1.0 + 1e-9):
+            raise ValueError(
+                f"inertia = {self.inertia}: no body has a principal inertia above the sum of the "
+                f"other two; lower {largest:g} to {sum(others):g} or less, or raise the others"
+            )
         if len(self.vertices) % 3:
             raise ValueError(
                 f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"

@@ -142,8 +142,8 @@ def test_the_reference_keeps_its_constraint(experiment):
 def test_the_closed_loop_moves_as_the_reference(experiment):
     position, centroid, force = compare(*experiment)
     print(f"object {1e3 * position:.4f} mm, centroid {1e3 * centroid:.4f} mm, force {force:.1e} N")
-    assert position < 1e-4
-    assert centroid < 1e-5
+    assert position < 2e-6
+    assert centroid < 2e-6
     assert force < 1e-3 * 10.0
 
 

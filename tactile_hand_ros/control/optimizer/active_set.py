@@ -22,7 +22,7 @@ from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-12  # of a force or a multiplier: no reason to exchange its bound
+_ROUNDING = 1e-12  # per largest force or multiplier above 1: no reason to exchange a bound
 
 
 @compiled
@@ -50,8 +50,10 @@ def solve_exactly(
             held[:] = False  # so many active bounds leave nothing free; begin anew without
             continue
         settled = True
+        pull = _ROUNDING * max(1.0, np.abs(y).max())
+        lift = _ROUNDING * max(1.0, np.abs(x).max())
         for i in range(k):
-            pushes, violated = y[7 + i] < _ROUNDING, x[3 * i + 1] < least - _ROUNDING
+            pushes, violated = y[7 + i] < pull, x[3 * i + 1] < least - lift
             following = pushes if held[i] else violated
             settled = settled and following == held[i]
             held[i] = following

@@ -30,7 +30,10 @@ from tactile_hand_ros.jit.compiled import compiled
 Array = NDArray[np.float64]
 
 _SOLVED = osqp.SolverStatus.OSQP_SOLVED
-_INFEASIBLE = osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
+_INFEASIBLE = (
+    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE,
+    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE,
+)
 _MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
 _GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
 _MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
@@ -110,9 +113,12 @@ class OptimalForces(NamedTuple):
         status: SOLVED, or why there is no answer.
         reason: One sentence for people; empty when solved.
         forces: f* on the object in the contact frames C_i, shape (k, 3); NaN unless solved.
-        balance_residual: Largest component of G~ f*, N and N m.
+        balance_residual: Largest component of G~ f*, relative to the largest force above 1 N, as
+            the next two.
         sum_residual: |sum f_n - 1|.
         stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
+        bound_residual: Largest force that a lower bound is missed by, or that a bound pulls from
+            afar, weighted by its share of the largest multiplier.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
         cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
@@ -126,6 +132,7 @@ class OptimalForces(NamedTuple):
     balance_residual: float = np.nan
     sum_residual: float = np.nan
     stationarity_residual: float = np.nan
+    bound_residual: float = np.nan
     iterations: int = 0
     solve_time: float = 0.0
     cone_margin: float = np.nan
@@ -138,8 +145,8 @@ class OptimalForces(NamedTuple):
 
     @property
     def residual(self) -> float:
-        """The largest of the three residuals."""
-        return max(self.balance_residual, self.sum_residual, self.stationarity_residual)
+        """The largest of the four residuals; NaN if one is."""
+        return float(np.max(self[3:7]))
 
 
 class ForceOptimizer:
@@ -195,7 +202,7 @@ class ForceOptimizer:
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
             )
-        balance, margin, forces, unbalanced, off, slope, systems = _exact_answer(
+        balance, margin, forces, residuals, systems = _exact_answer(
             contacts.positions,
             contacts.rotations,
             self._weights,
@@ -207,10 +214,10 @@ class ForceOptimizer:
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        solved = OptimalForces(Status.SOLVED, "", forces, unbalanced, off, slope, systems)
+        solved = OptimalForces(Status.SOLVED, "", forces, *residuals, systems)
         is_exact = systems and solved.residual < _GOOD_RESIDUAL
         if not is_exact or self.config.solver == "osqp":
-            solved = self._by_osqp(balance)
+            solved = self._by_osqp(balance, solved)
         return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
 
     def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
@@ -263,34 +270,39 @@ class ForceOptimizer:
             adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
         )
 
-    def _by_osqp(self, balance: Array) -> OptimalForces:
-        """Solve for G~^T of shape (3k, 6) from OSQP's last answer."""
-        self._values[self._balance_slots] = balance.ravel()
-        return self._judge(*self._solver.solve(self._values), balance)
+    def _by_osqp(self, balance: Array, exact: OptimalForces) -> OptimalForces:
+        """Solve for G~^T of shape (3k, 6) from OSQP's last answer.
 
-    def _judge(self, x: Array, y: Array, info: Any, balance: Array) -> OptimalForces:
-        if info.status_val == _INFEASIBLE:
-            self._set_up()  # the certificate is a bad start for the next grasp
+        The residuals decide, not how OSQP ends: at its limit of iterations, or where forces are so
+        large that it takes the problem for infeasible, the better answer may still be the optimum.
+        """
+        self._values[self._balance_slots] = balance.ravel()
+        x, y, info = self._solver.solve(self._values)
+        solved = self._measured(x, y, balance, info)
+        if not solved.residual < _GOOD_RESIDUAL:
+            candidates = [solved, exact]
+            if sharp := self._sharpened(x, y, balance):
+                candidates.append(self._measured(*sharp, balance, info))
+            solved = min(candidates, key=lambda forces: np.nan_to_num(forces.residual, nan=np.inf))
+        if info.status_val != _SOLVED:
+            self._set_up()  # where OSQP has ended is a bad start for the next grasp
+        return solved if solved.residual < _MAX_RESIDUAL else self._unsolved(solved, info)
+
+    def _unsolved(self, best: OptimalForces, info: Any) -> OptimalForces:
+        if info.status_val in _INFEASIBLE:
             return self._without_answer(
                 Status.UNBALANCED,
                 "no pushing forces at these contacts balance; place a finger on an opposing face",
             )
-        solved = self._measured(x, y, balance, info)
-        if solved.residual > _GOOD_RESIDUAL and (exact := self._sharpened(x, y, balance)):
-            solved = min(
-                solved, self._measured(*exact, balance, info), key=lambda forces: forces.residual
-            )
-        if info.status_val != _SOLVED or not solved.residual < _MAX_RESIDUAL:
-            self._set_up()
-            return self._without_answer(
-                Status.FAILED,
-                f"OSQP ended with '{info.status}' and residual {solved.residual:.1e} after "
-                f"{info.iter} iterations; the last answer is not used",
-            )
-        return solved
+        self._set_up()
+        return self._without_answer(
+            Status.FAILED,
+            f"OSQP ended with '{info.status}' after {info.iter} iterations, and the best residual "
+            f"is {best.residual:.1e}; the last answer is not used",
+        )
 
     def _measured(self, x: Array, y: Array, balance: Array, info: Any) -> OptimalForces:
-        residuals = optimality(x, y, balance, self._weights)
+        residuals = optimality(x, y, balance, self._weights, self.config.minimum_normal)
         forces = np.array(x).reshape(self._k, 3)
         return OptimalForces(
             Status.SOLVED, "", forces, *residuals, int(info.iter), float(info.run_time)
@@ -326,35 +338,51 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
 @compiled
 def _exact_answer(
     points: Array, rotations: Array, weights: Array, least: float, held: NDArray[np.bool_]
-) -> tuple[Array, float, Array, float, float, float, int]:
-    """Return G~^T, the collinearity margin, f*, its three residuals and the number of systems.
+) -> tuple[Array, float, Array, tuple[float, float, float, float], int]:
+    """Return G~^T, the collinearity margin, f*, its residuals and the number of systems.
 
     Without systems, or on a line, f* is of no use. For `held` see `solve_exactly`.
     """
     balance, margin = scaled_balance(points, rotations), collinearity_margin(points)
     x, y, systems = solve_exactly(balance, weights, least, held)
-    unbalanced, off, slope = optimality(x, y, balance, weights)
-    return balance, margin, x.reshape(-1, 3), unbalanced, off, slope, systems
+    residuals = optimality(x, y, balance, weights, least)
+    return balance, margin, x.reshape(-1, 3), residuals, systems
 
 
 @compiled
-def optimality(x: Array, y: Array, balance: Array, weights: Array) -> tuple[float, float, float]:
-    """Return the residuals of (13): balance, sum and stationarity.
+def optimality(
+    x: Array, y: Array, balance: Array, weights: Array, least: float
+) -> tuple[float, float, float, float]:
+    """Return the residuals of (13): balance, sum, stationarity and bounds.
+
+    (13) is strictly convex: what has none is the optimum. They are relative to the largest force
+    where that is above 1 N, since rounding is.
 
     Args:
         x: Forces in contact frames, shape (3k,).
         y: Multipliers of balance, sum and lower bounds, shape (7 + k,).
         balance: G~^T, shape (3k, 6).
         weights: Diagonal of W, shape (3k,).
+        least: Lower bound of the normal forces.
     """
-    unbalanced, total, slope = np.zeros(6), -1.0, 0.0
+    unbalanced, total, slope, bound = np.zeros(6), -1.0, 0.0, 0.0
+    pull = max(np.abs(y).max(), weights.max())
     for i in range(len(x)):
         gradient = 2.0 * weights[i] * x[i]
         for j in range(6):
             unbalanced[j] += balance[i, j] * x[i]
             gradient += balance[i, j] * y[j]
         if i % 3 == 1:
+            push = min(y[7 + i // 3], 0.0)  # a bound can only push upwards
             total += x[i]
-            gradient += y[6] + min(y[7 + i // 3], 0.0)  # a bound can only push upwards
+            gradient += y[6] + push
+            above = x[i] - least
+            bound = max(bound, -above, abs(push * above) / pull)
         slope = max(slope, abs(gradient))
-    return np.abs(unbalanced).max(), abs(total), slope / weights.max()
+    size = max(np.abs(x).max(), 1.0)
+    return (
+        np.abs(unbalanced).max() / size,
+        abs(total) / size,
+        slope / weights.max() / size,
+        bound / size,
+    )

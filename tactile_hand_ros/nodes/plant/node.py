@@ -26,6 +26,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import PlantDriver
 from tactile_hand_ros.nodes.publishers import report_publishers
+from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -90,7 +91,22 @@ class PlantNode(TactileNode[PlantConfig]):
             report_publishers(self, topic)
         put("touching", int(state.contacts.touching.sum()))
         put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
-        put("contact_residual", self._run.plant.contact_residual)
+        self._report_contact_laws()
+
+    def _report_contact_laws(self) -> None:
+        """Report how well the contact laws hold, and warn of steps in which they do not."""
+        put, plant = self.diagnostics.value, self._run.plant
+        put("contact_residual", plant.contact_residual)
+        put("relaxed_steps", plant.relaxed_steps)
+        put("unsolved_steps", plant.unsolved_steps)
+        self.diagnostics.judge(
+            "contact laws",
+            plant.relaxed_steps + plant.unsolved_steps > 0,
+            f"contact laws were relaxed in {plant.relaxed_steps} steps (jammed penetrations were "
+            f"kept) and not met in {plant.unsolved_steps} since the start; lower friction or "
+            "plant.time_step, or start without penetration",
+            WARN,
+        )
 
     def _on_command(self, data: bytes) -> None:
         stamp, (torque,) = self._joints.decode(data)

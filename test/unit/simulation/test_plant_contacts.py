@@ -59,8 +59,8 @@ def test_every_state_obeys_the_contact_laws(friction, layout):
             size = max(1e-3, normal.max())
             assert normal.min() >= 0.0
             assert (push <= friction * normal + 1e-7 * size).all()
-            # The position moves with the mean of the velocities before and after an impact.
-            assert state.gaps.min() > -5e-4
+            assert world.relaxed_steps == world.unsolved_steps == 0
+            assert state.gaps.min() > -5e-5
             for i in range(3):
                 speed = np.linalg.norm(state.sliding[i])
                 if normal[i] == 0.0:
@@ -143,8 +143,8 @@ def test_a_stuck_grasp_neither_gains_nor_loses_energy():
     for step in (0.002, 0.001, 0.0005):
         gained, work = work_and_energy(step)
         errors.append(abs(gained - work) / abs(work))
-    assert errors[1] < 2e-3
-    assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
+    assert errors[1] < 1e-4
+    assert errors[1] < 0.35 * errors[0] and errors[2] < 0.35 * errors[1]
 
 
 def test_gap_of_a_stuck_grasp_stays_closed_to_second_order():
@@ -249,7 +249,9 @@ def test_contacts_roll_equally_far_over_tip_and_face():
         arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after)]
         before = after
     assert arcs.max() > 0.005
-    np.testing.assert_allclose(arcs[0], arcs[1], rtol=0.01)
+    # Their difference is what `slid` shows, of second order in the step.
+    np.testing.assert_allclose(arcs[0], arcs[1], rtol=1e-4)
+    assert world.state.slid.max() < 2e-6
 
 
 def test_contact_points_of_both_bodies_move_alike():

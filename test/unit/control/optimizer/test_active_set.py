@@ -30,7 +30,7 @@ def test_every_start_ends_at_the_same_forces(grasp, start):
     expected, _, _ = solve_exactly(balance, weights, 0.0, np.zeros(3, dtype=bool))
     x, y, systems = solve_exactly(balance, weights, 0.0, np.array(start))
     np.testing.assert_allclose(x, expected, atol=1e-13)
-    assert systems and max(optimality(x, y, balance, weights)) < 1e-13
+    assert systems and max(optimality(x, y, balance, weights, 0.0)) < 1e-13
 
 
 def test_a_grasp_that_moves_little_takes_one_system():

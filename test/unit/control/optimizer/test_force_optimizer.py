@@ -7,10 +7,14 @@ from support.exact import best_forces
 from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import collinearity_margin
+from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
     Status,
+    optimality,
+    scaled_balance,
 )
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -198,3 +202,49 @@ def test_four_contacts_on_four_faces_share_alike():
     points = HALF * np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
     found = optimizer(4).solve(contacts_at(points, -points))
     np.testing.assert_allclose(found.forces, np.tile([0.0, 0.25, 0.0], (4, 1)), atol=1e-10)
+
+
+def thin_plates(number):
+    """Return grasps of a plate whose normals are nearly parallel, with their optimal forces."""
+    random, found = np.random.default_rng(5), []
+    while len(found) < number:
+        points = random.uniform(-0.1, 0.1, (3, 3)) * [1.0, 1.0, 10.0 ** random.uniform(-3.0, 0.0)]
+        normals = np.outer(random.choice([-1.0, 1.0], 3), [0.0, 0.0, 1.0])
+        normals += 10.0 ** random.uniform(-3.0, -0.5) * random.standard_normal((3, 3))
+        grasp = contacts_at(points, normals)
+        forces = best_forces(grasp, W) if collinearity_margin(points) > 0.01 else None
+        if forces is not None and 30.0 < np.abs(forces).max() < 1000.0:
+            found.append((grasp, forces))
+    return found
+
+
+def test_thin_plates_that_balance_with_large_forces_are_solved():
+    for grasp, expected in thin_plates(60):
+        for solver in ("exact", "osqp"):
+            found = optimizer(solver=solver).solve(grasp)
+            assert found.ok, (found.reason, expected)
+            np.testing.assert_allclose(found.forces, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_an_answer_counts_by_its_residuals_where_osqp_stops_at_its_limit():
+    """No step of OSQP is enough, but what the exact method finds has no residual."""
+    solver = optimizer(solver="osqp")
+    solver._solver._wrapper.update_settings(max_iter=1)
+    found = solver.solve(three_faces())
+    assert found.ok and found.residual < 1e-12
+    np.testing.assert_allclose(found.forces, THREE_FACES, atol=1e-10)
+
+
+def test_each_residual_judges_its_own_condition():
+    grasp = three_faces()
+    balance = scaled_balance(grasp.positions, grasp.rotations)
+    x, y, _ = solve_exactly(balance, W, 0.0, np.zeros(3, dtype=bool))
+    assert max(optimality(x, y, balance, W, 0.0)) < 1e-14
+    # Twice the forces are balanced, but not of sum 1 nor cheapest.
+    unbalanced, off, slope, bound = optimality(2.0 * x, y, balance, W, 0.0)
+    assert unbalanced < 1e-14 and bound == 0.0
+    assert off == pytest.approx(1.0) and slope > 0.01
+    # A bound above a finger's share is missed, and one below that pulls is not touched.
+    assert optimality(x, y, balance, W, 0.2)[3] == pytest.approx(0.2 - 1.0 / 13.0)
+    y[7] = -1.0
+    assert optimality(x, y, balance, W, 0.0)[3] == pytest.approx(6.0 / 13.0 / 10.0)
