@@ -41,7 +41,8 @@ def is_exportable() -> bool:
 def export(dispatcher: Any) -> Code:
     """Return the machine code of a function that Numba has compiled for one kind of arguments.
 
-    Where there are several, the one without views counts: others come from compiled functions.
+    Where there are several, the one without views and literals counts: others come from compiled
+    functions. One that compiled functions alone call, with literals, may be any of them.
 
     Raises:
         UnknownCodeError: If it cannot be told which, or for code of an unknown sort.
@@ -49,6 +50,7 @@ def export(dispatcher: Any) -> Code:
     kinds = list(dispatcher.overloads.values())
     if len(kinds) > 1:
         kinds = [made for made in kinds if not _takes_views(made)]
+        kinds = [made for made in kinds if not _takes_literals(made)] or kinds[:1]
     if len(kinds) != 1:
         raise UnknownCodeError(f"{dispatcher} is compiled for {len(kinds)} kinds of arguments")
     (compiled,) = kinds
@@ -60,6 +62,10 @@ def export(dispatcher: Any) -> Code:
 
 def _takes_views(compiled: Any) -> bool:
     return any(getattr(kind, "layout", "C") != "C" for kind in compiled.signature.args)
+
+
+def _takes_literals(compiled: Any) -> bool:
+    return any(hasattr(kind, "literal_value") for kind in compiled.signature.args)
 
 
 class _Elf(NamedTuple):
