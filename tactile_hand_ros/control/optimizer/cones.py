@@ -35,10 +35,12 @@ class Cones:
     Attributes:
         usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
         load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+        elapsed: Time since the cones before these, s; 0 where there were none.
     """
 
     usable_friction: Array
     load: Array
+    elapsed: float = 0.0
 
     def holds(self, forces: Array) -> bool:
         """Return whether forces f* under the load lie in the pyramids of the optimization.

@@ -103,7 +103,7 @@ def _needed(
         else:
             _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
         x, n, z = m["shape"]
-        alone = required_squeeze(_foreseen(m, c), (x, n, z), usable_friction[i])
+        alone = required_squeeze(_foreseen(m, c, dt), (x, n, z), usable_friction[i])
         needed = max(needed, alone)
     return needed
 
@@ -111,7 +111,7 @@ def _needed(
 @compiled
 def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
     """Smooth load, trend and shape of a contact."""
-    share, slow = min(1.0, dt / c["smoothing"]), min(1.0, dt / c["shape_smoothing"])
+    share, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
     for axis in range(3):
         m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
         before = m["load"][axis]
@@ -121,13 +121,15 @@ def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
 
 
 @compiled
-def _foreseen(m: Row, c: Row) -> tuple[float, float, float]:
+def _foreseen(m: Row, c: Row, dt: float) -> tuple[float, float, float]:
     """Return the load of a contact after the lead time.
 
-    The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
+    A load that grows at a constant rate is ahead of its low-pass by dt / (exp(dt / T) - 1); the
+    trend makes up for that and looks ahead.
     """
     (a, b, d), (x, n, z) = m["load"], m["trend"]
     speed = math.sqrt(x * x + n * n + z * z)
     real = max(0.0, 1.0 - c["least_trend"] / max(speed, 1e-12))
-    time = (c["smoothing"] + c["lead"]) * real
+    lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
+    time = (lag + c["lead"]) * real
     return a + time * x, b + time * n, d + time * z

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.slip.need import NeedConfig
 
+_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 _CALM = 0.05  # s without slip after which the next one is another, met from the squeeze of then
 
 
@@ -109,6 +110,6 @@ class Reflex:
         self._calm_for = 0.0
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
-            growth = math.exp(dt / c.doubling_time * math.log(2.0))
+            growth = math.exp(min(dt, _LONGEST) / c.doubling_time * math.log(2.0))
             self._grown = min(growth * max(self._grown, self.squeeze), limit)
         return self._grown

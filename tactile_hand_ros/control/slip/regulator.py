@@ -195,7 +195,7 @@ class SlipRegulator:
             felt = np.where(contacts.touching[:, None], forces, np.nan)
         detector, estimator = self._detector, self._estimator
         state = detector.step(felt, axes, self._own_change(), dt, estimator.estimate)
-        estimator.step(felt, state, detector.evidence, dt, detector.agrees)
+        estimator.step(felt, state, detector.evidence, dt, detector.agrees, detector.fresh)
         grips: list[int] = state.tolist()
         if Grip.SLIP in grips:
             estimator.share()

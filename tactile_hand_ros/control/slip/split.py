@@ -105,12 +105,13 @@ class ConeWatch:
         if parts is None:
             self.reset()
             return None
-        load = parts.load / parts.grasp_force
+        load, elapsed = parts.load / parts.grasp_force, 0.0
         if self._load is not None:
-            share = 1.0 - math.exp(-1e-9 * (stamp - self._stamp) / self._time)
+            elapsed = 1e-9 * (stamp - self._stamp)
+            share = 1.0 - math.exp(-elapsed / self._time)
             load = self._load + share * (load - self._load)
         self._load, self._stamp = load, stamp
-        return Cones(usable_friction, load)
+        return Cones(usable_friction, load, elapsed)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
