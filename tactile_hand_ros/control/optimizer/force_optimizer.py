@@ -25,6 +25,7 @@ from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.steady import followed
 from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
+from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -72,6 +73,7 @@ class ForceOptimizerConfig(Config):
         ge=0.0,
         le=10.0,
     )
+    reserve: ReserveConfig = ReserveConfig()
     cone_share: float = param(
         0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )

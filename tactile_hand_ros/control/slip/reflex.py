@@ -46,7 +46,7 @@ class Reflex:
     A contact that slides feels only what friction lets through, and a grasp that has lost a contact
     has no need that could be computed: both say that the squeeze is too small, not by how much. The
     squeeze then doubles at once, and again in every `doubling_time` in which the skin goes on
-    telling of slip.
+    telling of slip, or a contact that is left after another was lost is at the edge of its cone.
 
     Attributes:
         squeeze: What it asks for, N.
@@ -77,7 +77,8 @@ class Reflex:
         Args:
             needed: Squeeze that load and friction ask for, N; not finite while unknown.
             slips: Whether a slip goes on.
-            slides: Whether the newest samples tell so too.
+            slides: Whether the newest samples tell so too, or, with a contact lost, one that is left
+                carries all that its friction is trusted with.
             touching: Which contacts touch, shape (k,).
             limit: Largest squeeze, N.
             dt: Time since the last tick, s.

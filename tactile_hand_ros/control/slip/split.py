@@ -16,6 +16,7 @@ from tactile_hand_ros.control.grasp import (
     spread_wrench,
 )
 from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -77,14 +78,16 @@ def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array
 class ConeWatch:
     """Follows what the contacts carry, slowly enough that noise does not shake f*."""
 
-    def __init__(self, time: float) -> None:
-        """Smooth the load with a time constant in s."""
+    def __init__(self, time: float, reserve: ReserveConfig, contacts: int) -> None:
+        """Smooth the load of k contacts with a time constant in s and keep a reserve."""
         self._time = time
+        self._reserve = Reserve(reserve, contacts)
         self.reset()
 
     def reset(self) -> None:
-        """Forget the load."""
+        """Forget everything."""
         self._load: Array | None = None
+        self._reserve.reset()
         self._stamp = 0
 
     def step(
@@ -103,7 +106,7 @@ class ConeWatch:
         """
         parts = _grasp(contacts, forces)
         if parts is None:
-            self.reset()
+            self._load = None  # the past that the reserve follows stays
             return None
         load, elapsed = parts.load / parts.grasp_force, 0.0
         if self._load is not None:
@@ -111,7 +114,9 @@ class ConeWatch:
             share = 1.0 - math.exp(-elapsed / self._time)
             load = self._load + share * (load - self._load)
         self._load, self._stamp = load, stamp
-        return Cones(usable_friction, load, elapsed)
+        radii = self._reserve.step(parts.load, elapsed)
+        reserve = radii / parts.grasp_force * np.sqrt(1.0 + usable_friction**-2)
+        return Cones(usable_friction, load, elapsed, reserve)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:

@@ -80,7 +80,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._force_publishers = [
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
-        self._cone_watch = ConeWatch(self.config.load_time)
+        self._cone_watch = ConeWatch(self.config.load_time, self.config.reserve, self._fingers)
         shapes = self.config.cones
         self._rehearse(shapes)
         declared = (
