@@ -102,7 +102,7 @@ class ConeOptimizer:
         rows = self._fixed.copy()
         rows[:6, :n] = balance.T
         upper = self._upper.copy()
-        load = cones.ready_for
+        load = cones.wanted_load
         for i in range(k):
             slope, cone = INSIDE * cones.usable_friction[i], self._cone_rows(i)
             rows[cone, 3 * i + 1] = -slope

@@ -74,6 +74,13 @@ class ForceOptimizerConfig(Config):
         le=10.0,
     )
     reserve: ReserveConfig = ReserveConfig()
+    squeeze_share: float = param(
+        0.7,
+        "share of the present squeeze with which f* should do, so that it can be lowered",
+        live=True,
+        gt=0.0,
+        le=1.0,
+    )
     cone_share: float = param(
         0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )

@@ -72,6 +72,7 @@ class SlipRegulator:
         goal: Squeeze that the user asked for last, N; used inside the limits in force.
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
             shape can hold, NaN while unknown or not looked at (mode user).
+        ready: The same with a reserve for loads that may come, N.
         state: `Grip` of each contact, shape (k,).
         learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
@@ -105,7 +106,7 @@ class SlipRegulator:
         self.grasp_force: float = start
         self._asked = self.goal = start
         self._reflex.start(start)
-        self.needed = math.nan
+        self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
         self._need.reset()
         self._squeezes: deque[float] = deque(maxlen=3)
@@ -177,19 +178,19 @@ class SlipRegulator:
     def _feel(self, stamp: int, contacts: Contacts, forces: Array, dt: float) -> None:
         """Update slip, friction and the needed squeeze from touch."""
         if self.config.mode == "user":  # whose squeeze needs no opinion on what would hold
-            self.needed = math.nan
+            self.needed = self.ready = math.nan
             self._watch(stamp, contacts, forces, self._normals, dt)
             return
         parts = self._split(contacts, forces)
         axes = self._normals if parts is None else parts.squeeze
         grips = self._watch(stamp, contacts, forces, axes, dt)
-        self.needed, ready = self._needed(parts, dt)
+        self.needed, self.ready = self._needed(parts, dt)
         slips = Grip.SLIP in grips
         slides = (Grip.SLIP, True) in zip(grips, self._detector.agrees.tolist(), strict=True)
         limit, touching = self.config.maximum, contacts.touching
         if not contacts.all_touching:
             slides = slides or self._strained(touching, forces)
-        goal = max(self.needed, min(ready, limit))
+        goal = max(self.needed, min(self.ready, limit))
         self._reflex.step(goal, slips, slides, touching, limit, dt)
 
     def _strained(self, touching: NDArray[np.bool_], forces: Array) -> bool:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,14 +75,35 @@ def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array
     return load, squeeze, total, margin
 
 
+class ConeWatchConfig(Protocol):
+    """Parameters of `ConeWatch`."""
+
+    @property
+    def load_time(self) -> float:
+        """Time constant of the load, s."""
+
+    @property
+    def squeeze_share(self) -> float:
+        """Share of the squeeze that is felt with which f* should do."""
+
+    @property
+    def reserve(self) -> ReserveConfig:
+        """Loads that f* should be ready for."""
+
+
 class ConeWatch:
     """Follows what the contacts carry, slowly enough that noise does not shake f*."""
 
-    def __init__(self, time: float, reserve: ReserveConfig, contacts: int) -> None:
-        """Smooth the load of k contacts with a time constant in s and keep a reserve."""
-        self._time = time
-        self._reserve = Reserve(reserve, contacts)
+    def __init__(self, config: ConeWatchConfig, contacts: int) -> None:
+        """Follow the load of k contacts."""
+        self._reserve = Reserve(config.reserve, contacts)
+        self.configure(config)
         self.reset()
+
+    def configure(self, config: ConeWatchConfig) -> None:
+        """Take other parameters; what is known of the load stays."""
+        self._config = config
+        self._reserve.configure(config.reserve)
 
     def reset(self) -> None:
         """Forget everything."""
@@ -111,12 +132,13 @@ class ConeWatch:
         load, elapsed = parts.load / parts.grasp_force, 0.0
         if self._load is not None:
             elapsed = 1e-9 * (stamp - self._stamp)
-            share = 1.0 - math.exp(-elapsed / self._time)
+            share = 1.0 - math.exp(-elapsed / self._config.load_time)
             load = self._load + share * (load - self._load)
         self._load, self._stamp = load, stamp
-        radii = self._reserve.step(parts.load, elapsed)
-        reserve = radii / parts.grasp_force * np.sqrt(1.0 + usable_friction**-2)
-        return Cones(usable_friction, load, elapsed, reserve)
+        radii = self._reserve.step(parts.load, elapsed) / parts.grasp_force
+        ready_for = load.copy()
+        ready_for[:, 1] -= radii * np.sqrt(1.0 + usable_friction**-2)
+        return Cones(usable_friction, load, elapsed, ready_for / self._config.squeeze_share)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
