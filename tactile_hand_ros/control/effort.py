@@ -27,6 +27,6 @@ def bearable_share(squeeze: Array, rest: Array, limits: Array) -> float:
     if not beyond.any():
         return 1.0
     room = limits - np.sign(squeeze) * rest
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         shares = np.where(squeeze != 0.0, room / np.abs(squeeze), 1.0)
     return float(min(max(shares[beyond].min(), 0.0), 1.0))

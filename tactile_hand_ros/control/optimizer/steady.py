@@ -20,6 +20,7 @@ from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
+
 @compiled
 def followed(
     before: Array, optimum: Array, balance: Array, load: Array, friction: Array, share: float

@@ -236,13 +236,14 @@ def _bend(m: Row, x: float, n: float, z: float) -> tuple[Vector, float]:
     last two samples, or the two before, are too far apart.
     """
     last, change, before = m["last"], m["change"], m["spacing"]
+    since = m["since"] if m["since"] > 0.0 else before  # without a time it came evenly
     dx, dn, dz = x - last[0], n - last[1], z - last[2]
-    q = m["since"] / before if before > 0.0 else 1.0
+    q = since / before if before > 0.0 else 1.0
     bend = dx - q * change[0], dn - q * change[1], dz - q * change[2]
     gain = 1.0 + (1.0 + q) ** 2 + q * q if before > 0.0 else 0.0
     last[0], last[1], last[2] = x, n, z
     change[0], change[1], change[2] = dx, dn, dz
-    m["spacing"] = m["since"] if q <= _GAP else 0.0
+    m["spacing"] = since if q <= _GAP else 0.0
     m["since"] = 0.0
     if q > _GAP or gain == 0.0:
         return (0.0 * bend[0], 0.0 * bend[1], 0.0 * bend[2]), 0.0

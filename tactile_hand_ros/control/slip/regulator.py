@@ -23,6 +23,7 @@ from tactile_hand_ros.errors import CollinearContactsError, MessageError
 Array = NDArray[np.float64]
 
 _MEMORY = 4  # newest changes of the squeeze that may still show in the forces
+_RESERVED = 0.8  # share of the limit up to which a reserve is kept; the rest is for real loads
 _ON_ITS_WAY = 4_000_000  # ns for which any change may
 
 
@@ -190,7 +191,7 @@ class SlipRegulator:
         limit, touching = self.config.maximum, contacts.touching
         if not contacts.all_touching:
             slides = slides or self._strained(touching, forces)
-        goal = max(self.needed, min(self.ready, limit))
+        goal = max(self.needed, min(self.ready, _RESERVED * limit))
         self._reflex.step(goal, slips, slides, touching, limit, dt)
 
     def _strained(self, touching: NDArray[np.bool_], forces: Array) -> bool:

@@ -6,7 +6,10 @@ load within a radius delta of the present one, at each contact:
 
     delta = max(floor / k, share of the largest load of the recent past).
 
-A force stays in its cone, whatever comes within delta, where mu f_n - |f_t| >= delta sqrt(1 + mu^2):
+A force stays in its cone, whatever comes within delta, where
+
+    mu f_n - |f_t| >= delta sqrt(1 + mu^2):
+
 the cone is moved along its normal by delta sqrt(1 + 1 / mu^2).
 """
 

@@ -153,7 +153,7 @@ def scenario_of(case: LoadCase, floor: float, **changes: Any) -> Scenario:
 
 
 def run_load(case: LoadCase, floor: float, **changes: Any) -> LoadOutcome:
-    """Let a load act on a relaxed grasp and measure what it did; for `changes` see `scenario_of`."""
+    """Let a load act on a relaxed grasp and measure what it did; see `scenario_of`."""
     scenario = scenario_of(case, floor, **changes)
     record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
