@@ -77,8 +77,8 @@ class Reflex:
         Args:
             needed: Squeeze that load and friction ask for, N; not finite while unknown.
             slips: Whether a slip goes on.
-            slides: Whether the newest samples tell so too; with a contact lost also whether one that
-                is left carries all that its friction is trusted with.
+            slides: Whether the newest samples tell so too; with a contact lost also whether one
+                that is left carries all that its friction is trusted with.
             touching: Which contacts touch, shape (k,).
             limit: Largest squeeze, N.
             dt: Time since the last tick, s.
