@@ -142,7 +142,7 @@ def test_what_sticks_does_not_creep(records):
 def test_with_slip_prevention_it_is_held_more_gently(records):
     """Where the user's squeeze is more than enough, the object needs a fraction of it."""
     with_, without = records["gravity", True], records["gravity", False]
-    assert with_.grasp_force[-1] < 0.8 * without.grasp_force[-1]
+    assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
 
 
 def test_with_a_reserve_the_blow_costs_no_contact(records):
