@@ -188,6 +188,7 @@ class ForceOptimizer:
         self._k = fingers
         self._columns = 3 * fingers
         self._shaper: ConeOptimizer | None = None
+        self._shape: Array | None = None
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -289,7 +290,7 @@ class ForceOptimizer:
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
         self._shaper = None
-        self._shape: Array | None = None
+        self._shape = None
         self._held = np.zeros(k, dtype=np.bool_)
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])

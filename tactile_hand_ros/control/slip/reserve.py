@@ -83,4 +83,4 @@ def _radii(
 @compiled
 def shift(radius: float, friction: float) -> float:
     """Return by how much a cone is moved along its normal for a radius of loads, in N."""
-    return radius * np.sqrt(1.0 + 1.0 / (friction * friction))
+    return radius * math.sqrt(1.0 + 1.0 / (friction * friction))
