@@ -65,14 +65,18 @@ def slip(
     roc: Annotated[
         bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
     ] = False,
+    loads: Annotated[
+        int, typer.Option(help="Number of random loads for each floor of the reserve.", min=0)
+    ] = 0,
     formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what squeeze."""
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.studies.slip import figures as study_figures
+    from tactile_hand_ros.studies.slip import loads as slip_loads
+    from tactile_hand_ros.studies.slip import loads_report, roc_figure
     from tactile_hand_ros.studies.slip import roc as slip_roc
-    from tactile_hand_ros.studies.slip import roc_figure
     from tactile_hand_ros.studies.slip import study as slip_study
     from tactile_hand_ros.studies.slip import tables as s
 
@@ -87,6 +91,12 @@ def slip(
             points = slip_roc.run_roc(seed=seed, jobs=jobs, progress=advance)
         drawn["study_roc"] = roc_figure.roc_figure(points)
     files = s.write(result, out)
+    if loads:
+        with Progress("loading", loads * len(slip_loads.FLOORS)) as advance:
+            hit = slip_loads.run_loads(loads, seed, jobs=jobs, progress=advance)
+        drawn["study_loads"] = loads_report.loads_figure(hit)
+        files += loads_report.write(hit, out)
+        print_table(tables.rich_table("loads", loads_report.COLUMNS, loads_report.rows(hit)))
     if points:
         files += slip_roc.write(points, out)
     for name, figure in drawn.items():

@@ -48,7 +48,7 @@ class ClosedLoop:
         self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
         self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
         self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
-        self._cone_watch = ConeWatch(scenario.force_optimizer.load_time)
+        self._cone_watch = ConeWatch(scenario.force_optimizer, hand.fingers)
         self.controller = Controller(scenario.manipulation_controller)
         self.state = self.plant.state
         self.stamp = 0

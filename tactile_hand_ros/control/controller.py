@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.effort import bearable_share
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
     LawFactory,
+    LawTorque,
     ManipulationLaw,
     Target,
 )
@@ -300,6 +302,7 @@ class Controller:
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
+        parts = self._bearable(parts, theta)
         self._hold.release()
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
@@ -326,8 +329,10 @@ class Controller:
         self._hold.engage(theta, self._squeeze + self._carry)
         if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
-        torque = self._hold.torque(theta, rates) + self._more * self._squeeze
-        return Command(self._with_gravity(torque, theta), Mode.HOLD, None, reason)
+        held = self._with_gravity(self._hold.torque(theta, rates), theta)
+        more = self._more * self._squeeze
+        torque = held + bearable_share(more, held, self.hand.effort_limits) * more
+        return Command(torque, Mode.HOLD, None, reason)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
@@ -414,6 +419,13 @@ class Controller:
         if not self.config.midpoint_hold or last is None:
             return torque
         return torque + 0.5 * (torque - last)
+
+    def _bearable(self, parts: LawTorque, theta: Array) -> LawTorque:
+        """Return the torques with as much of the squeeze as the joints can bear."""
+        limits = self.hand.effort_limits
+        rest = self._with_gravity(parts.carry + parts.drive + parts.damping, theta)
+        share = bearable_share(parts.squeeze, rest, limits)
+        return parts if share == 1.0 else parts._replace(squeeze=share * parts.squeeze)
 
     def _with_gravity(self, torque: Array, theta: Array) -> Array:
         """Return a torque that carries the links too, where that is wanted."""

@@ -234,7 +234,7 @@ class ShadowLoop:
         first = {node: effects.first() for node, effects in self._configurations.items()}
         self._regulator = SlipRegulator(first[names.REGULATOR], k)
         self._optimizer = ForceOptimizer(first[names.OPTIMIZER], k)
-        self._cone_watch = ConeWatch(first[names.OPTIMIZER].load_time)
+        self._cone_watch = ConeWatch(first[names.OPTIMIZER], k)
         self._controller = Controller(first[names.CONTROLLER], law)
         arrays = {name: np.full_like(getattr(self._recorded, name), np.nan) for name in _ANSWERS}
         self._out = copy.copy(self._recorded)

@@ -7,11 +7,18 @@ from joblib import Parallel, delayed
 from support.outcomes import run_scenario, survival
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.simulation.disturbance import external_wrench
 from tactile_hand_ros.studies.slip.outcomes import SLIDING
-from tactile_hand_ros.studies.slip.survival import least_at
+from tactile_hand_ros.studies.slip.survival import least_against
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}
+NO_RESERVE = {
+    f"{place}.reserve.{name}": 0.0
+    for place in ("slip_regulator.reflex.need", "force_optimizer")
+    for name in ("floor", "share")
+}
 SCENARIOS = "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity".split()
 LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
 SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
@@ -52,11 +59,26 @@ def dropped(record):
 
 
 def over_squeeze(record, name):
-    """Mean sum of the true normal forces in the last 0.2 s against the least that holds."""
+    """Mean sum of the true normal forces in the last 0.2 s against the least that is ready.
+
+    Ready for the load and 3 N on top in the worst of six directions: the floor of the reserve.
+    """
     scenario = load_scenario(name)
     assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
     squeeze = record.true_forces[-200:, :, 1].sum(axis=1).mean()
-    return squeeze / least_at(record, scenario, record.times[-1], -1)
+    floor = scenario.slip_regulator.reflex.need.reserve.floor
+    pushes = floor * np.vstack([np.eye(3), -np.eye(3)])
+    return squeeze / max(ready_squeeze(record, scenario, push) for push in pushes)
+
+
+def ready_squeeze(record, scenario, push):
+    """Least squeeze at the end with another force on the object."""
+    plant, time = scenario.plant, scenario.duration
+    contacts = Contacts.from_poses(record.true_positions[-1], record.true_quaternions[-1])
+    wrench = external_wrench(plant.disturbances, time)
+    wrench[:3] += plant.object.mass * np.array(plant.gravity) + push
+    changes = [plant.object.friction, *(c.friction for c in plant.friction_changes)]
+    return least_against(contacts, record.object_position[-1], wrench, changes[-1])
 
 
 def final_error(record):
@@ -93,13 +115,13 @@ def test_what_a_grasp_inside_the_crush_limit_can_survive_is_survived(records, na
 
 @pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
 def test_in_the_end_it_is_squeezed_little_more_than_it_needs(records, name):
-    assert over_squeeze(records[name, True], name) < 1.4
+    assert over_squeeze(records[name, True], name) < 2.0
 
 
 def test_the_reflex_alone_squeezes_little_more_than_it_needs_where_the_user_asks_for_less(records):
     record = records["user_grip", True]
     asked_too_little = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
-    assert over_squeeze(asked_too_little, "user_grip") < 1.4
+    assert over_squeeze(asked_too_little, "user_grip") < 2.0
 
 
 def test_without_reshaping_the_third_finger_slips_when_shaken(records):
@@ -120,11 +142,17 @@ def test_what_sticks_does_not_creep(records):
 def test_with_slip_prevention_it_is_held_more_gently(records):
     """Where the user's squeeze is more than enough, the object needs a fraction of it."""
     with_, without = records["gravity", True], records["gravity", False]
-    assert with_.grasp_force[-1] < 0.7 * without.grasp_force[-1]
+    assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
 
 
-def test_a_lost_contact_is_held_safely_and_comes_back(records):
+def test_with_a_reserve_the_blow_costs_no_contact(records):
     record = records["lost_contact", True]
+    assert not np.isnan(record.true_positions).any()
+    assert slip(record) < 1e-3
+
+
+def test_a_lost_contact_is_held_safely_and_comes_back():
+    record = run_scenario("lost_contact", NO_RESERVE)
     lost = np.isnan(record.true_positions[:, 2, 0])
     assert lost.any() and not lost[-1000:].any()
     # While it is lost the controller holds, and says nothing of the object's pose.

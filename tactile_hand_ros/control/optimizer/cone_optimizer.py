@@ -102,10 +102,11 @@ class ConeOptimizer:
         rows = self._fixed.copy()
         rows[:6, :n] = balance.T
         upper = self._upper.copy()
+        load = cones.wanted_load
         for i in range(k):
             slope, cone = INSIDE * cones.usable_friction[i], self._cone_rows(i)
             rows[cone, 3 * i + 1] = -slope
-            x, normal, z = cones.load[i]
+            x, normal, z = load[i]
             upper[cone] = slope * normal - DIRECTIONS @ np.array([x, z])
         x, y, _ = self._solver.solve(rows[self._pattern.indices, self._columns], upper)
         if not np.isfinite(x).all() or not np.isfinite(y).all():

@@ -35,17 +35,27 @@ class Cones:
     Attributes:
         usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
         load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+        elapsed: Time since the cones before these, s; 0 where there were none.
+        ready_for: The same as f* is made for: with a reserve, and for less squeeze than there is;
+            None for the load itself.
     """
 
     usable_friction: Array
     load: Array
+    elapsed: float = 0.0
+    ready_for: Array | None = None
+
+    @property
+    def wanted_load(self) -> Array:
+        """What f* is made for, shape (k, 3)."""
+        return self.load if self.ready_for is None else self.ready_for
 
     def holds(self, forces: Array) -> bool:
-        """Return whether forces f* under the load lie in the pyramids of the optimization.
+        """Return whether forces f* with the reserve lie in the pyramids of the optimization.
 
         The pyramids rather than the cones, so that f* does not jump where they begin to matter.
         """
-        return inside_pyramids(forces, self.load, self.usable_friction)
+        return inside_pyramids(forces, self.wanted_load, self.usable_friction)
 
     def margin(self, forces: Array) -> float:
         """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""

@@ -23,7 +23,9 @@ from tactile_hand_ros.control.grasp import (
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.steady import followed
 from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
+from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -62,6 +64,22 @@ class ForceOptimizerConfig(Config):
     )
     load_time: float = param(
         0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
+    )
+    shape_time: float = param(
+        0.05,
+        "time constant with which f* follows the optimum inside the cones, 0 for at once",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=10.0,
+    )
+    reserve: ReserveConfig = ReserveConfig()
+    squeeze_share: float = param(
+        0.7,
+        "share of the present squeeze with which f* should do, so that it can be lowered",
+        live=True,
+        gt=0.0,
+        le=1.0,
     )
     cone_share: float = param(
         0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
@@ -170,6 +188,7 @@ class ForceOptimizer:
         self._k = fingers
         self._columns = 3 * fingers
         self._shaper: ConeOptimizer | None = None
+        self._shape: Array | None = None
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -218,7 +237,10 @@ class ForceOptimizer:
         is_exact = systems and solved.residual < _GOOD_RESIDUAL
         if not is_exact or self.config.solver == "osqp":
             solved = self._by_osqp(balance, solved)
-        return solved if cones is None or not solved.ok else self._inside(solved, balance, cones)
+        if cones is None or not solved.ok:
+            self._shape = None
+            return solved
+        return self._steadied(self._inside(solved, balance, cones), balance, cones)
 
     def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
         """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
@@ -240,6 +262,22 @@ class ForceOptimizer:
             shaped=True,
         )
 
+    def _steadied(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
+        """Follow an answer steadily, see `steady`; the first one is followed at once."""
+        before, time, forces = self._shape, self.config.shape_time, solved.forces
+        if before is not None and time > 0.0 and cones.elapsed > 0.0:
+            share = 1.0 - math.exp(-cones.elapsed / time)
+            learned = cones.usable_friction / self.config.cone_share
+            steady, found = followed(before, forces, balance, cones.load, learned, share)
+            forces = steady if found else forces
+        self._shape = forces
+        return solved._replace(
+            forces=forces,
+            balance_residual=float(np.abs(forces.ravel() @ balance).max()),
+            sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
+            cone_margin=cones.margin(forces),
+        )
+
     def _set_up(self) -> None:
         k, n = self._k, self._columns
         normals = np.arange(1, n, 3)
@@ -252,6 +290,7 @@ class ForceOptimizer:
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
         self._shaper = None
+        self._shape = None
         self._held = np.zeros(k, dtype=np.bool_)
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])

@@ -21,6 +21,8 @@ _BOUND = 3.0  # times its noise, for which a sample counts at most while the noi
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
 _BRINK = 0.95  # share of the learned friction from which on a contact may well be slipping
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
+_GAP = 2.5  # times the usual time between samples; after so long their differences begin anew
+_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 
 
 class SlipDetectorConfig(Config):
@@ -74,6 +76,9 @@ _MEMORY = np.dtype(
         ("variance", np.float64),  # of the second difference across the squeeze, per axis
         ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
         ("change", np.float64, 3),  # of it from sample to sample
+        ("since", np.float64),  # the last sample, s
+        ("spacing", np.float64),  # of the last two samples, s; 0: unknown
+        ("fresh", np.bool_),
         ("touched_for", np.float64),
         ("slipped_for", np.float64),
     ],
@@ -94,6 +99,11 @@ class SlipDetector:
     starts again from zero whenever the sum is negative, and tells slip above a threshold h. While a
     contact sticks the time between false alarms grows as exp(h). A single sample never counts for
     more than h / 4: a push on the object shows in one sample, sliding in many.
+
+    Samples need not come evenly: with q the time since the last one per time between the two before
+    it, r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)), and white noise of variance v makes it
+    (1 + (1 + q)^2 + q^2) v, which is scaled to the 6 v of even samples. After a gap the differences
+    begin anew, and evidence and noise stay as they were.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
@@ -134,6 +144,11 @@ class SlipDetector:
     def agrees(self) -> NDArray[np.bool_]:
         """Whether the newest sample of each contact told of slip rather than stick, shape (k,)."""
         return self._memory["agrees"].copy()
+
+    @property
+    def fresh(self) -> NDArray[np.bool_]:
+        """Whether the newest force of each contact is a new sample that could be judged."""
+        return self._memory["fresh"].copy()
 
     def step(
         self, forces: Array, squeeze: Array, own_change: float, dt: float, learned_friction: Array
@@ -184,38 +199,55 @@ def _detect(
 ) -> None:
     x, n, z = force
     last = m["last"]
+    m["since"] += dt
     # A sensor that is slower than the loop repeats its sample, which tells nothing.
     new = not (x == last[0] and n == last[1] and z == last[2])
-    bend = _bend(m, x, n, z) if new else (0.0, 0.0, 0.0)
+    bend, gain = _bend(m, x, n, z) if new else ((0.0, 0.0, 0.0), 0.0)
+    m["fresh"] = gain > 0.0
     if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
         m["touched_for"] = m["evidence"] = 0.0
         m["state"] = Grip.UNKNOWN
+        m["fresh"] = False
         return
-    m["touched_for"] += dt
-    power = _power_across(bend, (squeeze[0], squeeze[1], squeeze[2]))
+    known = min(dt, _LONGEST)
+    m["touched_for"] += known
+    power = 0.0
+    if m["fresh"]:
+        power = _power_across(bend, (squeeze[0], squeeze[1], squeeze[2])) * (_GAIN / gain)
     if m["touched_for"] <= c["settling_time"]:
-        if new:
-            _learn(m, c, power, dt)
+        if m["fresh"]:
+            _learn(m, c, power)
         m["evidence"] = 0.0
         m["state"] = Grip.UNKNOWN
         return
-    if new:
+    if m["fresh"]:
         brink = math.sqrt(x * x + z * z) > _BRINK * learned_friction * n
         _collect(m, c, power, n, own_change, 1.0 / 3.0 if brink else 0.25)
-    _decide(m, c, dt)
-    if new and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
-        _learn(m, c, power, dt)
+    _decide(m, c, known)
+    if m["fresh"] and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
+        _learn(m, c, power)
 
 
 @compiled
-def _bend(m: Row, x: float, n: float, z: float) -> Vector:
-    """Return the second difference of the force, NaN until there are three samples."""
-    last, change = m["last"], m["change"]
+def _bend(m: Row, x: float, n: float, z: float) -> tuple[Vector, float]:
+    """Return the second difference of the force and what it makes of white noise.
+
+    It is NaN until there are three samples. The second is 0 where the difference tells nothing: the
+    last two samples, or the two before, are too far apart.
+    """
+    last, change, before = m["last"], m["change"], m["spacing"]
+    since = m["since"] if m["since"] > 0.0 else before  # without a time it came evenly
     dx, dn, dz = x - last[0], n - last[1], z - last[2]
-    bend = dx - change[0], dn - change[1], dz - change[2]
+    q = since / before if before > 0.0 else 1.0
+    bend = dx - q * change[0], dn - q * change[1], dz - q * change[2]
+    gain = 1.0 + (1.0 + q) ** 2 + q * q if before > 0.0 else 0.0
     last[0], last[1], last[2] = x, n, z
     change[0], change[1], change[2] = dx, dn, dz
-    return bend
+    m["spacing"] = since if q <= _GAP else 0.0
+    m["since"] = 0.0
+    if q > _GAP or gain == 0.0:
+        return (0.0 * bend[0], 0.0 * bend[1], 0.0 * bend[2]), 0.0
+    return bend, gain
 
 
 @compiled
@@ -237,8 +269,9 @@ def _decide(m: Row, c: Row, dt: float) -> None:
 
 
 @compiled
-def _learn(m: Row, c: Row, power: float, dt: float) -> None:
+def _learn(m: Row, c: Row, power: float) -> None:
     """Follow the noise, quickly after touching; a push counts for no more than its noise."""
+    dt = m["spacing"]
     time = max(min(c["learning_time"], m["touched_for"]), 10.0 * dt, 1e-9)
     bounded = min(0.5 * power, _BOUND * m["variance"])
     m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])

@@ -22,6 +22,7 @@ _EXACT = 1e-4  # variance below which no force ratio is known
 _AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
 _SURE = 2.0  # standard deviations by which a force ratio must be proven
 _INERTIA = 2.0  # slips that a well known friction weighs as much as
+_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 _AGREE = 0.15  # relative difference up to which two slips show the same friction
 
 
@@ -58,6 +59,7 @@ _MEMORY = np.dtype(
         ("mean", np.float64, 3),  # force while it sticks; NaN: none yet
         ("variance", np.float64),  # of it
         ("touched_for", np.float64),
+        ("since", np.float64),  # the last new sample, s
         ("slid", np.float64, (_SAMPLES, 3)),  # the newest forces of a slip, oldest first
         ("samples", np.int64),  # how many of them are there
         ("ratios", np.float64, _READINGS),  # |f_t| / f_n of means of so many forces
@@ -117,6 +119,7 @@ class FrictionEstimator:
         evidence: Array,
         dt: float,
         agrees: NDArray[np.bool_],
+        fresh: NDArray[np.bool_],
     ) -> Array:
         """Return the estimates after a tick, shape (k,).
 
@@ -128,8 +131,10 @@ class FrictionEstimator:
             dt: Time since the last tick, s.
             agrees: Whether the newest samples tell of slip; one of a contact that the squeeze has
                 caught says nothing of friction; shape (k,).
+            fresh: Whether the forces are new samples; from one that is repeated nothing is learned
+                twice; shape (k,).
         """
-        _learn(self._memory, self._config, forces, state, evidence, dt, agrees)
+        _learn(self._memory, self._config, forces, state, evidence, dt, agrees, fresh)
         return self.estimate
 
     def share(self) -> None:
@@ -151,6 +156,7 @@ def _learn(
     evidence: Array,
     dt: float,
     agrees: NDArray[np.bool_],
+    fresh: NDArray[np.bool_],
 ) -> None:
     """Let each contact of a memory learn from its force."""
     c = config[0]
@@ -159,11 +165,16 @@ def _learn(
         if state[i] == Grip.UNKNOWN or not math.isfinite(force[0] + force[1] + force[2]):
             _forget_forces(m)
             continue
-        _follow(m, force, evidence[i], agrees[i])
+        _follow(m, force, evidence[i], agrees[i] and fresh[i])
+        m["since"] += dt
         if state[i] == Grip.SLIP:
             _slip(m, c["trust"])
         else:
-            _stick(m, c, force, dt)
+            _stick(m, c, min(dt, _LONGEST))
+            if fresh[i]:
+                m["estimate"] = max(m["estimate"], _proven(m, force, c["smoothing"]))
+        if fresh[i]:
+            m["since"] = 0.0
         m["estimate"] = min(max(m["estimate"], c["least"]), c["most"])
 
 
@@ -253,29 +264,30 @@ def _slip(m: Row, trust: float) -> None:
 
 
 @compiled
-def _stick(m: Row, c: Row, force: Array, dt: float) -> None:
+def _stick(m: Row, c: Row, dt: float) -> None:
+    """Let the estimate grow with time, the more slowly the better it is known."""
     m["quiet_for"] += dt
     if m["quiet_for"] > _AFTERSHOCKS:
         m["slips"] = False
     growth = c["explore"] + max(m["confidence"], m["caution"]) * (c["forget"] - c["explore"])
-    m["estimate"] = max(m["estimate"] * (1.0 + growth * dt), _proven(m, force, c["smoothing"], dt))
+    m["estimate"] *= 1.0 + growth * dt
 
 
 @compiled
-def _proven(m: Row, force: Array, time: float, dt: float) -> float:
+def _proven(m: Row, force: Array, time: float) -> float:
     """Return a force ratio that this contact has surely been sticking at."""
     mean = m["mean"]
     if math.isnan(mean[0]):
         mean[0], mean[1], mean[2] = force[0], force[1], force[2]
         m["variance"] = m["touched_for"] = 0.0
         return 0.0
-    share, squares = min(1.0, dt / time), 0.0
+    share, squares = 1.0 - math.exp(-m["since"] / time), 0.0
     for axis in range(3):
         off = force[axis] - mean[axis]
         mean[axis] += share * off
         squares += off * off
     m["variance"] += share * (squares / 3.0 - m["variance"])
-    m["touched_for"] += dt
+    m["touched_for"] += min(m["since"], _LONGEST)
     if m["touched_for"] < 3.0 * time:  # too early for the variance to be known
         return 0.0
     x, n, z = mean

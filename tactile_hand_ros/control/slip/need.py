@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig, shift
 from tactile_hand_ros.control.slip.split import Split, required_squeeze
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.jit.rows import Row, Rows, row_of
@@ -35,6 +36,7 @@ class NeedConfig(Config):
     lead: float = param(
         0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
     )
+    reserve: ReserveConfig = ReserveConfig()
 
 
 _MEMORY = np.dtype(
@@ -57,19 +59,26 @@ class Need:
     def __init__(self, config: NeedConfig, contacts: int) -> None:
         """Start without a grasp of k contacts."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self._reserve = Reserve(config.reserve, contacts)
         self.configure(config)
         self.reset()
 
     def configure(self, config: NeedConfig) -> None:
         """Take other parameters; load and shape stay."""
         self._config = row_of(config)
+        self._reserve.configure(config.reserve)
 
     def reset(self) -> None:
-        """Forget load and shape."""
+        """Forget everything."""
+        self.lose()
+        self._reserve.reset()
+
+    def lose(self) -> None:
+        """Forget load and shape; what the recent past has shown stays."""
         self._memory["load"] = np.nan
 
-    def step(self, parts: Split, usable_friction: Array, dt: float) -> float:
-        """Return the least squeeze that keeps every contact inside its cone, N.
+    def step(self, parts: Split, usable_friction: Array, dt: float) -> tuple[float, float]:
+        """Return the least squeeze that keeps every contact inside its cone, and with a reserve, N.
 
         Args:
             parts: Measured forces as load and squeeze; the squeeze must push.
@@ -77,9 +86,11 @@ class Need:
             dt: Time since the last tick, s.
 
         Returns:
-            Infinite when no squeeze of the present shape can hold.
+            The first is infinite when no squeeze of the present shape can hold. The second is the
+            first for a contact that no squeeze of this shape gives the reserve.
         """
-        return _needed(self._memory, self._config, *parts, usable_friction, dt)
+        radii = self._reserve.step(parts.load, dt)
+        return _needed(self._memory, self._config, *parts, usable_friction, radii, dt)
 
 
 @compiled
@@ -90,10 +101,11 @@ def _needed(
     squeeze: Array,
     grasp_force: float,
     usable_friction: Array,
+    radii: Array,
     dt: float,
-) -> float:
-    """Return what the neediest contact of a memory needs, N."""
-    c, needed = config[0], 0.0
+) -> tuple[float, float]:
+    """Return what the neediest contact of a memory needs, and with a reserve, N."""
+    c, needed, ready = config[0], 0.0, 0.0
     for i in range(len(memory)):
         m = memory[i]
         if dt == 0.0 or math.isnan(m["load"][0]):
@@ -103,15 +115,18 @@ def _needed(
         else:
             _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
         x, n, z = m["shape"]
-        alone = required_squeeze(_foreseen(m, c), (x, n, z), usable_friction[i])
+        mu, (a, b, d) = usable_friction[i], _foreseen(m, c, dt)
+        alone = required_squeeze((a, b, d), (x, n, z), mu)
+        more = required_squeeze((a, b - shift(radii[i], mu), d), (x, n, z), mu)
         needed = max(needed, alone)
-    return needed
+        ready = max(ready, more if math.isfinite(more) else alone)
+    return needed, ready
 
 
 @compiled
 def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
     """Smooth load, trend and shape of a contact."""
-    share, slow = min(1.0, dt / c["smoothing"]), min(1.0, dt / c["shape_smoothing"])
+    share, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
     for axis in range(3):
         m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
         before = m["load"][axis]
@@ -121,13 +136,15 @@ def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
 
 
 @compiled
-def _foreseen(m: Row, c: Row) -> tuple[float, float, float]:
+def _foreseen(m: Row, c: Row, dt: float) -> tuple[float, float, float]:
     """Return the load of a contact after the lead time.
 
-    The smoothed load lags by its time constant; the trend makes up for it and looks ahead.
+    A load that grows at a constant rate is ahead of its low-pass by dt / (exp(dt / T) - 1); the
+    trend makes up for that and looks ahead.
     """
     (a, b, d), (x, n, z) = m["load"], m["trend"]
     speed = math.sqrt(x * x + n * n + z * z)
     real = max(0.0, 1.0 - c["least_trend"] / max(speed, 1e-12))
-    time = (c["smoothing"] + c["lead"]) * real
+    lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
+    time = (lag + c["lead"]) * real
     return a + time * x, b + time * n, d + time * z

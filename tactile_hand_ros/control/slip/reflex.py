@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.slip.need import NeedConfig
 
+_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 _CALM = 0.05  # s without slip after which the next one is another, met from the squeeze of then
 
 
@@ -45,7 +46,7 @@ class Reflex:
     A contact that slides feels only what friction lets through, and a grasp that has lost a contact
     has no need that could be computed: both say that the squeeze is too small, not by how much. The
     squeeze then doubles at once, and again in every `doubling_time` in which the skin goes on
-    telling of slip.
+    telling of slip, or a contact that is left after another was lost is at the edge of its cone.
 
     Attributes:
         squeeze: What it asks for, N.
@@ -76,7 +77,8 @@ class Reflex:
         Args:
             needed: Squeeze that load and friction ask for, N; not finite while unknown.
             slips: Whether a slip goes on.
-            slides: Whether the newest samples tell so too.
+            slides: Whether the newest samples tell so too; with a contact lost also whether one
+                that is left carries all that its friction is trusted with.
             touching: Which contacts touch, shape (k,).
             limit: Largest squeeze, N.
             dt: Time since the last tick, s.
@@ -109,6 +111,6 @@ class Reflex:
         self._calm_for = 0.0
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
-            growth = math.exp(dt / c.doubling_time * math.log(2.0))
+            growth = math.exp(min(dt, _LONGEST) / c.doubling_time * math.log(2.0))
             self._grown = min(growth * max(self._grown, self.squeeze), limit)
         return self._grown

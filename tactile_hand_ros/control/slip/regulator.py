@@ -22,7 +22,9 @@ from tactile_hand_ros.errors import CollinearContactsError, MessageError
 
 Array = NDArray[np.float64]
 
-_MEMORY = 6  # ticks in which a change of the squeeze shows in the forces
+_MEMORY = 4  # newest changes of the squeeze that may still show in the forces
+_RESERVED = 0.8  # share of the limit up to which a reserve is kept; the rest is for real loads
+_ON_ITS_WAY = 4_000_000  # ns for which any change may
 
 
 class SlipRegulatorConfig(Config):
@@ -71,6 +73,7 @@ class SlipRegulator:
         goal: Squeeze that the user asked for last, N; used inside the limits in force.
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
             shape can hold, NaN while unknown or not looked at (mode user).
+        ready: The same with a reserve for loads that may come, N.
         state: `Grip` of each contact, shape (k,).
         learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
@@ -104,11 +107,11 @@ class SlipRegulator:
         self.grasp_force: float = start
         self._asked = self.goal = start
         self._reflex.start(start)
-        self.needed = math.nan
+        self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
         self._need.reset()
         self._squeezes: deque[float] = deque(maxlen=3)
-        self._bends: deque[float] = deque(maxlen=_MEMORY - 2)
+        self._bends: deque[tuple[int, float]] = deque()
         self._detector.reset()
         self._estimator.reset()
 
@@ -157,7 +160,7 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            self._feel(contacts, forces, dt)
+            self._feel(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -173,41 +176,58 @@ class SlipRegulator:
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 
-    def _feel(self, contacts: Contacts, forces: Array, dt: float) -> None:
+    def _feel(self, stamp: int, contacts: Contacts, forces: Array, dt: float) -> None:
         """Update slip, friction and the needed squeeze from touch."""
         if self.config.mode == "user":  # whose squeeze needs no opinion on what would hold
-            self.needed = math.nan
-            self._watch(contacts, forces, self._normals, dt)
+            self.needed = self.ready = math.nan
+            self._watch(stamp, contacts, forces, self._normals, dt)
             return
         parts = self._split(contacts, forces)
         axes = self._normals if parts is None else parts.squeeze
-        grips = self._watch(contacts, forces, axes, dt)
-        self.needed = self._needed(parts, dt)
+        grips = self._watch(stamp, contacts, forces, axes, dt)
+        self.needed, self.ready = self._needed(parts, dt)
         slips = Grip.SLIP in grips
         slides = (Grip.SLIP, True) in zip(grips, self._detector.agrees.tolist(), strict=True)
-        limit = self.config.maximum
-        self._reflex.step(self.needed, slips, slides, contacts.touching, limit, dt)
+        limit, touching = self.config.maximum, contacts.touching
+        if not contacts.all_touching:
+            slides = slides or self._strained(touching, forces)
+        goal = max(self.needed, min(self.ready, _RESERVED * limit))
+        self._reflex.step(goal, slips, slides, touching, limit, dt)
 
-    def _watch(self, contacts: Contacts, forces: Array, axes: Array, dt: float) -> list[int]:
+    def _strained(self, touching: NDArray[np.bool_], forces: Array) -> bool:
+        """Return whether a contact that is left carries all that its friction is trusted with."""
+        usable = self._usable_friction()
+        tangential = np.hypot(forces[:, 0], forces[:, 2])
+        return bool((tangential > usable * forces[:, 1])[touching].any())
+
+    def _usable_friction(self) -> Array:
+        return self.learned_friction / (1.0 + self.config.reflex.margin)
+
+    def _watch(
+        self, stamp: int, contacts: Contacts, forces: Array, axes: Array, dt: float
+    ) -> list[int]:
         """Update detectors and friction; return the `Grip` of each contact."""
         felt = forces
         if not contacts.all_touching:
             felt = np.where(contacts.touching[:, None], forces, np.nan)
         detector, estimator = self._detector, self._estimator
-        state = detector.step(felt, axes, self._own_change(), dt, estimator.estimate)
-        estimator.step(felt, state, detector.evidence, dt, detector.agrees)
+        state = detector.step(felt, axes, self._own_change(stamp), dt, estimator.estimate)
+        estimator.step(felt, state, detector.evidence, dt, detector.agrees, detector.fresh)
         grips: list[int] = state.tolist()
         if Grip.SLIP in grips:
             estimator.share()
         return grips
 
-    def _own_change(self) -> float:
+    def _own_change(self, stamp: int) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
         self._squeezes.append(self.grasp_force)
+        bends = self._bends
         if len(self._squeezes) == 3:
             a, b, c = self._squeezes
-            self._bends.append(abs(c - 2.0 * b + a))
-        return max(self._bends, default=0.0)
+            bends.append((stamp, abs(c - 2.0 * b + a)))
+        while len(bends) > _MEMORY and bends[0][0] <= stamp - _ON_ITS_WAY:
+            bends.popleft()
+        return max((bend for _, bend in bends), default=0.0)
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
@@ -218,9 +238,9 @@ class SlipRegulator:
         except CollinearContactsError:
             return None
 
-    def _needed(self, parts: Split | None, dt: float) -> float:
+    def _needed(self, parts: Split | None, dt: float) -> tuple[float, float]:
+        """Return the least squeeze that holds, and with a reserve, N; NaN while unknown."""
         if parts is None or parts.grasp_force <= 0.0:
-            self._need.reset()
-            return math.nan
-        usable_friction = self.learned_friction / (1.0 + self.config.reflex.margin)
-        return self._need.step(parts, usable_friction, dt)
+            self._need.lose()
+            return math.nan, math.nan
+        return self._need.step(parts, self._usable_friction(), dt)

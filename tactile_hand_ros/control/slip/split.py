@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from tactile_hand_ros.control.grasp import (
     spread_wrench,
 )
 from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -74,17 +75,40 @@ def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array
     return load, squeeze, total, margin
 
 
+class ConeWatchConfig(Protocol):
+    """Parameters of `ConeWatch`."""
+
+    @property
+    def load_time(self) -> float:
+        """Time constant of the load, s."""
+
+    @property
+    def squeeze_share(self) -> float:
+        """Share of the squeeze that is felt with which f* should do."""
+
+    @property
+    def reserve(self) -> ReserveConfig:
+        """Loads that f* should be ready for."""
+
+
 class ConeWatch:
     """Follows what the contacts carry, slowly enough that noise does not shake f*."""
 
-    def __init__(self, time: float) -> None:
-        """Smooth the load with a time constant in s."""
-        self._time = time
+    def __init__(self, config: ConeWatchConfig, contacts: int) -> None:
+        """Follow the load of k contacts."""
+        self._reserve = Reserve(config.reserve, contacts)
+        self.configure(config)
         self.reset()
 
+    def configure(self, config: ConeWatchConfig) -> None:
+        """Take other parameters; what is known of the load stays."""
+        self._config = config
+        self._reserve.configure(config.reserve)
+
     def reset(self) -> None:
-        """Forget the load."""
+        """Forget everything."""
         self._load: Array | None = None
+        self._reserve.reset()
         self._stamp = 0
 
     def step(
@@ -103,14 +127,18 @@ class ConeWatch:
         """
         parts = _grasp(contacts, forces)
         if parts is None:
-            self.reset()
+            self._load = None  # the past that the reserve follows stays
             return None
-        load = parts.load / parts.grasp_force
+        load, elapsed = parts.load / parts.grasp_force, 0.0
         if self._load is not None:
-            share = 1.0 - math.exp(-1e-9 * (stamp - self._stamp) / self._time)
+            elapsed = 1e-9 * (stamp - self._stamp)
+            share = 1.0 - math.exp(-elapsed / self._config.load_time)
             load = self._load + share * (load - self._load)
         self._load, self._stamp = load, stamp
-        return Cones(usable_friction, load)
+        radii = self._reserve.step(parts.load, elapsed) / parts.grasp_force
+        ready_for = load.copy()
+        ready_for[:, 1] -= radii * np.sqrt(1.0 + usable_friction**-2)
+        return Cones(usable_friction, load, elapsed, ready_for / self._config.squeeze_share)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:

@@ -80,7 +80,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._force_publishers = [
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
-        self._cone_watch = ConeWatch(self.config.load_time)
+        self._cone_watch = ConeWatch(self.config, self._fingers)
         shapes = self.config.cones
         self._rehearse(shapes)
         declared = (
@@ -104,6 +104,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def on_config(self, config: ForceOptimizerConfig) -> None:
         """Take other weights or another least share."""
         self._optimizer.configure(config)
+        self._cone_watch.configure(config)
         self._accepted.configuration(config)
 
     def on_report(self) -> None:

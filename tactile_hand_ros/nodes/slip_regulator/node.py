@@ -66,6 +66,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
     end a slip).
 
+    A node that is late answers the newest ticks only, but feels all of them.
+
     Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
     learned, as a jump back of the stamps does.
 
@@ -104,7 +106,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
         )
         declared = (streams.contacts(len(fingers)), streams.forces(fingers))
-        self._inputs = TickInputs(self, declared, self)
+        self._inputs = TickInputs(self, declared, self, observe=self._observe)
         self.create_service(Trigger, names.RESET, self._on_reset)
 
     def _rehearse(self, fingers: int) -> None:
@@ -156,6 +158,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
+
+    def _observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
+        """Feel a tick that is too late to be answered: a slip shows in the samples in a row."""
+        self._regulator.step(stamp, contacts, forces)
 
     def _checked(self, grasp_force: float) -> float:
         """Let a squeeze pass that may be published.

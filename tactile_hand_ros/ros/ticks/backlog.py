@@ -66,16 +66,17 @@ class Backlog(Generic[T]):
         """Add a complete tick [ns]; a second one of the same stamp replaces the first."""
         self._waiting[stamp_ns] = values
 
-    def take(self) -> list[tuple[int, T]]:
-        """Return the ticks to answer, oldest first [ns], and skip the others."""
+    def take(self) -> list[tuple[int, T, bool]]:
+        """Return all ticks that waited, oldest first [ns], and whether each is to be answered."""
         waiting, self._waiting = self._waiting, {}
         stamps = list(waiting)
+        answered = set(stamps)
         if len(stamps) > 1:
-            stamps = chosen(stamps, self._previous)
-            self.skipped += len(waiting) - len(stamps)
-        if stamps:
-            self._previous = stamps[-1]
-        return [(stamp, waiting[stamp]) for stamp in stamps]
+            answered = set(chosen(stamps, self._previous))
+            self.skipped += len(stamps) - len(answered)
+        if answered:
+            self._previous = max(answered)
+        return [(stamp, values, stamp in answered) for stamp, values in waiting.items()]
 
     def clear(self) -> None:
         """Forget the ticks that wait."""

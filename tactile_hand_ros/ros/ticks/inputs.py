@@ -58,6 +58,7 @@ class TickInputs:
         listener: TickListener,
         *,
         silence: float | None = None,
+        observe: Callable[..., None] | None = None,
     ) -> None:
         """Create the subscriptions.
 
@@ -67,8 +68,11 @@ class TickInputs:
             listener: Answers the ticks; in general the node itself.
             silence: Time after which inputs count as missing [s]; None never passes on a tick that
                 is not complete.
+            observe: Takes what `on_tick` would, for each tick that is skipped, in its turn: for a
+                node that has to know every sample although it answers only the newest.
         """
         self._node = node
+        self._observe = observe
         self._listener: Any = listener
         self._streams = streams
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
@@ -163,9 +167,12 @@ class TickInputs:
         ticks = self._backlog.take()
         if self._backlog.skipped > skipped:
             self._node.diagnostics.value("ticks_left_out", self._backlog.skipped)
-        for stamp, matched in ticks:
+        for stamp, matched, is_answered in ticks:
+            take = self._listener.on_tick if is_answered else self._observe
+            if take is None:
+                continue
             try:
-                self._listener.on_tick(stamp, *self._values(matched))
+                take(stamp, *self._values(matched))
             except TactileHandError as error:
                 self._node.reject(self._trigger, error)
         self._node.tick_done()

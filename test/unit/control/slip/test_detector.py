@@ -235,3 +235,49 @@ def test_a_detector_that_was_reset_cannot_be_told_from_a_new_one():
     again = np.concatenate([sticking(80, seed=3), sliding(20, seed=4)])
     np.testing.assert_array_equal(run(again, used), run(again, fresh))
     assert used.evidence == fresh.evidence > 0.0
+
+
+def at_stamps(forces, steps, detector=None):
+    """Return what a detector says of forces that come at uneven steps, in ms."""
+    detector = detector or SlipDetector(SlipDetectorConfig(), 1)
+    mu = np.array([np.inf])
+    return np.array(
+        [
+            detector.step(np.array([force]), NORMAL, 0.0, 1e-3 * step, mu)[0]
+            for force, step in zip(forces, steps, strict=True)
+        ]
+    )
+
+
+def test_uneven_samples_are_as_quiet_as_even_ones():
+    """Every second sample comes twice as late: white noise weighs 14/6, 3.5/6 of the even one."""
+    steps = np.tile([1.0, 2.0], 10_000)
+    detector = SlipDetector(SlipDetectorConfig(), 1)
+    told = at_stamps(sticking(20_000), steps, detector)
+    assert (told[100:] == Grip.STICK).all()
+    assert detector._memory["variance"][0] == pytest.approx(6.0 * 0.01**2, rel=0.15)
+
+
+@pytest.mark.parametrize("gap", range(1, 51))
+def test_a_gap_is_no_slip_whatever_the_load_did_in_it(gap):
+    """Of 1 to 50 ticks, in which the load moved on by 3 N; the noise that was learned stays."""
+    forces = sticking(600)
+    forces[500:, 0] += 3.0
+    forces[:, 2] += 0.02 * np.arange(600)  # and one that grows all the time
+    forces[500:, 2] += 0.02 * gap
+    steps = np.ones(600)
+    steps[500] += gap
+    detector = SlipDetector(SlipDetectorConfig(), 1)
+    told = at_stamps(forces, steps, detector)
+    assert not (told == Grip.SLIP).any()
+    assert (told[100:] == Grip.STICK).all()
+    assert detector.evidence[0] < 1.0
+    assert detector._memory["variance"][0] == pytest.approx(6.0 * 0.01**2, rel=0.3)
+
+
+@pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
+def test_sliding_is_found_within_ten_samples_at_any_rate(rate):
+    forces = np.concatenate([sticking(1000), sliding(50)])
+    told = at_stamps(forces, np.full(1050, 1e3 / rate))
+    assert not (told[:1000] == Grip.SLIP).any()
+    assert (told[1000:1010] == Grip.SLIP).any()

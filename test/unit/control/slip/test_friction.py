@@ -11,12 +11,21 @@ DT = 0.001
 
 
 def feel(
-    estimator, ratios, state, evidence, contact=0, agrees=True, normal=5.0, noise=0.01, seed=0
+    estimator,
+    ratios,
+    state,
+    evidence,
+    contact=0,
+    agrees=True,
+    fresh=True,
+    normal=5.0,
+    noise=0.01,
+    seed=0,
 ):
     """Feed force ratios to one contact, one a tick, and return its last estimate."""
     random = np.random.default_rng(seed)
     k = len(estimator.estimate)
-    told = np.full(k, state), np.full(k, evidence), DT, np.full(k, agrees)
+    told = np.full(k, state), np.full(k, evidence), DT, np.full(k, agrees), np.full(k, fresh)
     forces = np.full((k, 3), np.nan)
     for ratio in ratios:
         forces[contact] = np.array([ratio * normal, normal, 0.0]) + noise * random.standard_normal(
@@ -183,7 +192,12 @@ def test_each_contact_learns_only_while_its_own_samples_tell_of_slip():
     hand, forces = still(contacts=3), np.array([[1.0, 5.0, 0.0], [0.5, 5.0, 0.0], [0.2, 2.0, 0.0]])
     for _ in range(6):
         hand.step(
-            forces, np.full(3, Grip.SLIP), np.full(3, 22.0), DT, np.array([False, True, False])
+            forces,
+            np.full(3, Grip.SLIP),
+            np.full(3, 22.0),
+            DT,
+            np.array([False, True, False]),
+            np.full(3, True),
         )
     assert hand.estimate[1] < 0.2 < 0.5 < hand.confidence[1]
     np.testing.assert_array_equal(hand.estimate[[0, 2]], 0.4)
@@ -202,3 +216,11 @@ def test_a_neighbour_is_believed_half_and_only_by_one_that_knows_less_than_that(
     np.testing.assert_allclose(hand.estimate[[1, 2]], expected)
     np.testing.assert_allclose(hand.confidence, [sure[0], half, half, sure[3]])
     np.testing.assert_array_equal(hand.estimate[[0, 3]], before[[0, 3]])
+
+
+def test_a_sample_that_is_repeated_is_learned_from_once():
+    """A slow skin repeats each sample; one alone is no reading of a slip."""
+    estimator = still()
+    assert slip(estimator, 0.2, fresh=False) == pytest.approx(0.4)
+    assert estimator.confidence[0] == 0.0
+    assert quiet(estimator, 0.5, ratio=0.9, fresh=False) == pytest.approx(0.4)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.control.slip.need import Need, NeedConfig
+from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.control.slip.split import Split
 
 MU = np.array([0.5, 0.5, 0.5])
@@ -13,6 +14,8 @@ SHARES = np.array([0.5, 0.2, 0.3])
 SHAPE = np.array([[0.0, 0.475, 0.0], [0.0, 0.475, 0.0], [0.0, 0.05, 0.0]])
 WEIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 DT = 0.001
+NO_RESERVE = ReserveConfig(floor=0.0, share=0.0)
+LAG = DT / np.expm1(DT / 0.005)  # of a ramp behind its low-pass
 
 
 def felt(load, squeeze):
@@ -20,13 +23,13 @@ def felt(load, squeeze):
 
 
 def fresh():
-    return Need(NeedConfig(), len(MU))
+    return Need(NeedConfig(reserve=NO_RESERVE), len(MU))
 
 
 def follow(need, load, ticks, squeeze=6.0, noise=0.0, seed=0):
     random = np.random.default_rng(seed)
     shake = noise * random.standard_normal((ticks, 3, 3))
-    return [need.step(felt(load, squeeze * SHAPE + shake[i]), MU, DT) for i in range(ticks)]
+    return [need.step(felt(load, squeeze * SHAPE + shake[i]), MU, DT)[0] for i in range(ticks)]
 
 
 def test_it_is_the_load_over_share_and_friction():
@@ -45,7 +48,7 @@ def test_a_shape_outside_its_cone_is_no_help():
     load = WEIGHT.copy()
     outside = SHAPE + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.04, 0.0, 0.0]])
     load[2] = [0.5, 0.0, 0.0]
-    assert np.isinf(fresh().step(felt(load, 6.0 * outside), MU, 0.0))
+    assert np.isinf(fresh().step(felt(load, 6.0 * outside), MU, 0.0)[0])
 
 
 def test_reset_forgets():
@@ -62,16 +65,16 @@ def ramped(finger, rate, ticks=100):
     load = np.zeros((3, 3))
     for i in range(ticks):
         load[finger] = (1.0 + rate * DT * i) * np.array([0.6, 0.0, 0.8])
-        needed = need.step(felt(load, 6.0 * shape), OWN, DT if i else 0.0)
+        needed, _ = need.step(felt(load, 6.0 * shape), OWN, DT if i else 0.0)
     return needed
 
 
 @pytest.mark.parametrize("finger", range(3))
 @pytest.mark.parametrize("rate", [20.0, 8.0, 5.1, 4.9, 2.0, -4.0, -8.0])
 def test_what_will_be_there_after_the_lead_counts_where_the_trend_is_more_than_noise(finger, rate):
-    """A smoothed ramp lags by 4 ms; 5 + 10 ms of what the trend exceeds 5 N/s by are added."""
-    ahead = 0.015 * np.sign(rate) * max(0.0, abs(rate) - 5.0)
-    load = 1.0 + 0.099 * rate - 0.004 * rate + ahead
+    """A smoothed ramp lags; that and 10 ms of what the trend exceeds 5 N/s by are added."""
+    ahead = (LAG + 0.01) * np.sign(rate) * max(0.0, abs(rate) - 5.0)
+    load = 1.0 + 0.099 * rate - LAG * rate + ahead
     expected = load / (SHARES[finger] * OWN[finger])
     assert ramped(finger, rate) == pytest.approx(expected, rel=1e-6)
 
@@ -81,8 +84,8 @@ def test_a_load_that_presses_is_foreseen_as_well():
     need, load = fresh(), np.zeros((3, 3))
     for i in range(100):
         load[1] = [0.0, 1.0 + 0.008 * i, 2.0 + 0.008 * i]
-        needed = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
-    ahead = 0.015 * (1.0 - 5.0 / np.hypot(8.0, 8.0)) * 8.0 - 0.004 * 8.0
+        needed, _ = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
+    ahead = (LAG + 0.01) * (1.0 - 5.0 / np.hypot(8.0, 8.0)) * 8.0 - LAG * 8.0
     normal, tangential = 1.792 + ahead, 2.792 + ahead
     assert needed == pytest.approx((tangential - 0.9 * normal) / (0.9 * 0.2), rel=1e-6)
 
@@ -93,19 +96,60 @@ def test_a_shape_is_followed_slowly_and_a_load_fast():
     need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
     other = np.array([0.2, 0.3, 0.5])
     for _ in range(10):
-        needed = need.step(felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
-    share = 0.2 + (0.5 - 0.2) * (1.0 - 1.0 / 30.0) ** 10
+        needed, _ = need.step(felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
+    share = 0.2 + (0.5 - 0.2) * np.exp(-10.0 / 30.0)
     assert needed == pytest.approx(1.0 / (0.4 * share))
     for ticks in (1, 10):
         need = fresh()
         need.step(felt(0.0 * load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
-        need.configure(NeedConfig(least_trend=1e9))
+        need.configure(NeedConfig(least_trend=1e9, reserve=NO_RESERVE))
         for _ in range(ticks):
-            needed = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
-        assert needed == pytest.approx((1.0 - 0.8**ticks) / (0.4 * 0.5))
+            needed, _ = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
+        assert needed == pytest.approx((1.0 - np.exp(-ticks / 5.0)) / (0.4 * 0.5))
 
 
 def test_where_no_time_has_passed_what_is_felt_counts_as_it_is():
     need = fresh()
     follow(need, 3.0 * WEIGHT, 20)
-    assert need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.0) == pytest.approx(1.0 / (0.475 * 0.5))
+    assert need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.0)[0] == pytest.approx(1.0 / (0.475 * 0.5))
+
+
+@pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
+def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
+    """A load that grows by 8 N/s is foreseen to the same instant at any rate, and with gaps."""
+    random = np.random.default_rng(int(rate))
+    for steps in (np.full(400, 1.0), random.integers(1, 4, 400)):
+        need, time = fresh(), 0.0
+        for dt in steps / rate:
+            time += dt
+            load = np.array([[0.0, 0.0, 1.0 + 8.0 * time], [0.0] * 3, [0.0] * 3])
+            needed, _ = need.step(felt(load, 6.0 * SHAPE), MU, dt)
+        foreseen = 1.0 + 8.0 * time
+        assert needed * 0.475 * 0.5 == pytest.approx(foreseen, abs=8.0 * 0.016)
+        assert needed * 0.475 * 0.5 > foreseen
+
+
+def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
+    """Checked by brute force: loads on a sphere about the present one."""
+    reserve = ReserveConfig(floor=1.5, share=0.0)
+    need = Need(NeedConfig(reserve=reserve), 3)
+    shape = SHARES[:, None] * [0.0, 1.0, 0.0]
+    bare, ready = need.step(felt(WEIGHT, 6.0 * shape), OWN, 0.0)
+    random = np.random.default_rng(0)
+    ways = random.standard_normal((4000, 3, 3))
+    ways *= 0.5 / np.linalg.norm(ways, axis=2, keepdims=True)
+    least = max(fresh().step(felt(WEIGHT + way, 6.0 * shape), OWN, 0.0)[0] for way in ways[:1000])
+    assert bare < least <= ready
+    assert ready == pytest.approx(least, rel=0.02)
+
+
+def test_the_reserve_follows_the_largest_load_of_the_recent_past():
+    need = Need(NeedConfig(reserve=ReserveConfig(floor=0.0, share=0.3, memory=2.0)), 3)
+    for _ in range(100):
+        need.step(felt(5.0 * WEIGHT, 6.0 * SHAPE), MU, DT)
+    soon = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.2))
+    for _ in range(1000):
+        later = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.01))
+    shift = np.sqrt(1.0 + 1.0 / 0.25) / 0.475
+    assert later == pytest.approx(0.3 * shift, rel=1e-6)
+    assert soon == pytest.approx(5.0 * np.exp(-0.1) * 0.3 * shift, rel=1e-6)

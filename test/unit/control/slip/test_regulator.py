@@ -11,6 +11,7 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulator
 from tactile_hand_ros.errors import ConfigurationError, MessageError
 
 TICK = 2_000_000
+NO_RESERVE = {"need": {"reserve": {"floor": 0.0, "share": 0.0}}}
 
 
 def regulator(**values):
@@ -118,7 +119,7 @@ def test_the_limits_hold_for_what_the_object_needs_too():
     contacts = three_faces()
     light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
     heavy = np.array([[0.0, 1.0, 4.0]] * 3)
-    slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0)
+    slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0, reflex=NO_RESERVE)
     found = np.array([slip.step(i * TICK, contacts, light) for i in range(2000)])
     assert 0.0 < slip.needed < 1.5 and found.min() == found[-1] == 2.0
     found = [slip.step((2000 + i) * TICK, contacts, heavy) for i in range(200)]
@@ -201,10 +202,11 @@ def test_a_change_of_mode_makes_no_jump():
     from support.plants import plant
 
     contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
-    slip = regulator(mode="auto", grasp_force=6.0)
+    slip = regulator(mode="auto", grasp_force=6.0, reflex=NO_RESERVE)
 
     def change(mode, at, ticks):
-        slip.configure(SlipRegulatorConfig(mode=mode, grasp_force=6.0))
+        config = SlipRegulatorConfig(mode=mode, grasp_force=6.0, reflex=NO_RESERVE)
+        slip.configure(config)
         before = slip.grasp_force
         found = [slip.step((at + i) * TICK, contacts, forces) for i in range(ticks)]
         return np.array([before, *found])
@@ -236,6 +238,24 @@ def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
         detector.step(forces, normals, bent[-1], 1e-9 * TICK if i else 0.0, friction)
         np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
     assert max(bent) > 0.3 and np.count_nonzero(bent) > 100
+
+
+def test_with_a_contact_lost_the_squeeze_grows_while_the_others_are_at_their_edge():
+    """It doubles once; then again every 10 ms only where what is left cannot bear its load."""
+    found = {}
+    for tangential in (0.5, 2.0):
+        slip = regulator(mode="auto", grasp_force=4.0, maximum=40.0, reflex=NO_RESERVE)
+        forces = np.array([[0.0, 2.0, 0.1]] * 3)
+        for i in range(100):
+            slip.step(i * TICK, three_faces(), forces)
+        held, contacts = slip.grasp_force, three_faces()
+        positions = contacts.positions.copy()
+        positions[0] = np.nan
+        forces = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, tangential], [0.0, 2.0, 0.1]])
+        lost = Contacts(positions, contacts.rotations)
+        found[tangential] = [slip.step((100 + i) * TICK, lost, forces) / held for i in range(20)]
+    assert max(found[0.5]) == pytest.approx(2.0, rel=2e-3)
+    assert max(found[2.0]) == pytest.approx(40.0 / held, rel=1e-6)
 
 
 def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.control.slip.split import ConeWatch, required_squeeze, split
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -19,6 +21,11 @@ GRASP = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0
 FORCES = np.array([[0.3, 3.0, 0.9], [-0.2, 2.5, 0.6], [0.1, 0.8, -0.1]])
 HEAVY = FORCES + np.array([[0.9, 0.1, -0.4], [0.2, 0.0, 0.7], [-0.3, 0.2, 0.5]])
 MU = np.array([0.5, 0.3, 0.8])
+
+
+def cone_watch(**values):
+    config = ForceOptimizerConfig(load_time=0.02, squeeze_share=0.7, **values)
+    return ConeWatch(config, 3)
 
 
 def thin(margin):
@@ -54,14 +61,22 @@ def test_contacts_closer_to_a_line_than_a_thousandth_have_no_load():
 
 
 def test_the_cones_are_told_the_load_per_squeeze_and_the_friction_of_each_finger():
-    cones = ConeWatch(0.02).step(0, GRASP, FORCES, MU)
+    cones = cone_watch().step(0, GRASP, FORCES, MU)
     np.testing.assert_array_equal(cones.usable_friction, MU)
     np.testing.assert_allclose(cones.load, per_squeeze(GRASP, FORCES), atol=1e-12)
 
 
+def test_f_is_made_for_less_squeeze_than_there_is_and_for_a_reserve():
+    reserve = ReserveConfig(floor=0.6, share=0.0)
+    cones = cone_watch(reserve=reserve).step(0, GRASP, FORCES, MU)
+    expected = per_squeeze(GRASP, FORCES)
+    expected[:, 1] -= 0.2 * np.sqrt(1.0 + 1.0 / MU**2) / split(GRASP, FORCES).grasp_force
+    np.testing.assert_allclose(cones.wanted_load, expected / 0.7, atol=1e-12)
+
+
 def test_the_load_is_followed_by_the_time_that_has_passed():
     """20 ms of time constant, ticks of 5, 10 and 40 ms."""
-    watch = ConeWatch(0.02)
+    watch = cone_watch()
     expected = watch.step(7 * MS, GRASP, FORCES, MU).load
     for stamp, passed, forces in ((12, 5, HEAVY), (22, 10, HEAVY), (62, 40, FORCES)):
         goal = per_squeeze(GRASP, forces)
@@ -88,7 +103,7 @@ INTERRUPTIONS = {
 
 @pytest.mark.parametrize("happens", INTERRUPTIONS.values(), ids=INTERRUPTIONS)
 def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(happens):
-    watch = ConeWatch(0.02)
+    watch = cone_watch()
     watch.step(3 * MS, GRASP, HEAVY, MU)
     assert happens(watch) is None
     found = watch.step(5 * MS, GRASP, FORCES, MU)
@@ -97,15 +112,15 @@ def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(
 
 def test_a_squeeze_below_a_tenth_of_a_newton_bears_no_ratio():
     total = split(GRASP, FORCES).grasp_force
-    assert ConeWatch(0.02).step(0, GRASP, 0.0999 / total * FORCES, MU) is None
-    found = ConeWatch(0.02).step(0, GRASP, 0.1001 / total * FORCES, MU)
+    assert cone_watch().step(0, GRASP, 0.0999 / total * FORCES, MU) is None
+    found = cone_watch().step(0, GRASP, 0.1001 / total * FORCES, MU)
     np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
 
 
 def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
     forces = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])
     for margin in (0.0099, 0.0101):
-        told = ConeWatch(0.02).step(0, thin(margin), forces, MU)
+        told = cone_watch().step(0, thin(margin), forces, MU)
         assert (told is not None) == (margin > 0.01)
 
 

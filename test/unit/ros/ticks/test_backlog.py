@@ -67,9 +67,12 @@ class Answers:
             self.backlog.put(tick * MS, f"values {tick}")
         taken = self.backlog.take()
         assert not self.backlog
-        assert [values for _, values in taken] == [f"values {stamp // MS}" for stamp, _ in taken]
-        self.given += taken
-        return [stamp // MS for stamp, _ in taken]
+        assert [(stamp // MS, values) for stamp, values, _ in taken] == [
+            (tick, f"values {tick}") for tick in ticks
+        ]
+        answered = [(stamp, values) for stamp, values, is_answered in taken if is_answered]
+        self.given += answered
+        return [stamp // MS for stamp, _ in answered]
 
 
 def grid(tick: int, before: int) -> int:
@@ -113,7 +116,7 @@ def test_a_second_set_of_a_waiting_tick_replaces_the_first() -> None:
     made = Answers()
     made.backlog.put(5 * MS, "old")
     made.backlog.put(5 * MS, "new")
-    assert made.backlog.take() == [(5 * MS, "new")]
+    assert made.backlog.take() == [(5 * MS, "new", True)]
 
 
 SIZES = st.lists(st.integers(1, 12), min_size=1, max_size=8)

@@ -47,7 +47,7 @@ class Ear:
     bad = -1
     """Stamp of a tick that cannot be answered [ns]."""
 
-    def __init__(self, *, feels: bool = True) -> None:
+    def __init__(self, *, feels: bool = True, observes: bool = False) -> None:
         self.now = 0
         self.diagnostics = Diagnostics("ear")
         self.callbacks: dict[str, Callable[[bytes], None]] = {}
@@ -59,7 +59,8 @@ class Ear:
             streams.optimal_forces(FINGERS),
             streams.forces(FINGERS, wanted=feels),
         )
-        self.inputs = TickInputs(self, declared, self, silence=0.5)  # type: ignore[arg-type]
+        observe = self.on_skipped_tick if observes else None
+        self.inputs = TickInputs(self, declared, self, silence=0.5, observe=observe)  # type: ignore[arg-type]
         self.reads_late = False
         self.done = 0
         self.waiting: list[Callable[[], None]] = []
@@ -95,6 +96,9 @@ class Ear:
         if stamp == self.bad:
             raise TactileHandError("no answer to this tick")
         self.heard.append(("tick", stamp, values))
+
+    def on_skipped_tick(self, stamp: int, *values: Any) -> None:
+        self.heard.append(("skipped", stamp, values))
 
     def on_repeat(self) -> None:
         self.heard.append(("repeat",))
@@ -354,6 +358,15 @@ def test_ticks_that_wait_together_are_answered_after_reading_and_some_are_skippe
     assert node.kinds() == [("tick", 18), ("tick", 19)]
     values = {pair.key: pair.value for pair in node.diagnostics.status().values}
     assert values["ticks_left_out"] == "1"
+
+
+def test_a_node_that_observes_gets_every_tick_in_its_turn_also_those_it_does_not_answer() -> None:
+    node = Ear(observes=True)
+    complete(node, 16)
+    node.reads_late = True
+    complete(node, 17, 18, 19)
+    node.has_read()
+    assert node.kinds() == [("tick", 16), ("skipped", 17), ("tick", 18), ("tick", 19)]
 
 
 def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> None:

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random loads on a grasp at rest: how often it is lost, against how hard it squeezes before.
+
+A grasp that knows its object and has relaxed to its need and reserve is hit by a load that nothing
+has announced. What no hand could hold is told by linear programming and does not count.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.studies.parallel import parallel
+from tactile_hand_ros.studies.slip.survival import least_against
+
+Array = NDArray[np.float64]
+
+KINDS = ("step", "pulse", "ramp", "sine")
+LAYOUTS = ("three_faces", "pinch")
+FLOORS = (0.0, 1.0, 2.0, 3.0, 5.0)
+"""Floors of the reserve that are compared, N."""
+
+EVENT_TIME, DURATION = 0.3, 0.7  # s
+SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
+_INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
+_RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """A load, and what it acts on.
+
+    Attributes:
+        index: Number of the case; it seeds the sensor.
+        layout: Layout of the fingers.
+        mass: Mass of the object, kg.
+        friction: mu, which the hand knows.
+        kind: Course of the load over time.
+        duration: How long it lasts or rises, s.
+        force: Force at its largest, N.
+        torque: Torque at its largest, N m.
+    """
+
+    index: int
+    layout: str
+    mass: float
+    friction: float
+    kind: str
+    duration: float
+    force: tuple[float, float, float]
+    torque: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LoadOutcome:
+    """What a load did to a grasp.
+
+    Attributes:
+        case: The load.
+        floor: Floor of the reserve, N.
+        squeeze: k_f before the load came, N.
+        survivable: Whether a grasp inside the crush limit can carry it.
+        lost: Whether a contact was gone at the end.
+        slip: Largest distance that a contact slid because of it, m.
+    """
+
+    case: LoadCase
+    floor: float
+    squeeze: float
+    survivable: bool
+    lost: bool
+    slip: float
+
+
+def sample_loads(runs: int, seed: int) -> list[LoadCase]:
+    """Return random loads; the same seed gives the same ones."""
+    random = np.random.default_rng(seed)
+    cases = []
+    for index in range(runs):
+        force, torque = (_direction(random) for _ in range(2))
+        force *= random.uniform(1.0, 12.0)
+        torque *= random.uniform(0.0, 0.3)
+        cases.append(
+            LoadCase(
+                index=index,
+                layout=LAYOUTS[int(random.integers(2))],
+                mass=0.05 * 8.0 ** float(random.random()),
+                friction=float(random.uniform(0.4, 1.0)),
+                kind=KINDS[int(random.integers(4))],
+                duration=float(random.uniform(0.02, 0.3)),
+                force=(float(force[0]), float(force[1]), float(force[2])),
+                torque=(float(torque[0]), float(torque[1]), float(torque[2])),
+            )
+        )
+    return cases
+
+
+def _direction(random: np.random.Generator) -> Array:
+    vector = random.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+@functools.cache
+def _start(layout: str) -> tuple[Contacts, Array]:
+    """Return contacts and centre of mass at the start, in a layout."""
+    plant = Plant(load_scenario("gravity", {"layout": layout, "targets": []}).plant)
+    return plant.state.contacts, plant.state.position
+
+
+def scenario_of(case: LoadCase, floor: float, **changes: Any) -> Scenario:
+    """Return the scenario of a load, with a floor of the reserve in N.
+
+    Args:
+        case: The load.
+        floor: Floor of the reserve, N.
+        changes: Values by dotted key with two underscores for a dot.
+    """
+    centroid = _start(case.layout)[0].centroid.tolist()
+    load = {
+        "kind": case.kind,
+        "start": EVENT_TIME,
+        "duration": max(case.duration, 0.25) if case.kind == "sine" else case.duration,
+        "frequency": 4.0,
+        "force": list(case.force),
+        "torque": list(case.torque),
+    }
+    values: dict[str, Any] = {
+        "duration": DURATION,
+        "seed": case.index + 1,
+        "layout": case.layout,
+        "targets": [{"time": 0.0, "position": centroid}],
+        "plant.object.mass": case.mass,
+        "plant.object.inertia": [_INERTIA * case.mass] * 3,
+        "plant.object.friction": case.friction,
+        "plant.disturbances": [load],
+        "slip_regulator.friction.prior": case.friction,
+        "slip_regulator.reflex.need.reserve.floor": floor,
+        "force_optimizer.reserve.floor": floor,
+        **{key.replace("__", "."): value for key, value in changes.items()},
+    }
+    return load_scenario("gravity", values)
+
+
+def run_load(case: LoadCase, floor: float, **changes: Any) -> LoadOutcome:
+    """Let a load act on a relaxed grasp and measure what it did; see `scenario_of`."""
+    scenario = scenario_of(case, floor, **changes)
+    record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
+    event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
+    slid = record.true_slid
+    return LoadOutcome(
+        case=case,
+        floor=floor,
+        squeeze=float(record.grasp_force[event]),
+        survivable=_least(case) <= scenario.slip_regulator.maximum,
+        lost=not bool(np.isfinite(record.true_positions[-1]).all()),
+        slip=float(np.nanmax(slid[-1] - slid[event])),
+    )
+
+
+def relaxed_run(scenario: Scenario, event: int) -> Record:
+    """Run a scenario whose squeeze falls to what is wanted within the ticks before an event."""
+    loop = ClosedLoop(scenario)
+    config = scenario.slip_regulator
+    quick = config.model_copy(update={"reflex": config.reflex.model_copy(update=_RELAXING)})
+    loop.regulator.configure(quick)
+    hand = loop.plant.hand
+    record = Record.empty(scenario.ticks, hand.finger_names, hand.joint_names)
+    for row in range(scenario.ticks):
+        if row == event:
+            loop.regulator.configure(config)
+        loop.tick(record, row)
+    return record
+
+
+def _least(case: LoadCase) -> float:
+    """Return the least squeeze against the load at its largest, both ways where it swings, N."""
+    contacts, position = _start(case.layout)
+    weight = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
+    load = np.array([*case.force, *case.torque])
+    swings = (1.0, -1.0) if case.kind == "sine" else (1.0,)
+    return max(least_against(contacts, position, weight + s * load, case.friction) for s in swings)
+
+
+def run_loads(
+    runs: int,
+    seed: int,
+    floors: Sequence[float] = FLOORS,
+    jobs: int = -1,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[LoadOutcome]:
+    """Let the same random loads act on grasps with each floor of the reserve.
+
+    Args:
+        runs: Number of loads.
+        seed: The same seed gives the same numbers, on any number of cores.
+        floors: Floors of the reserve, N.
+        jobs: Number of processes; -1 for one on each core.
+        progress: Called whenever a run is done.
+
+    Raises:
+        MissingLibraryError: If joblib is not installed.
+    """
+    tasks = [(case, floor) for case in sample_loads(runs, seed) for floor in floors]
+    found: list[LoadOutcome] = []
+    for outcome in parallel(run_load, tasks, jobs, ordered=False):
+        found.append(outcome)
+        progress(f"load {outcome.case.index}, floor {outcome.floor:g} N")
+    return sorted(found, key=lambda outcome: (outcome.floor, outcome.case.index))
+
+
+@dataclass(frozen=True)
+class TradeOff:
+    """Comfort and safety with one floor of the reserve, over the loads that can be survived.
+
+    Attributes:
+        floor: Floor of the reserve, N.
+        runs: Number of loads.
+        squeeze: Mean squeeze before the load, N.
+        lost: Number of objects that were lost.
+        slid: Number of those that slid farther than `SLIDE`, or were lost.
+    """
+
+    floor: float
+    runs: int
+    squeeze: float
+    lost: int
+    slid: int
+
+
+def trade_offs(outcomes: Sequence[LoadOutcome]) -> list[TradeOff]:
+    """Return comfort and safety for each floor."""
+    curve = []
+    for floor in sorted({o.floor for o in outcomes}):
+        some = [o for o in outcomes if o.floor == floor and o.survivable]
+        slid = sum(o.lost or o.slip > SLIDE or math.isnan(o.slip) for o in some)
+        squeeze = float(np.mean([o.squeeze for o in some])) if some else math.nan
+        curve.append(TradeOff(floor, len(some), squeeze, sum(o.lost for o in some), slid))
+    return curve

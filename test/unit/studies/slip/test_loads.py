@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random loads: the same seed gives the same ones, and a reserve is what saves the object."""
+
+from tactile_hand_ros.studies.slip.loads import (
+    LoadCase,
+    LoadOutcome,
+    run_load,
+    sample_loads,
+    trade_offs,
+)
+from tactile_hand_ros.studies.slip.loads_report import rows
+
+# A light object, hit by a pulse that twists it out of a pinch.
+PULSE = LoadCase(0, "pinch", 0.054, 0.74, "pulse", 0.066, (0.0, -6.0, 0.0), (0.0, 0.0, 0.27))
+
+
+def test_equal_seeds_give_equal_loads_of_every_kind():
+    cases = sample_loads(100, 3)
+    assert cases == sample_loads(100, 3) != sample_loads(100, 4)
+    assert len({case.kind for case in cases}) == 4 and len({case.layout for case in cases}) == 2
+
+
+def test_a_pulse_that_nothing_has_announced_slides_without_a_reserve_and_not_with_it():
+    bare, ready = run_load(PULSE, 0.0), run_load(PULSE, 3.0)
+    assert bare.survivable and ready.survivable
+    assert bare.lost or bare.slip > 5e-3
+    assert not ready.lost and ready.slip < 5e-3
+    assert bare.squeeze < ready.squeeze < 20.0
+
+
+def test_the_curve_counts_only_what_can_be_survived():
+    kept = LoadOutcome(PULSE, 0.0, 2.0, True, False, 1e-3)
+    slid = LoadOutcome(PULSE, 0.0, 4.0, True, False, 6e-3)
+    lost = LoadOutcome(PULSE, 0.0, 6.0, True, True, 0.0)
+    hopeless = LoadOutcome(PULSE, 0.0, 9.0, False, True, 0.0)
+    [point] = trade_offs([kept, slid, lost, hopeless])
+    assert (point.runs, point.squeeze, point.lost, point.slid) == (3, 4.0, 1, 2)
+    [row] = rows([kept, slid, lost, hopeless])
+    assert row[:3] == ["0 N", "3", "4.0 N"] and row[3].startswith("33.3 %")
