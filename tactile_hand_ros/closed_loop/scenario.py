@@ -229,8 +229,8 @@ def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def resolved(scenario: Scenario) -> str:
-    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+def plain(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as plain data that validates back to the same values."""
     data = scenario.model_dump(mode="json")
     for node in NODES:
         for name in _SHARED:  # said once at the top
@@ -238,7 +238,12 @@ def resolved(scenario: Scenario) -> str:
     hold = data["plant"]["guard"]["hold"]
     if hold["squeeze_limit"] == scenario.slip_regulator.maximum:
         del hold["squeeze_limit"]  # which follows that limit
-    return yaml_text(data)
+    return data
+
+
+def resolved(scenario: Scenario) -> str:
+    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+    return yaml_text(plain(scenario))
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
