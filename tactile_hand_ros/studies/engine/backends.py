@@ -163,9 +163,7 @@ class Cluster:
         if "scheduler_file" in place and not Path(self.address).is_file():
             raise StudyError(f"there is no scheduler file {self.address}; start dask-scheduler.")
         try:
-            self._client = distributed.Client(
-                **place, timeout=self.timeout, set_as_default=False
-            )
+            self._client = distributed.Client(**place, timeout=self.timeout, set_as_default=False)
             self._client.wait_for_workers(1, timeout=self.timeout)
         except (OSError, ValueError) as error:  # a TimeoutError is an OSError
             if hasattr(self, "_client"):
@@ -188,7 +186,8 @@ class Cluster:
     @property
     def workers(self) -> int:
         """Number of threads of all workers at present."""
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
     def map(self, run: Callable[[Point], Any], batches: Iterator[Points]) -> Iterator[Batch]:
         """Yield what comes of each batch.
@@ -198,7 +197,7 @@ class Cluster:
         """
         distributed = optional("distributed", "Running on a Dask cluster")
         sent: dict[Any, Points] = {}
-        done = distributed.as_completed(raise_errors=False)
+        done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
 
         def send(points: Points) -> None:
             future = self._client.submit(

@@ -12,6 +12,7 @@ from tactile_hand_ros.studies.engine.study import Point, Result, Study
 _SECONDS = 1.0  # that a batch takes: far above the cost of handing it over
 _LARGEST = 2000  # runs of a batch, for memory
 
+
 def carry_out(
     study: Study,
     backend: Backend | None = None,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where in its space a study runs: samplers of the unit cube, those of `scipy.stats.qmc` and a grid.
+"""Where in its space a study runs: samplers of the unit cube from `scipy.stats.qmc`, and a grid.
 
 A sampler gives the same shares for a run whenever it is asked, in slices, so that a study of a
 million runs holds a few of them at a time.

@@ -130,7 +130,7 @@ class Store:
         csv = optional("pyarrow.csv", "A study's table")
         table, text = self.folder / TABLE, self.folder / TEXT
         sources = self._sources()
-        if sources == [table]:
+        if sources in ([], [table]):
             return
         with self._writing(), files.draft_of(table) as first, files.draft_of(text) as second:
             with (
@@ -145,7 +145,8 @@ class Store:
 
     def close(self, runs: int) -> None:
         """Remove the parts once the table holds all runs."""
-        rows = self._parquet.ParquetFile(self.folder / TABLE).metadata.num_rows
+        table = self.folder / TABLE
+        rows = self._parquet.ParquetFile(table).metadata.num_rows if table.is_file() else 0
         if rows == runs and self._parts.is_dir():
             # In one step: with some of the parts the study would look unfinished.
             shutil.rmtree(self._parts.rename(self.folder / ".parts"))

@@ -26,7 +26,8 @@ class StudyError(TactileHandError):
     """A study that cannot go on; what was finished is kept."""
 
 
-class Point(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Point:
     """One run that is to be made.
 
     Attributes:

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from tactile_hand_ros.studies.engine import study as engine
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.runner import carry_out
 from tactile_hand_ros.studies.engine.space import Choice, Space
-from tactile_hand_ros.studies.engine import study as engine
 from tactile_hand_ros.studies.slip.cases import SlipCase, pull_of, sample_cases
 from tactile_hand_ros.studies.slip.outcomes import HELD, Held, SlipOutcome, hold_case, run_case
 
@@ -48,9 +48,7 @@ def _run(point: engine.Point) -> tuple[str, SlipOutcome | Held]:
     return kind, hold_case(case, kind) if kind in HELD else run_case(case)
 
 
-def _reduced(
-    seed: int, progress: Callable[[str], None], results: Iterable[engine.Result]
-) -> Study:
+def _reduced(seed: int, progress: Callable[[str], None], results: Iterable[engine.Result]) -> Study:
     """Return the study that some results are, whatever their order."""
     found: dict[str, list[Any]] = {kind: [] for kind in ("event", "pull", *HELD)}
     for kind, result in engine.results_of(results):

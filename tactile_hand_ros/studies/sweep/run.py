@@ -11,15 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.runner import carry_out
-from tactile_hand_ros.studies.engine.store import TABLE, read_column
 from tactile_hand_ros.studies.engine.study import Failure, Point, Result, Study, build
+from tactile_hand_ros.studies.statistics import share_of
 from tactile_hand_ros.studies.sweep.metrics import FAILED, REACHED
 from tactile_hand_ros.studies.sweep.sweep import SCENARIO, Sweep
-from tactile_hand_ros.studies.statistics import share_of
 
 
 @dataclass
@@ -97,6 +95,7 @@ def run_sweep(
     tally = Tally(total, int(done.sum()))
     try:
         if tally.before < total:
+            ensure_compiled()
             carry_out(study, backend, lambda index: bool(done[index]), tally.before)
     finally:
         store.finish()
@@ -111,11 +110,3 @@ def _row(sweep: Sweep, point: Point, result: Any) -> dict[str, Any]:
     if isinstance(result, Failure):
         return {**row, "outcome": FAILED, "reason": result.reason}
     return {**row, **result}
-
-
-def outcomes(folder: Path) -> Counter[str]:
-    """Return how often each outcome is in a sweep's table."""
-    if not (folder / TABLE).is_file():
-        return Counter()
-    names, counts = np.unique(read_column(folder, "outcome").astype(str), return_counts=True)
-    return Counter(dict(zip(names.tolist(), counts.tolist(), strict=True)))
