@@ -47,6 +47,7 @@ for _command in (
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
 study_app.command()(measure.faults)
+study_app.command()(sweep.robustness)
 
 
 def _print_version(wanted: bool) -> None:

@@ -25,7 +25,7 @@ from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
     from tactile_hand_ros.studies.engine.backends import Backend
-    from tactile_hand_ros.studies.sweep.run import Tally
+    from tactile_hand_ros.studies.engine.keep import Tally
     from tactile_hand_ros.studies.sweep.sweep import Sweep
 
 _LOOK = 0.2  # s between two looks at the progress
@@ -109,9 +109,9 @@ def sweep(
 def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
     from tactile_hand_ros.studies.sweep.run import run_sweep
 
-    with _backend(jobs, cluster) as backend, _progress(asked) as watch:
+    with backend(jobs, cluster) as where, progress(", ".join(asked.scenarios)) as watch:
         try:
-            tally = run_sweep(asked, out, backend, watch)
+            tally = run_sweep(asked, out, where, watch)
         except KeyboardInterrupt:
             print(f"interrupted; {_again(out)}", file=sys.stderr)
             raise
@@ -126,7 +126,8 @@ def _again(out: Path) -> str:
 
 
 @contextlib.contextmanager
-def _backend(jobs: int, cluster: str) -> Iterator[Backend]:
+def backend(jobs: int, cluster: str) -> Iterator[Backend]:
+    """Provide where runs are made: processes of this machine, or a Dask cluster."""
     from tactile_hand_ros.studies.engine.backends import Cluster, Local
 
     if not cluster:
@@ -142,8 +143,8 @@ def _backend(jobs: int, cluster: str) -> Iterator[Backend]:
 
 
 @contextlib.contextmanager
-def _progress(asked: Sweep) -> Iterator[Callable[[Tally], None]]:
-    """Show how far a sweep is, on a terminal."""
+def progress(title: str) -> Iterator[Callable[[Tally], None]]:
+    """Show how far a study is, on a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     output = console(stderr=True)
@@ -157,7 +158,7 @@ def _progress(asked: Sweep) -> Iterator[Callable[[Tally], None]]:
         transient=True,
         disable=not output.is_terminal,
     )
-    task = bar.add_task(", ".join(asked.scenarios), total=None, left="", state="starting")
+    task = bar.add_task(title, total=None, left="", state="starting")
     last = 0.0
 
     def watch(tally: Tally) -> None:
@@ -209,7 +210,7 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     from tactile_hand_ros.studies.engine.study import build
     from tactile_hand_ros.studies.sweep.run import study_of
 
-    point = study_of(asked, list).point(index)
+    point = study_of(asked).point(index)
     scenario = asked.trial.scenario(point)
     before = read_description(folder)["build"]
     if before != build():
@@ -222,6 +223,33 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     files.replace_text(file, resolved(scenario))
     command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
     return subprocess.run([*command, "--scenario", str(file), "--out", str(folder)]).returncode
+
+
+def robustness(
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    cluster: Annotated[
+        str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
+    ] = "",
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    formats: FormatOption = None,
+) -> None:
+    """Map how far each scenario survives that the hand knows something wrongly."""
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.studies import robustness as r
+
+    figure_formats(formats)
+    check_writable(out)
+    names = tuple(scenario or r.all_scenarios())
+    with backend(jobs, cluster) as where, progress("robustness") as watch:
+        tally = r.run_map(names, out, where, seed, watch)
+    files = save(r.figure(out, names), out, "robustness", figure_formats(formats))
+    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
+    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 
 COMMANDS = (sweep,)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.report.style import FAINT, PAGE, look, new_figure, run_color
+from tactile_hand_ros.studies.engine.keep import REACHED
 from tactile_hand_ros.studies.engine.space import Range
 from tactile_hand_ros.studies.statistics import median_interval, share_of
-from tactile_hand_ros.studies.sweep.metrics import REACHED
 from tactile_hand_ros.studies.sweep.results import Results
 
 if TYPE_CHECKING:

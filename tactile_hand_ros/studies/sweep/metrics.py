@@ -17,18 +17,13 @@ from tactile_hand_ros.config.model import did_you_mean
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics
+from tactile_hand_ros.studies.engine.keep import LOST, MISSED, REACHED
 
 Measure = Callable[[Record, Scenario, Metrics], float]
-REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
-OUTCOMES = (REACHED, MISSED, LOST, FAILED)
 
 
 def outcome(record: Record, metrics: Metrics) -> str:
-    """Return what became of a run.
-
-    ``reached``: the scenario's goal; ``lost``: a contact is missing at the end; ``missed``: the
-    object is held, but elsewhere, or it has slid too far. ``failed`` is a run that raised an error.
-    """
+    """Return what became of a run, one of `OUTCOMES`."""
     if np.isnan(record.true_positions[-1]).any():
         return LOST
     return REACHED if metrics.goal_reached else MISSED

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.extras import optional
+from tactile_hand_ros.studies.engine.keep import OUTCOMES, REACHED
 from tactile_hand_ros.studies.engine.samplers import base_size
 from tactile_hand_ros.studies.engine.space import Choice, Parameter
 from tactile_hand_ros.studies.engine.store import read_column
 from tactile_hand_ros.studies.statistics import median_interval, share_of
-from tactile_hand_ros.studies.sweep.metrics import OUTCOMES, REACHED, measures
+from tactile_hand_ros.studies.sweep.metrics import measures
 from tactile_hand_ros.studies.sweep.sweep import SCENARIO, Sweep
 
 Array = NDArray[np.float64]

@@ -17,6 +17,7 @@ from tactile_hand_ros.config.model import did_you_mean, leaves, unit_of, validat
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.studies.engine.keep import LAST_COLUMNS
 from tactile_hand_ros.studies.engine.samplers import SAMPLERS
 from tactile_hand_ros.studies.engine.space import Choice, Parameter, Range, Space, parse_parameter
 from tactile_hand_ros.studies.engine.store import Store, read_description
@@ -24,7 +25,6 @@ from tactile_hand_ros.studies.engine.study import Point, build
 from tactile_hand_ros.studies.sweep.metrics import measures, outcome
 
 SCENARIO, SEED = "scenario", "seed"
-_LAST = ("outcome", "reason", "build")
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,7 @@ class Sweep:
         columns: dict[str, type] = {SCENARIO: str, SEED: int}
         columns |= {path: _kind(p) for path, p in self.space.parameters.items()}
         columns |= {name: float for name in measures(self.metrics)}
-        columns |= {name: str for name in _LAST}
-        return Store(folder, columns, units)
+        return Store(folder, {**columns, **LAST_COLUMNS}, units)
 
 
 def make_sweep(
