@@ -27,8 +27,8 @@ DESCRIPTION, TABLE, TEXT = "study.json", "runs.parquet", "runs.csv"
 INDEX = "run"
 """Name of the first column."""
 
-_SECONDS, _ROWS = 10.0, 20_000  # after which what is new is written
-_GROUP = 10_000  # rows of a row group of the table
+_SECONDS, _ROWS = 10.0, 5_000  # after which what is new is written
+_GROUP = 5_000  # rows of a row group of the table
 _TYPES = {float: "float64", int: "int64", bool: "bool_", str: "string"}
 
 
