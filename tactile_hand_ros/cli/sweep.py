@@ -222,7 +222,9 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     file = folder / f"run_{index}.yaml"
     files.replace_text(file, resolved(scenario))
     command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
-    return subprocess.run([*command, "--scenario", str(file), "--out", str(folder)]).returncode
+    options = ["--scenario", str(file), "--out", str(folder / "runs")]
+    # What else this computer does may be the study itself.
+    return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode
 
 
 def robustness(
