@@ -123,18 +123,18 @@ class Sweep:
             raise ConfigurationError(f"--sampler is '{self.sampler}'{hint}")
         for name in self.scenarios:
             for path, parameter in self.space.parameters.items():
-                if path == SCENARIO:
-                    continue
-                shares = (
-                    [i / len(parameter.values) for i in range(len(parameter.values))]
-                    if isinstance(parameter, Choice)
-                    else [0.0, 1.0]
-                )
-                for share in shares:
-                    values = {SCENARIO: name, path: parameter.value(share)}
-                    data = json.loads(json.dumps(self.scenarios[name]))
-                    _put(data, path, values[path])
-                    validate(Scenario, data, f"--over {path}")
+                if path != SCENARIO:
+                    self._try_ends(name, path, parameter)
+
+    def _try_ends(self, name: str, path: str, parameter: Parameter) -> None:
+        ends = map(parameter.value, (0.0, 1.0))
+        for value in parameter.values if isinstance(parameter, Choice) else ends:
+            data = json.loads(json.dumps(self.scenarios[name]))
+            _put(data, path, value)
+            try:
+                validate(Scenario, data, f"--over {path}")
+            except ConfigurationError as error:  # once for each node that shares the value
+                raise ConfigurationError(str(error).splitlines()[0]) from None
 
     def description(self) -> dict[str, Any]:
         """Return it as plain data, with the build that runs it."""
