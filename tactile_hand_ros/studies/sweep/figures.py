@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -97,7 +98,8 @@ def _centres(results: Results, path: str, edges: Array) -> Array:
 
 def metric_figure(results: Results, paths: list[str]) -> Figure:
     """Draw success and each metric against parameters: runs, medians and their intervals."""
-    names = [REACHED, *results.metrics]
+    known = [name for name in results.metrics if np.isfinite(results.column(name)).any()]
+    names = [REACHED, *known]
     with look():
         figure = new_figure(PAGE if len(paths) > 1 else 0.6 * PAGE, 1.5 * len(names))
         panels = figure.subplots(len(names), len(paths), squeeze=False, sharey="row", sharex="col")
@@ -176,7 +178,7 @@ def _scale(axes: Axes, results: Results, x: str, y: str = "") -> None:
 
 
 def _label(name: str) -> str:
-    """Return a column as people write it: its unit in brackets, two words a line."""
+    """Return a column as people write it: its unit in brackets, in short lines."""
     words, _, unit = name.rpartition("_")
     words, unit = (words, f" [{unit}]") if unit in ("m", "rad", "N", "s") else (name, "")
-    return words.replace("_", " ") + unit
+    return textwrap.fill(words.replace("_", " ") + unit, 18)
