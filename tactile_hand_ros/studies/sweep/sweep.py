@@ -14,6 +14,7 @@ import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.config.model import did_you_mean, leaves, unit_of, validate
+from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.run.metrics import metrics
@@ -61,6 +62,7 @@ class Trial:
         """Make a run and return what was asked of it."""
         _compile_once()
         scenario = self.scenario(point)
+        take_law(scenario.manipulation_controller.law)  # named by whoever asked for the sweep
         record = ClosedLoop(scenario).run()
         found = metrics(record, scenario)
         asked = measures(self.metrics)
