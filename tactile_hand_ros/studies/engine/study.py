@@ -64,6 +64,21 @@ def results_of(results: Iterable[Result]) -> Iterator[Any]:
         yield result
 
 
+def in_order(results: Iterable[Result]) -> Iterator[Any]:
+    """Yield what came of each run, the first run first, where no run may fail.
+
+    Raises:
+        StudyError: If one has failed.
+    """
+    early: dict[int, Any] = {}
+    following = 0
+    for point, result in results:
+        early[point.index] = next(results_of([(point, result)]))
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
 @dataclass(frozen=True)
 class Study:
     """A description of many runs.
