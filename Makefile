@@ -111,9 +111,9 @@ $(VENV)/.run: requirements/locked/run.txt $(VENV)/.created
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt)
 	@touch '$@'
 
-$(VENV)/.dev: requirements/locked/dev.txt $(VENV)/.run
+$(VENV)/.dev: requirements/locked/dev.txt requirements/locked/studies.txt $(VENV)/.run
 	@echo 'set-up: test tools'
-	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt dev.txt)
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt dev.txt)
 	@touch '$@'
 
 # Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.

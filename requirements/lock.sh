@@ -25,6 +25,7 @@ lock() {
 mkdir -p locked
 rm -f locked/*.txt
 lock run
+lock studies run
 lock dev run
 lock bench run
 lock mutate run dev

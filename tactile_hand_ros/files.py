@@ -24,7 +24,7 @@ def replace_bytes(path: Path, data: bytes) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    with _draft_of(path) as draft, draft.open("xb") as file:
+    with draft_of(path) as draft, draft.open("xb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())  # or a crash of the machine could leave an empty file
@@ -36,12 +36,12 @@ def replace_link(link: Path, target: str) -> None:
     Raises:
         OSError: If it cannot be created.
     """
-    with _draft_of(link) as draft:
+    with draft_of(link) as draft:
         draft.symlink_to(target)
 
 
 @contextlib.contextmanager
-def _draft_of(path: Path) -> Iterator[Path]:
+def draft_of(path: Path) -> Iterator[Path]:
     """Provide a neighbour's name; what is created there replaces `path`, or is removed on errors.
 
     The name cannot be guessed and must not exist when it is created, so nothing that another user

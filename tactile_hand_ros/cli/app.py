@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios
+from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios, sweep
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.prefix import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -37,6 +37,7 @@ for _command in (
     orchestrator.run,
     *scenarios.COMMANDS,
     *runs.COMMANDS,
+    *sweep.COMMANDS,
     *bags.COMMANDS,
     measure.reproduce,
     bench.bench,
@@ -46,6 +47,7 @@ for _command in (
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
 study_app.command()(measure.faults)
+study_app.command()(sweep.robustness)
 
 
 def _print_version(wanted: bool) -> None:

@@ -34,6 +34,7 @@ def reproduce(
 ) -> None:
     """Draw the paper's figures and print its claims beside what was measured."""
     from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.studies.engine.backends import Local
     from tactile_hand_ros.studies.paper import tables
     from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.studies.paper.reproduce import draw, write
@@ -43,7 +44,7 @@ def reproduce(
     figure_formats(formats)
     check_writable(out)
     with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance:
-        results = run(layouts, duration, jobs, advance)
+        results = run(layouts, duration, Local(jobs), advance)
     with Progress("drawing", len(results)) as advance:
         files = []
         for result in results:
@@ -73,6 +74,7 @@ def slip(
     """Measure how fast slip is found and stopped, and at what squeeze."""
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.studies.engine.backends import Local
     from tactile_hand_ros.studies.slip import figures as study_figures
     from tactile_hand_ros.studies.slip import loads as slip_loads
     from tactile_hand_ros.studies.slip import loads_report, roc_figure
@@ -83,12 +85,12 @@ def slip(
     figure_formats(formats)
     check_writable(out if out.exists() else out.absolute().parent)
     with Progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
-        result = slip_study.run_study(runs, seed, jobs, advance)
+        result = slip_study.run_study(runs, seed, Local(jobs), advance)
     drawn = study_figures.figures(result)
     points: list[slip_roc.Point] = []
     if roc:
         with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
-            points = slip_roc.run_roc(seed=seed, jobs=jobs, progress=advance)
+            points = slip_roc.run_roc(seed=seed, backend=Local(jobs), progress=advance)
         drawn["study_roc"] = roc_figure.roc_figure(points)
     files = s.write(result, out)
     if loads:

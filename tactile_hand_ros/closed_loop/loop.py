@@ -17,6 +17,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, O
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.rotations import quaternions_of_rows
+from tactile_hand_ros.simulation.belief import Belief
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
@@ -44,8 +45,10 @@ class ClosedLoop:
         """
         self.scenario = scenario
         self.plant = Plant(scenario.plant)
-        hand = self.plant.hand
+        hand = self.plant.known
         self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
+        calibration = scenario.tactile_sensor.calibration
+        self._belief = None if calibration.is_right else Belief(calibration, hand)
         self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
         self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
         self._cone_watch = ConeWatch(scenario.force_optimizer, hand.fingers)
@@ -91,7 +94,8 @@ class ClosedLoop:
         true = true_reading(state)
         self._ask()
         sliding = sliding_speeds(state)
-        touch = self.sensor.step(stamp, true, sliding)
+        seen = true if self._belief is None else self._belief.step(state.theta, true)
+        touch = self.sensor.step(stamp, seen, sliding)
         contacts = touch.contacts
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
         optimal = self.optimizer.solve(contacts, self._cones(contacts, touch.forces))

@@ -27,6 +27,7 @@ from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
 
@@ -47,7 +48,7 @@ __all__ = [
 Vector = tuple[float, float, float]
 
 # What is said once for the whole scenario and handed to every node that has such a parameter.
-_SHARED = ("hand", "layout", "gravity", "seed", "duration")
+_SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 
 
@@ -126,6 +127,7 @@ class Scenario(Config):
     hand: str = param("paper", "hand by name or YAML file")
     layout: str = param("", "layout of the hand's fingers; empty for its default")
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
+    calibration: CalibrationConfig = CalibrationConfig()
     duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
     seed: int = param(1, "seed of everything random", ge=0)
     targets: list[TargetConfig] = param([], "desired poses over time")
@@ -229,8 +231,8 @@ def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def resolved(scenario: Scenario) -> str:
-    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+def plain(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as plain data that validates back to the same values."""
     data = scenario.model_dump(mode="json")
     for node in NODES:
         for name in _SHARED:  # said once at the top
@@ -238,7 +240,12 @@ def resolved(scenario: Scenario) -> str:
     hold = data["plant"]["guard"]["hold"]
     if hold["squeeze_limit"] == scenario.slip_regulator.maximum:
         del hold["squeeze_limit"]  # which follows that limit
-    return yaml_text(data)
+    return data
+
+
+def resolved(scenario: Scenario) -> str:
+    """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
+    return yaml_text(plain(scenario))
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:

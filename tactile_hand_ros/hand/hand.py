@@ -53,19 +53,30 @@ class Hand:
         spans: How far each fingertip can ever be from there, shape (k,), m.
     """
 
-    def __init__(self, config: HandConfig, layout: str = "", gravity: Array | None = None) -> None:
+    def __init__(
+        self,
+        config: HandConfig,
+        layout: str = "",
+        gravity: Array | None = None,
+        link_lengths: float = 1.0,
+        tip_radii: float = 1.0,
+    ) -> None:
         """Build the hand.
 
         Args:
             config: Names of the URDF, fingers and tips.
             layout: Name of the layout; empty for the default one.
             gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
+            link_lengths: Lengths of the links against those of the URDF, which stays as it is.
+            tip_radii: Radii of the fingertips against those of the YAML.
 
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
         self.description = describe(config.folder / config.urdf, config.layout(layout))
         self._model = _model(self.description, config)
+        if link_lengths != 1.0:
+            _stretch(self._model, link_lengths)
         self._data = self._model.createData()
         self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
         self._support = _support(self._model, self._tips)
@@ -76,7 +87,7 @@ class Hand:
         self.fingers = len(self._tips)
         self.joints = int(self._model.nv)
         self.finger_names = config.finger_names
-        self.radii = np.array(config.radii)
+        self.radii = tip_radii * np.array(config.radii)
         self.joint_names = list(self._model.names[1:])
         limits = self._model.effortLimit
         self.effort_limits = np.where(limits > 0.0, limits, np.inf)
@@ -89,9 +100,16 @@ class Hand:
         self.bases, self.spans = _reaches(self._model, self._tips)
 
     @classmethod
-    def load(cls, name: str, layout: str = "", gravity: Array | None = None) -> Hand:
+    def load(
+        cls,
+        name: str,
+        layout: str = "",
+        gravity: Array | None = None,
+        link_lengths: float = 1.0,
+        tip_radii: float = 1.0,
+    ) -> Hand:
         """Load a hand by name (``paper``) or by the path of its YAML file."""
-        return cls(load_hand_config(name), layout, gravity)
+        return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
 
     def fingertips(self, theta: Array) -> Fingertips:
         """Return tip centres and Jacobians, equation (1).
@@ -175,6 +193,18 @@ class Hand:
             points.append(self._data.oMi[joint].translation.copy())
             joint = self._model.parents[joint]
         return points[::-1]
+
+
+def _stretch(model: pin.Model, share: float) -> None:
+    """Make all links longer or shorter: what moves with a joint, not where fingers are mounted."""
+    for joint in range(1, model.njoints):
+        model.inertias[joint].lever = share * model.inertias[joint].lever
+        if model.parents[joint] > 0:
+            placement = model.jointPlacements[joint]
+            placement.translation = share * placement.translation
+    for frame in model.frames:
+        if frame.parentJoint > 0:
+            frame.placement.translation = share * frame.placement.translation
 
 
 def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:

@@ -24,12 +24,14 @@ class Link:
 def links(scenario: Scenario) -> list[Link]:
     """Return the topics between the nodes of a scenario.
 
-    Optimizer and controller listen to forces only where they are told to make use of them.
+    Optimizer and controller listen to forces only where they are told to make use of them, and the
+    sensor to joints only where it reports contacts by a wrong model of the hand.
     """
     fingers = load_hand_config(scenario.hand).finger_names
     observer = scenario.manipulation_controller.law.observer
     shaping = (names.OPTIMIZER,) if scenario.force_optimizer.cones else ()
     feeling = (names.REGULATOR, *shaping, *((names.CONTROLLER,) if observer.time > 0.0 else ()))
+    believing = () if scenario.calibration.is_right else (names.SENSOR,)
     per_finger = [
         link
         for finger in fingers
@@ -40,7 +42,7 @@ def links(scenario: Scenario) -> list[Link]:
         )
     ]
     return [
-        Link(names.JOINT_STATES, names.PLANT, (names.CONTROLLER,)),
+        Link(names.JOINT_STATES, names.PLANT, (names.CONTROLLER, *believing)),
         Link(names.TRUE_CONTACTS, names.PLANT, (names.SENSOR,)),
         Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, names.PLANT),

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 
 _FASTEST = 1e4  # rad/s and m/s
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
+_REACH_BY_TOUCH = 5e-2  # the same for a hand that knows itself wrongly and closes by touch, m
 
 
 class PlantState(NamedTuple):
@@ -74,7 +75,8 @@ class Plant:
 
     Attributes:
         config: Its parameters.
-        hand: The hand.
+        hand: The hand as it is.
+        known: The hand as its model says, the same where its calibration is right.
         solid: The object's shape.
         friction: Coulomb friction of each finger now, shape (k,).
         time: Simulated time, s.
@@ -92,14 +94,25 @@ class Plant:
             ConfigurationError: If the number of initial joint angles is wrong.
         """
         self.config = config
-        self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
+        self._gravity = np.array(config.gravity)
+        self.hand = self.known = Hand.load(config.hand, config.layout, self._gravity)
+        self._reach = _REACH
+        if not config.calibration.is_right:
+            self._differ(config)
         self.solid = config.object.solid()
         self._mass = config.object.mass
         self._inertia = np.diag(config.object.inertia)
-        self._gravity = np.array(config.gravity)
         self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self.reset()
+
+    def _differ(self, config: PlantConfig) -> None:
+        """Replace hand and gravity by those that the hand does not know."""
+        c = config.calibration
+        self._gravity = rotation_from_vector(c.gravity_rotation) @ self._gravity
+        true = config.hand, config.layout, self._gravity
+        self.hand = Hand.load(*true, link_lengths=c.link_lengths, tip_radii=c.tip_radii)
+        self._reach = _REACH_BY_TOUCH
 
     def _expand(self, given: list[float]) -> Array:
         m, k = self.hand.joints, self.hand.fingers
@@ -134,19 +147,19 @@ class Plant:
         return self.state
 
     def _close_gaps(self) -> None:
-        """Move the fingers so that tips within 5 mm of the object touch it exactly."""
+        """Move the fingers so that tips near the object touch it exactly."""
         for _ in range(20):
             tips = self.hand.tip_positions(self._theta)
             _, frames, gaps = contact_geometry(
                 self.solid.shape, self._position, self._rotation, tips, self.hand.radii
             )
-            if gaps.min() < -_REACH:
+            if gaps.min() < -self._reach:
                 finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
                     f"{finger} starts {-1e3 * gaps.min():.1f} mm inside the object; open the "
                     "hand (initial_joints), move the object or make it smaller"
                 )
-            missing = np.where(np.abs(gaps) <= _REACH, gaps, 0.0)
+            missing = np.where(np.abs(gaps) <= self._reach, gaps, 0.0)
             if np.abs(missing).max() < 1e-15:
                 return
             moves = frames[:, :, 1] * missing[:, None]

@@ -11,6 +11,7 @@ from pydantic import field_validator, model_validator
 from tactile_hand_ros.config.angles import HALF_TURN, check_radians
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -91,6 +92,7 @@ class PlantConfig(Config):
     )
     object: ObjectConfig = ObjectConfig()
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
+    calibration: CalibrationConfig = CalibrationConfig()
     friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)

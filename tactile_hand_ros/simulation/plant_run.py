@@ -30,7 +30,7 @@ class PlantRun:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self.guard = JointGuard(config.guard, self.plant.hand, config.tick)
+        self.guard = JointGuard(config.guard, self.plant.known, config.tick)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self._load_compiled_code()

@@ -15,6 +15,7 @@ from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.jit.rows import Row, Rows, row_of
 from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
+from tactile_hand_ros.simulation.calibration import CalibrationConfig
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,8 @@ class TactileSensorConfig(Config):
     """Parameters of the tactile sensor."""
 
     hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    calibration: CalibrationConfig = CalibrationConfig()
     rate: float = param(
         10000.0, "samples per second; between samples the last one is repeated", unit="Hz", gt=0.0
     )

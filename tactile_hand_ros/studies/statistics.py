@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.extras import optional
+
 Array = NDArray[np.float64]
 
 
@@ -50,14 +52,41 @@ def _rank(ordered: Array, share: float) -> Any:
 
 
 def share(flags: Sequence[bool]) -> tuple[float, float, float]:
-    """Return a share with its 95 % interval.
+    """Return a share with its 95 % interval, see `share_of`."""
+    return share_of(sum(flags), len(flags))
+
+
+def share_of(count: int, n: int) -> tuple[float, float, float]:
+    """Return what share of n a count is, with its 95 % interval.
 
     Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
     """
-    n, z = len(flags), 1.96
+    z = 1.96
     if not n:
         return math.nan, math.nan, math.nan
-    p = sum(flags) / n
+    p = count / n
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return p, max(0.0, middle - half), min(1.0, middle + half)
+
+
+def median_interval(values: Array) -> tuple[float, float, float]:
+    """Return the median of a large sample with its 95 % bootstrap interval, without resampling.
+
+    The median of a resample is the order statistic x_(j) or less if at least half of its n draws
+    are among the j smallest values, which are Binomial(n, j / n).
+
+    Source: Efron, Bootstrap methods: another look at the jackknife, 1979, section 3.
+
+    Args:
+        values: The sample, shape (n,); NaN is left out.
+    """
+    known = np.sort(values[~np.isnan(values)])
+    n = len(known)
+    if not n:
+        return math.nan, math.nan, math.nan
+    binomial = optional("scipy.stats", "A bootstrap interval").binom
+    shares = np.arange(1, n + 1) / n
+    below = binomial.sf(math.ceil(0.5 * n) - 1, n, shares)  # P(median of a resample <= x_(j))
+    low, high = (int(np.searchsorted(below, level)) for level in (0.025, 0.975))
+    return float(_rank(known, 0.5)), float(known[low]), float(known[min(high, n - 1)])

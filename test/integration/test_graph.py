@@ -180,6 +180,19 @@ def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
+def test_a_wrongly_calibrated_hand_is_that_of_function_calls(tmp_path: Path) -> None:
+    """Longer links, larger tips and turned skins: the sensor reads joints to report contacts."""
+    errors = {"link_lengths": 1.02, "tip_radii": 1.05, "skin_rotation": [0.01, -0.02, 0.03]}
+    calibration = {f"calibration.{key}": value for key, value in errors.items()}
+    scenario = short(duration=0.3, **calibration)
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        recorded = Run(record(graph, tmp_path / "bag")).record
+    expected = ClosedLoop(scenario).run()
+    assert_same(recorded, expected)
+    apart = np.linalg.norm(expected.contact_positions - expected.true_positions, axis=2)
+    assert apart.min() > 1e-3
+
+
 def test_one_process_gives_the_bytes_of_five(bags: dict[str, Path], tmp_path: Path) -> None:
     with (
         isolated_domain() as domain,

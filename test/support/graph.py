@@ -169,8 +169,14 @@ class Graph:
         t, fingers = names, self.fingers
         shapes = int(self.scenario.force_optimizer.cones)
         observes = int(self.scenario.manipulation_controller.law.observer.time > 0.0)
+        believes = int(not self.scenario.calibration.is_right)
         return {
-            "plant": {t.JOINT_STATES: 2, t.TRUE_CONTACTS: 2, t.OBJECT_POSE: 1, t.CLOCK: 0}
+            "plant": {
+                t.JOINT_STATES: 2 + believes,
+                t.TRUE_CONTACTS: 2,
+                t.OBJECT_POSE: 1,
+                t.CLOCK: 0,
+            }
             | {t.true_wrench(name): 2 for name in fingers}
             | {t.TRUE_SLIP: 1},
             "tactile_sensor": {t.CONTACTS: 3}

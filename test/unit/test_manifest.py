@@ -36,6 +36,9 @@ def requirements(name: str) -> dict[str, Requirement]:
     }
 
 
+STUDIES = requirements("studies.txt")
+
+
 def declared() -> list[Requirement]:
     """Return install_requires and all extras, as installed."""
     return [Requirement(text.split(";")[0]) for text in requires("tactile_hand_ros") or []]
@@ -77,12 +80,12 @@ def test_everything_required_reaches_a_ros_workspace() -> None:
     from_rosdep = set(python_keys().values())
     from_pip = set(requirements("jazzy.txt"))
     needed = {canonicalize_name(each.name) for each in declared()}
-    tested_with = set(requirements("dev.txt") | requirements("bench.txt"))
+    tested_with = set(requirements("dev.txt") | requirements("bench.txt") | STUDIES)
     assert needed - from_rosdep - from_pip - tested_with == set()
 
 
 def test_pins_lie_in_the_declared_ranges() -> None:
-    pinned = requirements("run.txt") | requirements("dev.txt") | requirements("bench.txt")
+    pinned = requirements("run.txt") | requirements("dev.txt") | requirements("bench.txt") | STUDIES
     for each in declared():
         pin = next(iter(pinned[canonicalize_name(each.name)].specifier)).version
         assert each.specifier.contains(pin), f"{each} is pinned to {pin}"
@@ -92,7 +95,7 @@ def test_pins_lie_in_the_declared_ranges() -> None:
     "name",
     [
         *("ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt", "jazzy.txt"),
-        *("lock.txt", "audit.txt"),
+        *("lock.txt", "audit.txt", "studies.txt"),
     ],
 )
 def test_every_requirement_is_pinned(name: str) -> None:
@@ -114,7 +117,9 @@ def locked(name: str) -> dict[str, list[Requirement]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt"])
+@pytest.mark.parametrize(
+    "name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "mutate.txt", "studies.txt"]
+)
 def test_pins_are_locked_with_their_hashes(name: str) -> None:
     files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
     everything = {key: each for file in files for key, each in locked(file).items()}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from tactile_hand_ros.ros.ticks.inputs import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
 
+if TYPE_CHECKING:
+    from tactile_hand_ros.simulation.belief import Belief
+
 Array = NDArray[np.float64]
 
 
@@ -38,7 +41,8 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     Subscriptions: `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
     `ground_truth/slip` (sensor_msgs/JointState by finger, of which the sliding speed counts, m/s),
-    all of one stamp.
+    all of one stamp. With errors of `calibration` also `joint_states` (sensor_msgs/JointState,
+    rad).
 
     Publications, with the stamps of the input: `tactile/contacts` (geometry_msgs/PoseArray, palm
     frame, m; NaN where a finger does not touch), `tactile/<finger>/wrench`
@@ -60,11 +64,15 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._sensor = TactileSensor(self.config, np.array(hand.radii))
         self._rehearse(len(fingers))
         self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
-        declared = (
+        declared: tuple[streams.Stream, ...] = (
             streams.true_contacts(len(fingers)),
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
+        self._belief: Belief | None = None
+        if not self.config.calibration.is_right:
+            self._belief, joints = _believed(self.config)
+            declared += (joints,)
         self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self, fingers: int) -> None:
@@ -86,13 +94,31 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         """Publish the last reading again."""
         self._publisher.repeat()
 
-    def on_tick(self, stamp: int, contacts: ContactPoses, speeds: Array, forces: Array) -> None:
+    def on_tick(
+        self,
+        stamp: int,
+        contacts: ContactPoses,
+        speeds: Array,
+        forces: Array,
+        joints: streams.Joints | None = None,
+    ) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
         true = TactileReading(contacts.positions, contacts.quaternions, forces)
+        if self._belief is not None and joints is not None:
+            true = self._belief.step(joints.theta, true)
         self._publisher.publish(self._sensor.step(stamp, true, speeds), stamp)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
+
+
+def _believed(config: TactileSensorConfig) -> tuple[Belief, streams.Stream]:
+    """Return what turns contacts into those that a wrong calibration gives, and its input."""
+    from tactile_hand_ros.hand.hand import Hand  # takes a tenth of a second to load
+    from tactile_hand_ros.simulation.belief import Belief
+
+    known = Hand.load(config.hand, config.layout)
+    return Belief(config.calibration, known), streams.joints(known.joint_names)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -12,13 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.studies.engine.backends import Local
+from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.space import Choice, Space
+from tactile_hand_ros.studies.engine.study import Point, Study, in_order
 from tactile_hand_ros.studies.faults import situations
 from tactile_hand_ros.studies.faults.by_calls import run_by_calls
 from tactile_hand_ros.studies.faults.injection import injected
 from tactile_hand_ros.studies.faults.outcome import Outcome, failed, judge, recovery
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 from tactile_hand_ros.studies.faults.space import Run
-from tactile_hand_ros.studies.parallel import parallel
 
 RESULTS = "faults.jsonl"
 
@@ -51,7 +54,8 @@ def run_campaign(
     for _, group in itertools.groupby(waiting, key=_session):
         left = list(group)
         if left[0].cell.way == "calls":
-            for outcome in parallel(run_by_calls, [(run,) for run in left], jobs, ordered=True):
+            study = Study(Space({"run": Choice(tuple(left))}), "grid", _by_calls, in_order)
+            for outcome in carry_out(study, Local(jobs)):
                 progress(str(outcome.cell))
                 yield outcome
             continue
@@ -59,6 +63,10 @@ def run_campaign(
             for outcome in _run_session(left):
                 progress(str(left.pop(0).cell))
                 yield outcome
+
+
+def _by_calls(point: Point) -> Outcome:
+    return run_by_calls(point.values["run"])
 
 
 def _session(run: Run) -> tuple[str, str, str]:

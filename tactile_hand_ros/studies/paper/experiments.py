@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,8 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.run.metrics import Metrics, metrics
-from tactile_hand_ros.studies.parallel import parallel
+from tactile_hand_ros.studies.engine.space import Choice, Space
+from tactile_hand_ros.studies.engine.study import Point, Result, Study
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -81,18 +83,21 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Expe
     return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
 
 
-def run_all(
-    layouts: Sequence[str], duration: float | None = None, jobs: int = -1
-) -> Iterator[ExperimentResult]:
-    """Run all experiments in all layouts on the cores and yield each when it is done.
+def study_of(
+    layouts: Sequence[str],
+    duration: float | None,
+    reduce: Callable[[Iterable[Result]], Any],
+) -> Study:
+    """Return the study that runs all experiments in all layouts.
 
     Args:
         layouts: Layouts of the hand's fingers.
         duration: Simulated time in s instead of the scenarios'.
-        jobs: Number of processes; -1 for one on each core.
-
-    Raises:
-        MissingLibraryError: If joblib is not installed.
+        reduce: Takes the results, each an `ExperimentResult`.
     """
-    tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
-    return parallel(run_experiment, tasks, jobs, ordered=False)
+    space = Space({"layout": Choice(tuple(layouts)), "key": Choice(tuple(EXPERIMENTS))})
+    return Study(space, "grid", functools.partial(_run, duration), reduce)
+
+
+def _run(duration: float | None, point: Point) -> ExperimentResult:
+    return run_experiment(point.values["key"], point.values["layout"], duration)

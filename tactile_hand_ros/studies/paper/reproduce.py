@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,12 @@ from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
 from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.studies.engine.backends import Backend
+from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.study import Result, results_of
 from tactile_hand_ros.studies.paper import tables
 from tactile_hand_ros.studies.paper.claims import Claim, LawResult, compare_laws, judge
-from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, ExperimentResult, run_all
+from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, ExperimentResult, study_of
 
 Outcomes = Mapping[str, ExperimentResult]
 
@@ -44,7 +47,7 @@ class Reproduction:
 def reproduce(
     layouts: Sequence[str],
     duration: float | None = None,
-    jobs: int = -1,
+    backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Reproduction]:
     """Run all experiments and judge the paper's claims.
@@ -52,20 +55,26 @@ def reproduce(
     Args:
         layouts: Layouts of the hand's fingers.
         duration: Simulated time in s instead of the scenarios'.
-        jobs: Number of processes; -1 for one on each core.
+        backend: Where; all cores of this machine by default.
         progress: Called with a sentence whenever an experiment is done.
 
     Raises:
         ConfigurationError: If a layout or duration cannot be used.
     """
-    found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
-    for outcome in run_all(layouts, duration, jobs):
-        found[outcome.layout][outcome.key] = outcome
-        progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
-    return [
-        Reproduction(layout, outcomes, judge(outcomes), compare_laws(outcomes))
-        for layout, outcomes in found.items()
-    ]
+
+    def reduce(results: Iterable[Result]) -> list[Reproduction]:
+        found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
+        for outcome in results_of(results):
+            found[outcome.layout][outcome.key] = outcome
+            progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
+        return [_judged(layout, outcomes) for layout, outcomes in found.items()]
+
+    made: list[Reproduction] = carry_out(study_of(layouts, duration, reduce), backend)
+    return made
+
+
+def _judged(layout: str, outcomes: Outcomes) -> Reproduction:
+    return Reproduction(layout, outcomes, judge(outcomes), compare_laws(outcomes))
 
 
 def draw(

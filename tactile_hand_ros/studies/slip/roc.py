@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.slip.detector import SlipDetectorConfig
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.studies.parallel import parallel
+from tactile_hand_ros.studies.engine.backends import Backend
+from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.space import Choice, Space
+from tactile_hand_ros.studies.engine.study import Point as Run
+from tactile_hand_ros.studies.engine.study import Result, Study, results_of
 from tactile_hand_ros.studies.slip.cases import SlipCase, sample_cases, scenario_of
 from tactile_hand_ros.studies.slip.trace import Trace, alarms, delay, onset, record_trace, replay
 from tactile_hand_ros.studies.statistics import estimate
@@ -122,7 +128,7 @@ def run_roc(
     slips: int = SLIPS,
     seconds: float = SECONDS,
     seed: int = 0,
-    jobs: int = -1,
+    backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Point]:
     """Record and replay; return a point for each noise and threshold.
@@ -131,22 +137,33 @@ def run_roc(
         slips: Number of cases of the study.
         seconds: Simulated time of the paper's manipulation.
         seed: Of the cases.
-        jobs: Number of processes; -1 for one on each core.
+        backend: Where; all cores of this machine by default.
         progress: Called whenever a run or a replay is done.
     """
-    traces = []
-    for trace in parallel(
-        record_trace, [(s,) for s in scenarios(slips, seconds, seed)], jobs, ordered=True
-    ):
-        traces.append(trace)
-        progress("recorded")
+    recorded = Space({"scenario": Choice(tuple(scenarios(slips, seconds, seed)))})
+    ordered = functools.partial(_in_order, progress)
+    traces: list[Trace] = carry_out(Study(recorded, "grid", _record, ordered), backend)
     slid = [t for t in traces[1:] if not math.isnan(onset(t))]
-    points: list[Point] = []
-    tasks = [(traces[:1], slid, noise, h) for noise in NOISES for h in THRESHOLDS]
-    for result in parallel(point, tasks, jobs, ordered=True):
-        points.append(result)
-        progress(f"threshold {result.threshold:g}")
+    space = Space({"noise": Choice(NOISES), "threshold": Choice(THRESHOLDS)})
+    replays = functools.partial(_replay, traces[:1], slid)
+    points: list[Point] = carry_out(Study(space, "grid", replays, ordered), backend)
     return points
+
+
+def _record(run: Run) -> Trace:
+    return record_trace(run.values["scenario"])
+
+
+def _replay(sticks: Sequence[Trace], slips: Sequence[Trace], run: Run) -> Point:
+    return point(sticks, slips, run.values["noise"], run.values["threshold"])
+
+
+def _in_order(progress: Callable[[str], None], results: Iterable[Result]) -> list[Any]:
+    found = []
+    for run, result in results:
+        found.append((run.index, next(results_of([(run, result)]))))
+        progress(f"run {run.index}")
+    return [result for _, result in sorted(found, key=lambda pair: pair[0])]
 
 
 def steps(slips: int) -> int:

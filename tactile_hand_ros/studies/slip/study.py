@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from tactile_hand_ros.studies.parallel import parallel
+from tactile_hand_ros.studies.engine import study as engine
+from tactile_hand_ros.studies.engine.backends import Backend
+from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.space import Choice, Space
 from tactile_hand_ros.studies.slip.cases import SlipCase, pull_of, sample_cases
 from tactile_hand_ros.studies.slip.outcomes import HELD, Held, SlipOutcome, hold_case, run_case
 
@@ -39,29 +43,41 @@ def tasks_of(runs: int, seed: int) -> list[tuple[SlipCase, str]]:
     return out + [(case, "event") for case in cases]
 
 
-def _run(case: SlipCase, kind: str) -> tuple[str, SlipOutcome | Held]:
+def _run(point: engine.Point) -> tuple[str, SlipOutcome | Held]:
+    case, kind = point.values["task"]
     return kind, hold_case(case, kind) if kind in HELD else run_case(case)
 
 
+def _reduced(seed: int, progress: Callable[[str], None], results: Iterable[engine.Result]) -> Study:
+    """Return the study that some results are, whatever their order."""
+    found: dict[str, list[Any]] = {kind: [] for kind in ("event", "pull", *HELD)}
+    for kind, result in engine.results_of(results):
+        found[kind].append(result)
+        progress(f"{kind}, run {result.case.index}")
+    for some in found.values():
+        some.sort(key=lambda result: result.case.index)
+    held = [result for kind in HELD for result in found[kind]]
+    return Study(seed, found["event"], found["pull"], held)
+
+
 def run_study(
-    runs: int, seed: int, jobs: int = -1, progress: Callable[[str], None] = lambda _: None
+    runs: int,
+    seed: int,
+    backend: Backend | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Study:
     """Run the study.
 
     Args:
         runs: Number of runs with an event.
         seed: The same seed gives the same numbers, on any number of cores.
-        jobs: Number of processes; -1 for one on each core.
+        backend: Where; all cores of this machine by default.
         progress: Called whenever a run is done.
 
     Raises:
         MissingLibraryError: If joblib is not installed.
     """
-    found: dict[str, list[Any]] = {kind: [] for kind in ("event", "pull", *HELD)}
-    for kind, result in parallel(_run, tasks_of(runs, seed), jobs, ordered=False):
-        found[kind].append(result)
-        progress(f"{kind}, run {result.case.index}")
-    for results in found.values():
-        results.sort(key=lambda result: result.case.index)
-    held = [result for kind in HELD for result in found[kind]]
-    return Study(seed, found["event"], found["pull"], held)
+    space = Space({"task": Choice(tuple(tasks_of(runs, seed)))})
+    study = engine.Study(space, "grid", _run, functools.partial(_reduced, seed, progress))
+    result: Study = carry_out(study, backend)
+    return result

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand sweep`: a scenario over any of its parameters, on one machine or on a cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_hand_ros.cli.output import (
+    FormatOption,
+    check_writable,
+    console,
+    figure_formats,
+    print_table,
+)
+from tactile_hand_ros.errors import TactileHandError
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.studies.engine.backends import Backend
+    from tactile_hand_ros.studies.engine.keep import Tally
+    from tactile_hand_ros.studies.sweep.sweep import Sweep
+
+_LOOK = 0.2  # s between two looks at the progress
+
+
+def sweep(
+    targets: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENARIO...", help="Scenarios, or the folder of a study."),
+    ],
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=VALUES",
+            help="What is varied: LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or A,B,C.",
+        ),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
+    ] = None,
+    runs: Annotated[int, typer.Option(help="Number of runs.", min=1)] = 100,
+    sampler: Annotated[
+        str, typer.Option(help="grid, latin, sobol, random or saltelli (for Sobol' indices).")
+    ] = "",
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="outcome, slip, error, peak_force, margin, settling_time or module:function; may "
+            "be repeated. By default all that have a name."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    cluster: Annotated[
+        str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
+    ] = "",
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep"),
+    rerun: Annotated[
+        int | None, typer.Option(help="Replay one run of a study as a recorded run, by its number.")
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Run scenarios over ranges of their parameters; table, summary and figures.
+
+    Give the folder of a study alone to go on with it, with --rerun to replay one of its runs.
+    """
+    from tactile_hand_ros.config.model import parse_changes
+    from tactile_hand_ros.studies.sweep.metrics import METRICS
+    from tactile_hand_ros.studies.sweep.sweep import make_sweep, read_sweep
+
+    figure_formats(formats)
+    is_folder = len(targets) == 1 and (Path(targets[0]) / "study.json").is_file()
+    if is_folder:
+        if over or changes or metric:
+            raise TactileHandError(
+                f"{targets[0]} is the folder of a study, which says what it varies; leave --over, "
+                "--set and --metric away."
+            )
+        out = Path(targets[0])
+        asked = read_sweep(out)
+    else:
+        if rerun is not None:
+            raise TactileHandError("--rerun was given, expected the folder of a study before it.")
+        asked = make_sweep(
+            targets,
+            over or [],
+            parse_changes(changes or []),
+            metric or list(METRICS),
+            sampler=sampler,
+            runs=runs,
+            seed=seed,
+        )
+    if rerun is not None:
+        raise typer.Exit(_rerun(asked, out, rerun))
+    check_writable(out)
+    _run(asked, out, jobs, cluster)
+    _show(asked, out, figure_formats(formats))
+
+
+def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
+    from tactile_hand_ros.studies.sweep.run import run_sweep
+
+    with backend(jobs, cluster) as where, progress(", ".join(asked.scenarios)) as watch:
+        try:
+            tally = run_sweep(asked, out, where, watch)
+        except KeyboardInterrupt:
+            print(f"interrupted; {_again(out)}", file=sys.stderr)
+            raise
+        except TactileHandError as error:
+            raise TactileHandError(f"{error} {_again(out)}") from None
+    failed = tally.outcomes["failed"]
+    print(f"{tally.done} of {tally.total} runs, {failed} failed, {tally.rate:.3g} runs/s")
+
+
+def _again(out: Path) -> str:
+    return f"What is done is in {out}; `tactile-hand sweep {out}` goes on."
+
+
+@contextlib.contextmanager
+def backend(jobs: int, cluster: str) -> Iterator[Backend]:
+    """Provide where runs are made: processes of this machine, or a Dask cluster."""
+    from tactile_hand_ros.studies.engine.backends import Cluster, Local
+
+    if not cluster:
+        if jobs == 0:
+            raise TactileHandError("--jobs is 0, expected a number of processes or -1 for all.")
+        yield Local(jobs)
+        return
+    connected = Cluster(cluster)
+    try:
+        yield connected
+    finally:
+        connected.close()
+
+
+@contextlib.contextmanager
+def progress(title: str) -> Iterator[Callable[[Tally], None]]:
+    """Show how far a study is, on a terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    output = console(stderr=True)
+    texts = TextColumn("{task.fields[left]}"), TextColumn("{task.fields[state]}")
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        MofNCompleteColumn(),
+        *texts,
+        console=output,
+        transient=True,
+        disable=not output.is_terminal,
+    )
+    task = bar.add_task(title, total=None, left="", state="starting")
+    last = 0.0
+
+    def watch(tally: Tally) -> None:
+        nonlocal last
+        if time.monotonic() - last < _LOOK:
+            return
+        last = time.monotonic()
+        left = f"{_clock(tally.left)} left"
+        bar.update(task, completed=tally.done, total=tally.total, left=left, state=str(tally))
+
+    with bar:
+        yield watch
+
+
+def _clock(seconds: float) -> str:
+    if not seconds < 1e7:
+        return "an unknown time"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.studies.sweep import tables
+    from tactile_hand_ros.studies.sweep.figures import figures
+    from tactile_hand_ros.studies.sweep.results import each_scenario
+
+    results = each_scenario(asked, out)
+    pictures = []
+    for each in results:
+        for name, figure in figures(each).items():
+            pictures.append(save(figure, out, name, formats)[0])
+    page = tables.write(results, out, pictures)
+    print_table(rich_table("outcomes", tables.SHARE_COLUMNS, tables.share_rows(results)))
+    print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
+    if rows := tables.effect_rows(results):
+        columns = tables.effect_columns(results[0])
+        print_table(rich_table("what it depends on most", columns, rows[:10]))
+    print(f"{page}, runs.parquet, runs.csv and {len(pictures)} figures")
+
+
+def _rerun(asked: Sweep, folder: Path, index: int) -> int:
+    """Replay one run through the nodes, recorded, with the values that it had."""
+    from tactile_hand_ros import files
+    from tactile_hand_ros.closed_loop.scenario import resolved
+    from tactile_hand_ros.studies.engine.store import read_description
+    from tactile_hand_ros.studies.engine.study import build
+    from tactile_hand_ros.studies.sweep.run import study_of
+
+    point = study_of(asked).point(index)
+    scenario = asked.trial.scenario(point)
+    before = read_description(folder)["build"]
+    if before != build():
+        text = f"note: the study was made by {before}, this is {build()}: results may differ."
+        print(text, file=sys.stderr)
+    values: dict[str, Any] = asked.trial.changes(point)[1]
+    listed = " ".join(f"{path}={json.dumps(value)}" for path, value in values.items())
+    print(f"run {index}: {listed}", flush=True)
+    file = folder / f"run_{index}.yaml"
+    files.replace_text(file, resolved(scenario))
+    command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
+    options = ["--scenario", str(file), "--out", str(folder / "runs")]
+    # What else this computer does may be the study itself.
+    return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode
+
+
+def robustness(
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    cluster: Annotated[
+        str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
+    ] = "",
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    formats: FormatOption = None,
+) -> None:
+    """Map how far each scenario survives that the hand knows something wrongly."""
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.studies import robustness as r
+
+    figure_formats(formats)
+    check_writable(out)
+    names = tuple(scenario or r.all_scenarios())
+    with backend(jobs, cluster) as where, progress("robustness") as watch:
+        tally = r.run_map(names, out, where, seed, watch)
+    files = save(r.figure(out, names), out, "robustness", figure_formats(formats))
+    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
+    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
+
+
+COMMANDS = (sweep,)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study varies: parameters, each a range of numbers or a choice of values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import parse_yaml
+from tactile_hand_ros.errors import ConfigurationError
+
+_FORMS = "LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or a list such as A,B,C"
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers between two bounds.
+
+    Attributes:
+        low: Lower bound.
+        high: Upper bound, itself included.
+        is_log: Whether equal ratios are equally likely, instead of equal differences.
+        is_whole: Whether only whole numbers are meant.
+        levels: Values of it that a grid takes; 0 leaves that to the grid.
+    """
+
+    low: float
+    high: float
+    is_log: bool = False
+    is_whole: bool = False
+    levels: int = 0
+
+    def value(self, share: float) -> float | int:
+        """Return the value at a share of the range, 0 to 1."""
+        if self.is_whole:
+            span = int(self.high) - int(self.low) + 1
+            return int(self.low) + min(int(share * span), span - 1)
+        if self.is_log:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + share * (self.high - self.low))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Some values, each as likely as the others."""
+
+    values: tuple[Any, ...]
+
+    @property
+    def levels(self) -> int:
+        """Number of values."""
+        return len(self.values)
+
+    def value(self, share: float) -> Any:
+        """Return the value at a share of the list, 0 to 1."""
+        return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+
+
+Parameter = Range | Choice
+
+
+@dataclass(frozen=True)
+class Space:
+    """The parameters of a study by name, in a fixed order."""
+
+    parameters: Mapping[str, Parameter]
+
+    def __len__(self) -> int:
+        """Return the number of parameters."""
+        return len(self.parameters)
+
+    def values(self, shares: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
+        """Return the values at a point of the unit cube, one share for each parameter."""
+        pairs = zip(self.parameters.items(), shares, strict=True)
+        return {name: parameter.value(float(share)) for (name, parameter), share in pairs}
+
+
+def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Parameter]:
+    """Read ``PATH=LOW..HIGH``, ``PATH=LOW..HIGH/LEVELS``, ``PATH=LOW..HIGH:log`` or ``PATH=A,B,C``.
+
+    Args:
+        text: As on the command line.
+        is_whole: Whether a range means whole numbers.
+
+    Raises:
+        ConfigurationError: If it is none of these, or the range or list is empty.
+    """
+    path, separator, values = text.partition("=")
+    if not separator or not path or not values:
+        raise ConfigurationError(f"--over got '{text}', expected PATH= and {_FORMS}.")
+    if ".." in values:
+        return path, _range(path, values, is_whole)
+    inner = values if values.startswith("[") else f"[{values}]"
+    found = parse_yaml(inner, f"--over {path}")
+    if not isinstance(found, list) or not found:
+        raise ConfigurationError(f"--over {path} got '{values}', expected {_FORMS}.")
+    return path, Choice(tuple(found))
+
+
+def _range(path: str, text: str, is_whole: bool) -> Range:
+    bounds, _, kind = text.partition(":")
+    bounds, _, levels = bounds.partition("/")
+    low, _, high = bounds.partition("..")
+    try:
+        found = Range(float(low), float(high), kind == "log", is_whole, int(levels or 0))
+    except ValueError:
+        raise ConfigurationError(f"--over {path} got '{text}', expected {_FORMS}.") from None
+    if kind not in ("", "log") or not np.isfinite([found.low, found.high]).all():
+        raise ConfigurationError(f"--over {path} got '{text}', expected {_FORMS}.")
+    if not found.low < found.high:
+        raise ConfigurationError(
+            f"--over {path} got the empty range {low}..{high}, expected the lower bound first."
+        )
+    if found.is_log and found.low <= 0.0:
+        raise ConfigurationError(f"--over {path} got {text}, expected bounds above 0 with :log.")
+    if levels and found.levels < 2:
+        raise ConfigurationError(f"--over {path} got {levels} levels, expected 2 or more.")
+    if is_whole and not (found.low.is_integer() and found.high.is_integer()):
+        raise ConfigurationError(f"--over {path} got {text}, expected whole numbers.")
+    return found

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs that studies of the tests make, importable by their workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.studies.engine.study import Point
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.closed_loop.record import Record
+    from tactile_hand_ros.closed_loop.scenario import Scenario
+
+
+def product(point: Point) -> dict[str, Any]:
+    """Return x times y, the seed's last bit as the outcome; refuse where x is above 0.9."""
+    x, y = point.values["x"], point.values["y"]
+    if x > 0.9:
+        raise DivergedError(f"x is {x:.3f}")
+    return {"xy_m": x * y, "outcome": "reached" if point.seed % 2 else "missed"}
+
+
+def deadly(mark: Path, point: Point) -> dict[str, Any]:
+    """Kill the process at run 3, the first time."""
+    if point.index == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return product(point)
+
+
+def broken(point: Point) -> dict[str, Any]:
+    """Fail with a defect."""
+    return {"xy_m": [][point.index], "outcome": "reached"}
+
+
+def mean_torque_Nm(record: Record, scenario: Scenario) -> float:
+    """Return a metric of one's own."""
+    return float(abs(record.torque).mean())

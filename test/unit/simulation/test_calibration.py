@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong knowledge: the true hand and gravity differ from the model, and touch is read with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.contact import contact_frame
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
+from tactile_hand_ros.simulation.belief import Belief
+from tactile_hand_ros.simulation.calibration import CalibrationConfig
+from tactile_hand_ros.simulation.truth import true_reading
+
+
+def loop(**errors: object) -> ClosedLoop:
+    """Return the closed loop of the scenario `gravity` with some errors."""
+    return ClosedLoop(load_scenario("gravity", {f"calibration.{k}": v for k, v in errors.items()}))
+
+
+def test_without_errors_hand_and_model_are_one() -> None:
+    made = loop()
+    assert CalibrationConfig().is_right
+    assert made.plant.hand is made.plant.known and made._belief is None
+
+
+def test_longer_links_reach_farther_and_stay_mounted() -> None:
+    right, long = Hand.load("paper"), Hand.load("paper", link_lengths=1.1)
+    np.testing.assert_array_equal(long.bases, right.bases)
+    np.testing.assert_allclose(long.spans, 1.1 * right.spans, rtol=1e-12)
+    assert long.description == right.description
+    theta = np.linspace(-0.5, 0.9, right.joints)
+    for chain, other in zip(right.joint_positions(theta), long.joint_positions(theta), strict=True):
+        for a, b in zip(np.diff(chain, axis=0)[1:], np.diff(other, axis=0)[1:], strict=True):
+            np.testing.assert_allclose(b, 1.1 * a, atol=1e-12)
+
+
+def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() -> None:
+    made = loop(tip_radii=1.1, link_lengths=1.03)
+    state, known = made.plant.state, made.plant.known
+    np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
+    assert np.abs(state.gaps).max() < 1e-12
+    true = true_reading(state)
+    assert made._belief is not None
+    seen = made._belief.step(state.theta, true)
+    normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
+    expected = known.tip_positions(state.theta) + known.radii[:, None] * normals
+    np.testing.assert_allclose(seen.positions, expected, atol=1e-12)
+    np.testing.assert_allclose(seen.forces, true.forces, atol=1e-12)
+    assert np.linalg.norm(seen.positions - true.positions, axis=1).min() > 1e-3
+
+
+def test_a_turned_skin_turns_normal_and_force_alike() -> None:
+    """In the palm frame both turn by the same rotation, given in axes of the fingertip."""
+    vector = np.array([0.05, -0.1, 0.08])
+    made = loop()
+    made.run(40)
+    state, hand = made.plant.state, made.plant.known
+    true = true_reading(state)
+    seen = Belief(CalibrationConfig(skin_rotation=tuple(vector)), hand).step(state.theta, true)
+    tips = hand.tip_rotations(state.theta)
+    for i in range(hand.fingers):
+        turn = tips[i] @ rotation_from_vector(vector) @ tips[i].T
+        before = rotation_from_quaternion(true.quaternions[i])
+        after = rotation_from_quaternion(seen.quaternions[i])
+        np.testing.assert_allclose(after[:, 1], turn @ before[:, 1], atol=1e-12)
+        np.testing.assert_allclose(after, contact_frame(after[:, 1]), atol=1e-12)
+        force = after @ seen.forces[i]
+        np.testing.assert_allclose(force, turn @ before @ true.forces[i], atol=1e-12)
+
+
+def test_gravity_turns_for_object_and_links_and_not_for_the_controller() -> None:
+    made = loop(gravity_rotation=[0.5, 0.0, 0.0])
+    plant, gravity = made.plant, np.array(made.scenario.gravity)
+    turned = rotation_from_vector(np.array([0.5, 0.0, 0.0])) @ gravity
+    theta = plant.state.theta
+    right = Hand.load("paper", gravity=turned).gravity_torque(theta)
+    np.testing.assert_allclose(plant.hand.gravity_torque(theta), right, atol=1e-12)
+    np.testing.assert_allclose(plant._weight[:3], made.scenario.plant.object.mass * turned)
+    assert made.scenario.manipulation_controller.gravity == tuple(gravity)
+
+
+@pytest.mark.parametrize("error", [{"link_lengths": 1.02}, {"skin_rotation": [0.0, 0.02, 0.0]}])
+def test_small_errors_end_in_small_misses(error: dict[str, object]) -> None:
+    """The object is held, and ends some millimetres beside its goal."""
+    changes = {f"calibration.{k}": v for k, v in error.items()}
+    record = ClosedLoop(load_scenario("paper", {"duration": 4.0, **changes})).run()
+    assert np.isfinite(record.true_positions[-1]).all()
+    apart = record.desired_position[-1] - record.true_positions[-1].mean(axis=0)
+    assert 1e-3 < np.linalg.norm(apart) < 0.03
