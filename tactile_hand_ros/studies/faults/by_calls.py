@@ -101,7 +101,7 @@ class FaultyLoop:
         self.guard = JointGuard(plant.guard, self.loop.plant.hand, plant.tick)
         self.tick_time = 1e-9 * plant.tick
         self.wires = Wires(run, self.tick_time)
-        self._cones = ConeWatch(chosen.force_optimizer.load_time)
+        self._cones = ConeWatch(chosen.force_optimizer, self.loop.plant.hand.fingers)
         self._run, self._chance = run, random.Random(run.seed)
         self._newest: TorqueCommand | None = None
         self._waiting: deque[tuple[int, TorqueCommand]] = deque()
