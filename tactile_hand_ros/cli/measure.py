@@ -95,7 +95,7 @@ def slip(
     files = s.write(result, out)
     if loads:
         with Progress("loading", loads * len(slip_loads.FLOORS)) as advance:
-            hit = slip_loads.run_loads(loads, seed, jobs=jobs, progress=advance)
+            hit = slip_loads.run_loads(loads, seed, backend=Local(jobs), progress=advance)
         drawn["study_loads"] = loads_report.loads_figure(hit)
         files += loads_report.write(hit, out)
         print_table(tables.rich_table("loads", loads_report.COLUMNS, loads_report.rows(hit)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,10 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.studies.parallel import parallel
+from tactile_hand_ros.studies.engine import study as engine
+from tactile_hand_ros.studies.engine.backends import Backend
+from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.space import Choice, Space
 from tactile_hand_ros.studies.slip.survival import least_against
 
 Array = NDArray[np.float64]
@@ -196,7 +199,7 @@ def run_loads(
     runs: int,
     seed: int,
     floors: Sequence[float] = FLOORS,
-    jobs: int = -1,
+    backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[LoadOutcome]:
     """Let the same random loads act on grasps with each floor of the reserve.
@@ -205,15 +208,26 @@ def run_loads(
         runs: Number of loads.
         seed: The same seed gives the same numbers, on any number of cores.
         floors: Floors of the reserve, N.
-        jobs: Number of processes; -1 for one on each core.
+        backend: Where; all cores of this machine by default.
         progress: Called whenever a run is done.
 
     Raises:
         MissingLibraryError: If joblib is not installed.
     """
-    tasks = [(case, floor) for case in sample_loads(runs, seed) for floor in floors]
+    tasks = tuple((case, floor) for case in sample_loads(runs, seed) for floor in floors)
+    space = Space({"task": Choice(tasks)})
+    study = engine.Study(space, "grid", _run, functools.partial(_sorted, progress))
+    found: list[LoadOutcome] = carry_out(study, backend)
+    return found
+
+
+def _run(point: engine.Point) -> LoadOutcome:
+    return run_load(*point.values["task"])
+
+
+def _sorted(progress: Callable[[str], None], results: Iterable[engine.Result]) -> list[LoadOutcome]:
     found: list[LoadOutcome] = []
-    for outcome in parallel(run_load, tasks, jobs, ordered=False):
+    for outcome in engine.results_of(results):
         found.append(outcome)
         progress(f"load {outcome.case.index}, floor {outcome.floor:g} N")
     return sorted(found, key=lambda outcome: (outcome.floor, outcome.case.index))
