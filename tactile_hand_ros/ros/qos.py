@@ -34,9 +34,9 @@ def tick_publisher_qos() -> QoSProfile:
     return profile
 
 
-def latched_qos() -> QoSProfile:
+def latched_qos(depth: int = 1) -> QoSProfile:
     """Return the profile of values that late subscribers must get: transient local, depth 1."""
-    return QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def configuration_qos() -> QoSProfile:

@@ -203,7 +203,9 @@ def _check_ready(node: Node) -> None:
 
 
 def _announce(node: Node) -> None:
-    """Log that a node is ready, and what it was started with."""
+    """Log that a node is ready, and what it was started with, unless a signal has ended it."""
+    if not node.context.ok():
+        return
     config = getattr(node, "config", None)
     values = flatten(config) if isinstance(config, Config) else {}
     facts = [f"{name} {values[name]}" for name in _ANNOUNCED if values.get(name)]

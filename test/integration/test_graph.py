@@ -168,8 +168,8 @@ def test_the_graph_gives_the_numbers_of_function_calls(
 
 def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
     """Weight, a noisy skin, a sudden pull: slip, friction, k_f and reshaped f* are the same."""
-    pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -10.0]}
-    slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.3}
+    pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -14.0]}  # more than the reserve
+    slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.25}
     scenario = short("pull", **{"duration": 0.6, **slippery})
     with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
         recorded = Run(record(graph, tmp_path / "bag")).record
@@ -244,7 +244,9 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     ]
     assert len(inputs.forces) == 1 and len(inputs.poses) == 3
     assert inputs.poses[1].stamp == 500_000_000
-    calls = [request for _, request in inputs.requests[names.CONTROLLER]]
+    requests = [request for _, request in inputs.requests[names.CONTROLLER]]
+    # On a busy computer a command may be late, and the joints are held for a while.
+    calls = [request for request in requests if request.service != names.JOINT_HOLD]
     assert calls == [Request("enable", True), Request("enable", True), Request("reset", False)]
     assert {effect.stamp for effect in (*inputs.forces, *inputs.poses)} <= ticks
     assert [c for c in recompute(run).comparisons if not c.same] == []

@@ -124,7 +124,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.subscribe(
             PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos(), raw=True
         )
-        self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=qos.latched_qos())
+        held = qos.latched_qos(qos.user_qos().depth)
+        self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
         self._feels = self.config.law.observer.time > 0.0
         declared = (
             streams.joints(hand.joint_names),
