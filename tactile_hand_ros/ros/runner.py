@@ -204,7 +204,7 @@ def _check_ready(node: Node) -> None:
 
 def _announce(node: Node) -> None:
     """Log that a node is ready, and what it was started with, unless a signal has ended it."""
-    if not node.context.ok():
+    if _was_signalled or not node.context.ok():
         return
     config = getattr(node, "config", None)
     values = flatten(config) if isinstance(config, Config) else {}
