@@ -65,13 +65,14 @@ def keep(run: Callable[[], None]) -> None:
     file = code_file()
     if file is None:
         return
-    if is_exportable():
+    if is_exportable() and _strict():
         for dispatcher in _by_numba.values():  # what comes from its cache lacks what it calls
             dispatcher._cache.disable()
     run()
     codes = {}
     with contextlib.suppress(UnknownCodeError):
-        codes = {name: export(dispatcher) for name, dispatcher in _by_numba.items()}
+        if _strict():
+            codes = {name: export(dispatcher) for name, dispatcher in _by_numba.items()}
     with contextlib.suppress(OSError):  # no directory to keep it in
         file.parent.mkdir(parents=True, exist_ok=True)
         replace_bytes(file, pickle.dumps(codes))
@@ -142,15 +143,23 @@ def _with_numba(function: F) -> F:
 def _jit(function: F) -> F:
     import numba
 
-    from tactile_hand_ros.jit.wrappers import StrictCompiler
-
     # numpy's rules for division by zero; no reordering of sums, so that runs repeat to the bit.
-    options = {"error_model": "numpy", "fastmath": False, "pipeline_class": StrictCompiler}
+    options = {"error_model": "numpy", "fastmath": False, **_strict()}
     try:
         made: F = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no directory to keep the result in
         made = numba.njit(**options)(function)
     return made
+
+
+@functools.cache
+def _strict() -> dict[str, Any]:
+    """Return the option for wrappers that need no dispatcher; empty for another Numba's inside."""
+    try:
+        from tactile_hand_ros.jit.wrappers import StrictCompiler
+    except ImportError:
+        return {}
+    return {"pipeline_class": StrictCompiler}
 
 
 def _name(function: Callable[..., Any]) -> str:

@@ -16,7 +16,6 @@ import typer
 
 from tactile_hand_ros.command_line import run_command, say
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.jit.compiled import run_interpreted
 from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 
@@ -123,6 +122,8 @@ def run(
     )
     signals, ros_arguments = context.obj or (_watching(), [])
     gc.disable()  # nearly all that is loaded stays; the session enables it again
+    from tactile_hand_ros.jit.compiled import run_interpreted  # loads NumPy
+
     run_interpreted()  # the few steps of the check do not justify loading Numba
     try:
         # Loading takes a second; a Ctrl-C in that time must not tear an import apart.

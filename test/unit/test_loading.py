@@ -33,8 +33,14 @@ UNNEEDED = {
 
 
 def loaded(name: str) -> set[str]:
-    """Return the modules that an executable imports before it does anything."""
-    command = [sys.executable, "-X", "importtime", str(executable_path(name)), "--help"]
+    """Return the modules that an executable imports before it does anything.
+
+    The orchestrator imports what runs only when it knows that it has to.
+    """
+    what = [str(executable_path(name)), "--help"]
+    if name == "orchestrator":
+        what = ["-c", "import tactile_hand_ros.orchestrator.conduct"]
+    command = [sys.executable, "-X", "importtime", *what]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
     return {line.rpartition("|")[2].strip() for line in lines}

@@ -21,11 +21,10 @@ def tree(tmp_path: Path) -> Path:
     bin_folder = tree / ".venv" / "bin"
     bin_folder.mkdir(parents=True)
     shutil.copy(ROOT / "Makefile", tree)
-    (tree / "requirements").mkdir()
+    (tree / "requirements" / "locked").mkdir(parents=True)
     for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
         (tree / name).touch()
-    for name in ("ros", "run"):
-        (tree / "requirements" / f"{name}.txt").touch()
+    (tree / "requirements" / "locked" / "run.txt").touch()
     (tree / ".venv" / ".created").write_text(f"{tree}/.venv\n")
     (tree / ".venv" / ".run").touch()
     (tree / ".venv" / ".sources").write_text("setup.py setup.cfg package.xml pyproject.toml \n")

@@ -15,7 +15,7 @@ from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
-UNEQUAL = (0.001, 0.002, 0.004)
+UNEQUAL = (0.001, 0.002, 0.0028)
 NOTHING = np.zeros(9)
 
 
