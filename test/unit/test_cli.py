@@ -53,7 +53,8 @@ def test_help_lists_the_commands() -> None:
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     """Help must be there at once."""
-    code = f"import sys, tactile_hand_ros.cli as c; c.main({words}); print(*sys.modules, file=sys.stderr)"
+    loading = f"import sys, tactile_hand_ros.cli as c; c.main({words});"
+    code = f"{loading} print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     loaded = set(done.stderr.split())
     assert "typer" in loaded
