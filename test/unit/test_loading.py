@@ -41,7 +41,8 @@ def loaded(name: str) -> set[str]:
     if name == "orchestrator":
         what = ["-c", "import tactile_hand_ros.orchestrator.conduct"]
     command = [sys.executable, "-X", "importtime", *what]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    # In the root folder, or `-c` would take the tree for the installed package.
+    done = subprocess.run(command, cwd="/", capture_output=True, text=True, check=True, timeout=120)
     lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
     return {line.rpartition("|")[2].strip() for line in lines}
 
