@@ -164,7 +164,8 @@ class OptimalForces(NamedTuple):
     @property
     def residual(self) -> float:
         """The largest of the four residuals; NaN if one is."""
-        return float(np.max(self[3:7]))
+        values = self[3:7]
+        return math.nan if any(map(math.isnan, values)) else max(values)
 
 
 class ForceOptimizer:
@@ -234,7 +235,7 @@ class ForceOptimizer:
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
         solved = OptimalForces(Status.SOLVED, "", forces, *residuals, systems)
-        is_exact = systems and solved.residual < _GOOD_RESIDUAL
+        is_exact = systems > 0 and solved.residual < _GOOD_RESIDUAL
         if not is_exact or self.config.solver == "osqp":
             solved = self._by_osqp(balance, solved)
         if cones is None or not solved.ok:
