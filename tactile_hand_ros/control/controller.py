@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, all_finite
 from tactile_hand_ros.control.effort import bearable_share
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
@@ -385,7 +385,7 @@ class Controller:
                 if not touching
             ]
             return f"no contact at {', '.join(names)}; holding until all fingers touch again"
-        if self.config.law.name == "optimal" and not np.isfinite(forces).all():
+        if self.config.law.name == "optimal" and not all_finite(forces):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"

@@ -106,7 +106,8 @@ def violation(problem: Problem, x: Array, multipliers: Array) -> float:
             excess += row[j] * x[j]
             slopes[j] += row[j] * multipliers[i]
         worst = max(worst, abs(excess) if i < e else excess)
-    return max(worst, np.abs(slopes).max())
+    steepest: float = np.abs(slopes).max()
+    return max(worst, steepest)
 
 
 @compiled
