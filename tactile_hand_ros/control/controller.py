@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, all_finite
 from tactile_hand_ros.control.effort import bearable_share
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
@@ -302,13 +302,14 @@ class Controller:
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
-        parts = self._bearable(parts, theta)
+        weight = self._weight(theta)
+        parts = self._bearable(parts, weight)
         self._hold.release()
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
         torque = self._for_middle_of_period(total)
-        return Command(self._with_gravity(torque, theta), Mode.DRIVE, pose, refused)
+        return Command(_sum(torque, weight), Mode.DRIVE, pose, refused)
 
     def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
         """Answer a tick without what the law needs: keep posture and last good squeeze.
@@ -384,7 +385,7 @@ class Controller:
                 if not touching
             ]
             return f"no contact at {', '.join(names)}; holding until all fingers touch again"
-        if self.config.law.name == "optimal" and not np.isfinite(forces).all():
+        if self.config.law.name == "optimal" and not all_finite(forces):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
@@ -420,18 +421,24 @@ class Controller:
             return torque
         return torque + 0.5 * (torque - last)
 
-    def _bearable(self, parts: LawTorque, theta: Array) -> LawTorque:
+    def _bearable(self, parts: LawTorque, weight: Array | None) -> LawTorque:
         """Return the torques with as much of the squeeze as the joints can bear."""
         limits = self.hand.effort_limits
-        rest = self._with_gravity(parts.carry + parts.drive + parts.damping, theta)
+        rest = _sum(parts.carry + parts.drive + parts.damping, weight)
         share = bearable_share(parts.squeeze, rest, limits)
         return parts if share == 1.0 else parts._replace(squeeze=share * parts.squeeze)
 
     def _with_gravity(self, torque: Array, theta: Array) -> Array:
         """Return a torque that carries the links too, where that is wanted."""
-        if not self.config.gravity_compensation:
-            return torque
-        return torque + self.hand.gravity_torque(theta)
+        return _sum(torque, self._weight(theta))
+
+    def _weight(self, theta: Array) -> Array | None:
+        """Return the torques that carry the links, shape (m,), N m; None where not wanted."""
+        return self.hand.gravity_torque(theta) if self.config.gravity_compensation else None
+
+
+def _sum(torque: Array, weight: Array | None) -> Array:
+    return torque if weight is None else torque + weight
 
 
 def _due_at(queued: _QueuedPose) -> int:

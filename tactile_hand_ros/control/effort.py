@@ -6,9 +6,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.jit.compiled import compiled
+
 Array = NDArray[np.float64]
 
 
+@compiled
 def bearable_share(squeeze: Array, rest: Array, limits: Array) -> float:
     """Return the largest share s of a squeeze for which |s squeeze + rest| stays within limits.
 
@@ -23,10 +26,9 @@ def bearable_share(squeeze: Array, rest: Array, limits: Array) -> float:
     Returns:
         From 0 to 1; 1 where the limits allow the whole squeeze.
     """
-    beyond = np.abs(squeeze + rest) > limits
-    if not beyond.any():
-        return 1.0
-    room = limits - np.sign(squeeze) * rest
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        shares = np.where(squeeze != 0.0, room / np.abs(squeeze), 1.0)
-    return float(min(max(shares[beyond].min(), 0.0), 1.0))
+    share = 1.0
+    for i in range(len(limits)):
+        if abs(squeeze[i] + rest[i]) > limits[i] and squeeze[i] != 0.0:
+            room = limits[i] - np.sign(squeeze[i]) * rest[i]
+            share = min(share, room / abs(squeeze[i]))
+    return max(share, 0.0)

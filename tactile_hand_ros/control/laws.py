@@ -15,10 +15,11 @@ from pydantic import field_validator
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import wrench_forces
-from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
+from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -245,15 +246,16 @@ class ManipulationLaw:
         if not (self._integrates and self.acts):
             return
         c = self.config.integral
-        for gain, limit, part in (
-            (c.k_p, c.force_limit, slice(0, 3)),
-            (c.k_o, c.torque_limit, slice(3, 6)),
-        ):
-            if gain == 0.0:
-                self._integral[part] = 0.0
-                continue
-            self._integral[part] += gain * dt * error[part]
-            limit_length(self._integral[part], limit)
+        _integrate(self._integral, error, c.k_p, c.k_o, dt)
+        limit_wrench(self._integral, c.force_limit, c.torque_limit)
+
+
+@compiled
+def _integrate(integral: Array, error: Array, k_p: float, k_o: float, dt: float) -> None:
+    """Integrate an error, both of shape (6,), over a time in s; a part without a gain is zero."""
+    for i in range(6):
+        gain = k_p if i < 3 else k_o
+        integral[i] = integral[i] + gain * dt * error[i] if gain != 0.0 else 0.0
 
 
 class KawamuraLaw:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import net_wrench
+from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -59,18 +60,43 @@ class LoadObserver:
             forces: Measured forces in contact frames, shape (k, 3), N.
             dt: Time since the last tick, s.
         """
-        measured = net_wrench(contacts.positions, contacts.rotations, forces)
-        if config.time == 0.0 or not np.isfinite(measured).all():
-            return self.wrench if config.time > 0.0 else np.zeros(6)
+        if config.time == 0.0:
+            return np.zeros(6)
         share = 1.0 - math.exp(-dt / config.time)
-        self.wrench = self.wrench + share * (measured - self.wrench)
-        limit_length(self.wrench[:3], config.force_limit)
-        limit_length(self.wrench[3:], config.torque_limit)
+        touch = contacts.positions, contacts.rotations, forces
+        self.wrench = _followed(self.wrench, *touch, share, config.force_limit, config.torque_limit)
         return self.wrench
 
 
+@compiled
+def _followed(
+    before: Array,
+    points: Array,
+    rotations: Array,
+    forces: Array,
+    share: float,
+    force_limit: float,
+    torque_limit: float,
+) -> Array:
+    """Return an observed wrench a share of the way to that of the contacts, where it is finite."""
+    measured, out = net_wrench(points, rotations, forces), before.copy()
+    if np.isfinite(measured).all():
+        out += share * (measured - out)
+        limit_wrench(out, force_limit, torque_limit)
+    return out
+
+
+@compiled
+def limit_wrench(wrench: Array, force_limit: float, torque_limit: float) -> None:
+    """Shorten force and torque of a wrench, shape (6,), in place to at most their limits."""
+    limit_length(wrench[:3], force_limit)
+    limit_length(wrench[3:], torque_limit)
+
+
+@compiled
 def limit_length(vector: Array, limit: float) -> None:
-    """Shorten a vector in place to at most a length."""
-    length = math.sqrt(float(vector @ vector))
+    """Shorten a vector of shape (3,) in place to at most a length."""
+    x, y, z = vector
+    length = math.sqrt(x * x + y * y + z * z)
     if length > limit:
         vector *= limit / length

@@ -44,6 +44,5 @@ def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray
     for push in disturbances:
         factor = push.factor(time)
         if factor != 0.0:
-            wrench[:3] += factor * np.array(push.force)
-            wrench[3:] += factor * np.array(push.torque)
+            wrench += factor * np.array((*push.force, *push.torque))
     return wrench

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.cholesky import factorize, substitute
+from tactile_hand_ros.control.optimizer.equalities import least_cost
 from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
@@ -76,39 +76,11 @@ def _solve_equalities(
     rows[6, 1::3], right[6] = 1.0, 1.0
     for i in range(len(active)):
         rows[7 + i, 3 * active[i] + 1], right[7 + i] = 1.0, least
-    factor, determined = factorize(_schur_complement(rows, weights))
+    multipliers, determined = least_cost(rows, right, weights, np.zeros(n), x)
     if not determined:
         return False
-    multipliers, missing = np.zeros(size), right.copy()
-    for _ in range(2):  # the second time removes the rounding errors of the first
-        missing *= -2.0
-        substitute(factor, missing.reshape(size, 1))
-        multipliers += missing
-        for j in range(n):
-            total = 0.0
-            for i in range(size):
-                total += rows[i, j] * multipliers[i]
-            x[j] = -0.5 * total / weights[j]
-        for i in range(size):
-            missing[i] = right[i]
-            for j in range(n):
-                missing[i] -= rows[i, j] * x[j]
     y[7 : 7 + k] = 0.0
     y[:7] = multipliers[:7]
     for i in range(len(active)):
         y[7 + active[i]] = multipliers[7 + i]
     return True
-
-
-@compiled
-def _schur_complement(rows: Array, weights: Array) -> Array:
-    """Return A W^-1 A^T, of which the upper triangle is filled in."""
-    size, n = rows.shape
-    out = np.zeros((size, size))
-    for i in range(size):
-        for j in range(i, size):
-            total = 0.0
-            for c in range(n):
-                total += rows[i, c] * rows[j, c] / weights[c]
-            out[i, j] = total
-    return out

@@ -23,7 +23,7 @@ from tactile_hand_ros.control.grasp import (
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
-from tactile_hand_ros.control.optimizer.steady import followed
+from tactile_hand_ros.control.optimizer.steady import followed, imbalance
 from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
 from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.errors import ConfigurationError
@@ -164,7 +164,8 @@ class OptimalForces(NamedTuple):
     @property
     def residual(self) -> float:
         """The largest of the four residuals; NaN if one is."""
-        return float(np.max(self[3:7]))
+        values = self[3:7]
+        return math.nan if any(map(math.isnan, values)) else max(values)
 
 
 class ForceOptimizer:
@@ -234,7 +235,7 @@ class ForceOptimizer:
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
         solved = OptimalForces(Status.SOLVED, "", forces, *residuals, systems)
-        is_exact = systems and solved.residual < _GOOD_RESIDUAL
+        is_exact = systems > 0 and solved.residual < _GOOD_RESIDUAL
         if not is_exact or self.config.solver == "osqp":
             solved = self._by_osqp(balance, solved)
         if cones is None or not solved.ok:
@@ -244,23 +245,16 @@ class ForceOptimizer:
 
     def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
         """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
-        margin = cones.margin(solved.forces)
         if cones.holds(solved.forces):
-            return solved._replace(cone_margin=margin)
+            return solved
         if self._shaper is None:
-            self._shaper = ConeOptimizer(self._weights, self.config.minimum_normal)
+            c = self.config
+            self._shaper = ConeOptimizer(self._weights, c.minimum_normal, c.solver == "exact")
         forces, residual = self._shaper.solve(balance, cones)
         if not residual < _MAX_CONE_RESIDUAL:
             self._shaper = None
-            return solved._replace(cone_margin=margin)
-        return solved._replace(
-            forces=forces,
-            balance_residual=float(np.abs(forces.ravel() @ balance).max()),
-            sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
-            stationarity_residual=residual,
-            cone_margin=cones.margin(forces),
-            shaped=True,
-        )
+            return solved
+        return solved._replace(forces=forces, stationarity_residual=residual, shaped=True)
 
     def _steadied(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
         """Follow an answer steadily, see `steady`; the first one is followed at once."""
@@ -271,10 +265,11 @@ class ForceOptimizer:
             steady, found = followed(before, forces, balance, cones.load, learned, share)
             forces = steady if found else forces
         self._shape = forces
+        missing, excess = imbalance(forces, balance)
         return solved._replace(
             forces=forces,
-            balance_residual=float(np.abs(forces.ravel() @ balance).max()),
-            sum_residual=abs(float(forces[:, 1].sum()) - 1.0),
+            balance_residual=missing,
+            sum_residual=excess,
             cone_margin=cones.margin(forces),
         )
 

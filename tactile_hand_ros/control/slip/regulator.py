@@ -227,7 +227,7 @@ class SlipRegulator:
             bends.append((stamp, abs(c - 2.0 * b + a)))
         while len(bends) > _MEMORY and bends[0][0] <= stamp - _ON_ITS_WAY:
             bends.popleft()
-        return max((bend for _, bend in bends), default=0.0)
+        return max([bend for _, bend in bends], default=0.0)
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""

@@ -16,7 +16,7 @@ from tactile_hand_ros.control.grasp import (
     spread_wrench,
 )
 from tactile_hand_ros.control.optimizer.cones import Cones
-from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig
+from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig, shift
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -129,16 +129,17 @@ class ConeWatch:
         if parts is None:
             self._load = None  # the past that the reserve follows stays
             return None
-        load, elapsed = parts.load / parts.grasp_force, 0.0
+        elapsed, share, c = 0.0, 1.0, self._config
         if self._load is not None:
             elapsed = 1e-9 * (stamp - self._stamp)
-            share = 1.0 - math.exp(-elapsed / self._config.load_time)
-            load = self._load + share * (load - self._load)
+            share = 1.0 - math.exp(-elapsed / c.load_time)
+        before = parts.load if self._load is None else self._load
+        radii = self._reserve.step(parts.load, elapsed)
+        load, ready_for = _per_squeeze(
+            before, parts.load, parts.grasp_force, share, radii, usable_friction, c.squeeze_share
+        )
         self._load, self._stamp = load, stamp
-        radii = self._reserve.step(parts.load, elapsed) / parts.grasp_force
-        ready_for = load.copy()
-        ready_for[:, 1] -= radii * np.sqrt(1.0 + usable_friction**-2)
-        return Cones(usable_friction, load, elapsed, ready_for / self._config.squeeze_share)
+        return Cones(usable_friction, load, elapsed, ready_for)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
@@ -147,6 +148,38 @@ def _grasp(contacts: Contacts, forces: Array) -> Split | None:
         return None
     parts, margin = _measured_split(contacts, forces)
     return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _LEAST_SQUEEZE else None
+
+
+@compiled
+def _per_squeeze(
+    before: Array,
+    load: Array,
+    grasp_force: float,
+    share: float,
+    radii: Array,
+    friction: Array,
+    squeeze_share: float,
+) -> tuple[Array, Array]:
+    """Return the load per unit of squeeze, and what f* is to be ready for, shapes (k, 3).
+
+    Args:
+        before: The former at the last tick, shape (k, 3).
+        load: What the contacts carry, shape (k, 3), N.
+        grasp_force: The squeeze, N.
+        share: Share of the way to the present load.
+        radii: Radii of the loads that may come, shape (k,), N.
+        friction: Usable mu, shape (k,).
+        squeeze_share: Share of the squeeze with which f* should do.
+    """
+    now, ready_for = np.empty_like(load), np.empty_like(load)
+    for i in range(len(load)):
+        for axis in range(3):
+            felt, last = load[i, axis] / grasp_force, before[i, axis]
+            now[i, axis] = felt if share == 1.0 else last + share * (felt - last)
+            ready_for[i, axis] = now[i, axis] / squeeze_share
+        reserve = shift(radii[i], friction[i]) / grasp_force
+        ready_for[i, 1] = (now[i, 1] - reserve) / squeeze_share
+    return now, ready_for
 
 
 @compiled

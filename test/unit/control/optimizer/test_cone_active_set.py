@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The squeeze inside friction cones, solved exactly: certified, the same from any start."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.grasps import grasps, three_faces
+
+from tactile_hand_ros.control.optimizer.cone_active_set import Problem, solve_problem, violation
+from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.force_optimizer import scaled_balance
+
+WEIGHTS = (10.0, 1.0, 10.0)
+
+
+def shaped(contacts, cones, minimum=0.0, exact=True):
+    """Return f* of a new optimizer, and the largest violation of its conditions."""
+    k = len(contacts.positions)
+    optimizer = ConeOptimizer(np.tile(WEIGHTS, k), minimum, exact)
+    return optimizer.solve(scaled_balance(contacts.positions, contacts.rotations), cones)
+
+
+def corner(rows, bounds, price):
+    """Return the problem of the point nearest to -price / 2 in a region, whose sum is 1."""
+    n = len(price)
+    return Problem(
+        np.ones(n),
+        np.array(price, dtype=float),
+        np.ones((1, n)),
+        np.ones(1),
+        np.array(rows, dtype=float),
+        np.array(bounds, dtype=float),
+    )
+
+
+@settings(max_examples=60)
+@given(grasps(), st.floats(0.1, 1.0), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.05]))
+def test_what_is_optimal_proves_it(contacts, friction, seed, minimum):
+    """A strictly convex problem: stationary, feasible and pushing multipliers are the optimum."""
+    k = len(contacts.positions)
+    load = 0.3 * np.random.default_rng(seed).standard_normal((k, 3))
+    forces, missing = shaped(contacts, Cones(np.full(k, friction), load), minimum)
+    size = max(1.0, np.abs(forces).max())
+    assert missing < 1e-10 * size
+    assert abs(forces[:, 1].sum() - 1.0) < 1e-10 * size
+    assert forces[:, 1].min() > minimum - 1e-10 * size
+
+
+@pytest.mark.parametrize("friction", [0.15, 0.3, 0.6])
+def test_osqp_gives_the_same_where_it_converges(friction):
+    load = np.array([[0.1, 0.05, 0.2], [-0.1, 0.02, 0.1], [0.0, 0.1, 0.1]])
+    cones = Cones(np.full(3, friction), load)
+    forces, _ = shaped(three_faces(), cones)
+    other, missing = shaped(three_faces(), cones, exact=False)
+    assert missing < 1e-4
+    np.testing.assert_allclose(forces, other, atol=1e-4)
+
+
+def test_a_load_that_changes_little_takes_one_system():
+    contacts, load = three_faces(), np.array([[0.1, 0.05, 0.2], [-0.1, 0.02, 0.1], [0.0, 0.1, 0.1]])
+    problem = corner(np.vstack([-np.eye(3), [[1.0, -1.0, 0.0]]]), np.zeros(4), [-4.0, 0.0, 3.0])
+    held = np.zeros(4, dtype=bool)
+    assert solve_problem(problem, held)[2] > 1
+    assert held.any()
+    x, _, systems = solve_problem(problem, held)
+    assert systems == 1
+    np.testing.assert_allclose(x, [0.5, 0.5, 0.0], atol=1e-15)
+    optimizer = ConeOptimizer(np.tile(WEIGHTS, 3), 0.0)
+    balance = scaled_balance(contacts.positions, contacts.rotations)
+    first, _ = optimizer.solve(balance, Cones(np.full(3, 0.3), load))
+    optimizer.solve(balance, Cones(np.full(3, 0.2), 2.0 * load))
+    again, _ = optimizer.solve(balance, Cones(np.full(3, 0.3), load))
+    np.testing.assert_allclose(again, first, atol=1e-12)
+
+
+@pytest.mark.parametrize("start", range(2**4))
+def test_every_start_ends_at_the_same_point(start):
+    """Also from sets that contradict each other, and with a row twice: a degenerate corner."""
+    rows = np.vstack([-np.eye(3), [[-1.0, 0.0, 0.0]]])
+    held = np.array([bool(start >> i & 1) for i in range(4)])
+    problem = corner(rows, [0.0, 0.0, 0.0, 0.0], [8.0, -2.0, 0.0])
+    x, y, systems = solve_problem(problem, held)
+    assert systems and violation(problem, x, y) < 1e-14 and (y[1:] >= 0.0).all()
+    np.testing.assert_allclose(x, [0.0, 1.0, 0.0], atol=1e-15)
+
+
+def test_an_inequality_that_reaches_no_further_is_let_go():
+    """The first to be let in leaves no freedom for the second, and is not active in the end."""
+    problem = corner([[-10.0, 0.0], [-2.0, 1.0]], [0.0, -3.0], [6.0, 0.0])
+    held = np.zeros(2, dtype=bool)
+    x, y, _ = solve_problem(problem, held)
+    assert held.tolist() == [False, True]
+    np.testing.assert_allclose(x, [4.0 / 3.0, -1.0 / 3.0], atol=1e-14)
+    assert violation(problem, x, y) < 1e-14
+
+
+def test_where_inequalities_contradict_each_other_there_is_no_answer():
+    held = np.zeros(2, dtype=bool)
+    problem = corner([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0], [0.0, 0.0])
+    assert solve_problem(problem, held)[2] == 0
+    assert not held.any()
+
+
+@pytest.mark.parametrize("part", ["x", "equation", "inequality", "multiplier"])
+def test_a_violation_is_seen(part):
+    problem = corner(-np.eye(2), np.zeros(2), [4.0, 0.0])
+    x, y, _ = solve_problem(problem, np.zeros(2, dtype=bool))
+    assert violation(problem, x, y) < 1e-15
+    if part == "x":
+        x = x + [0.01, -0.01]
+    elif part == "equation":
+        problem = problem._replace(right=np.array([1.01]))
+    elif part == "inequality":
+        problem = problem._replace(bounds=np.array([-0.01, 0.0]))
+    else:
+        y = y + [0.0, 0.01, 0.0]
+    assert violation(problem, x, y) > 5e-3
+
+
+def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_worse():
+    contacts, cones = three_faces(), Cones(np.full(3, 0.3), np.full((3, 3), 0.1))
+    balance = scaled_balance(contacts.positions, contacts.rotations)
+    optimizer = ConeOptimizer(np.tile(WEIGHTS, 3), 0.0)
+    expected, _ = optimizer.solve(balance, cones)
+    twice = balance.copy()
+    twice[:, 5] = twice[:, 4]  # the exact solution wants independent rows, OSQP does not
+    forces, missing = optimizer.solve(twice, cones)
+    assert missing < 1e-4
+    np.testing.assert_allclose(twice.T @ forces.ravel(), 0.0, atol=1e-4)
+    np.testing.assert_allclose(optimizer.solve(balance, cones)[0], expected, atol=1e-12)
