@@ -303,7 +303,9 @@ class Controller:
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
         weight = self._weight(theta)
-        parts = self._bearable(parts, weight)
+        bearable = self._bearable(parts, weight)
+        if bearable is not parts:
+            parts, total = bearable, bearable.total
         self._hold.release()
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry

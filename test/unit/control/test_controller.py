@@ -93,6 +93,17 @@ def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
     np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
 
 
+def test_a_squeeze_beyond_the_joints_keeps_its_shape(bench):
+    """A joint that saturates alone would bend the shape and throw the object."""
+    bench.grasp_force = 10.0
+    wanted = bench.step().torque
+    bench.grasp_force = 400.0
+    given, limits = bench.step().torque, bench.controller.hand.effort_limits
+    assert np.abs(40.0 * wanted / limits).max() > 1.5
+    assert np.abs(given / limits).max() == pytest.approx(1.0)
+    np.testing.assert_allclose(given / np.linalg.norm(given), wanted / np.linalg.norm(wanted))
+
+
 def test_a_target_takes_effect_at_the_next_tick(bench):
     rest = bench.step().torque
     bench.controller.command(bench.target(0.05, 0.0, 0.0))
