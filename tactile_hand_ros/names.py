@@ -29,6 +29,9 @@ AUXILIARY_POSE = "auxiliary_pose"
 USER_GRASP_FORCE = "user_grasp_force"
 ACCEPTED_POSE = "accepted/desired_pose"
 ACCEPTED_FORCE = "accepted/user_grasp_force"
+USER_COMMANDS = (DESIRED_POSE, USER_GRASP_FORCE)
+"""Only the node that acts on a command subscribes to it, so that a command that one subscriber has
+received has reached the right one. Everything else uses what that node accepted or rejected."""
 HAPTIC_FEEDBACK = "haptic_feedback"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
@@ -78,6 +81,11 @@ def accepted_parameters(node: str) -> str:
 def accepted_requests(node: str) -> str:
     """Return the topic of the service calls that changed what a node does."""
     return f"accepted/{node}/requests"
+
+
+def rejected(node: str) -> str:
+    """Return the topic on which a node says which commands of its user it has refused."""
+    return f"rejected/{node}"
 
 
 def contact_frame(finger: str) -> str:

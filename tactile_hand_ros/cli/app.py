@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios, sweep
+from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios, steer, sweep
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.prefix import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -35,6 +35,7 @@ study_app = typer.Typer(
 
 for _command in (
     orchestrator.run,
+    *steer.COMMANDS,
     *scenarios.COMMANDS,
     *runs.COMMANDS,
     *sweep.COMMANDS,
@@ -44,6 +45,8 @@ for _command in (
     measure.fuzz,
 ):
     app.command()(_command)
+# An unknown option may be a negative number.
+app.command(context_settings={"ignore_unknown_options": True})(steer.move)
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
 study_app.command()(measure.faults)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has accepted from its user, published with the tick at which it takes effect.
+"""What a node has accepted or rejected of what its user sent, published with a tick.
 
 A command, a service call or a parameter arrives between two ticks, and no clock says between which
 ones: only the node knows. It therefore publishes each of them once more, stamped with the first
 tick whose answer it can change. A recording of these topics is enough to repeat what the node did.
+A command that it refuses is answered with the reason and the last tick that was answered before.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.parameters import to_parameters
 
+_MOST_REFUSALS = 10
+"""Refusals published between two ticks: a flood of bad commands must not become one of answers."""
+
 MessageAt = Callable[[int], Any]
 """Makes a message, or its bytes, for a tick [ns]."""
 
@@ -32,7 +36,8 @@ class Accepted:
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
     configuration in force; at the first tick, when ticks begin again and after each change;
     transient local) and, where the node has services that change it, `accepted/<node>/requests`
-    (diagnostic_msgs/DiagnosticArray: one key, the service, with `true`, `false` or nothing).
+    (diagnostic_msgs/DiagnosticArray: one key, the service, with `true`, `false` or nothing) and
+    `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic of a refused command and why).
     """
 
     def __init__(self, node: TactileNode[Any], name: str, *, requests: bool = False) -> None:
@@ -52,6 +57,10 @@ class Accepted:
             self._requests = node.create_publisher(
                 DiagnosticArray, names.accepted_requests(name), qos.user_qos()
             )
+            self._rejected = node.create_publisher(
+                DiagnosticArray, names.rejected(name), qos.user_qos()
+            )
+        self._answered, self._refusals = 0, 0
 
     def begin(self, config: Config) -> None:
         """Begin with the ticks: forget what has not taken effect, and publish the configuration."""
@@ -80,6 +89,23 @@ class Accepted:
 
         self.add(self._requests, message_at)
 
+    def rejected(self, topic: str, reason: str) -> None:
+        """Publish at once that a command of the user was refused.
+
+        Args:
+            topic: The command, a relative topic.
+            reason: Why, in one line.
+        """
+        self._refusals += 1
+        if topic in names.USER_COMMANDS and self._refusals <= _MOST_REFUSALS:
+            pair = KeyValue(key=topic, value=reason)
+            status = DiagnosticStatus(
+                level=DiagnosticStatus.WARN, name=self._name, message=reason, values=[pair]
+            )
+            message = DiagnosticArray(status=[status])
+            message.header.stamp = stamp_from_ns(self._answered)
+            self._rejected.publish(message)
+
     def add(self, publisher: Publisher, message_at: MessageAt) -> None:
         """Note something else that takes effect at the next tick."""
         self._waiting.append((publisher, message_at))
@@ -90,6 +116,7 @@ class Accepted:
         Args:
             stamp_ns: The tick that was answered [ns].
         """
+        self._answered, self._refusals = stamp_ns, 0
         if self._waiting:
             waiting, self._waiting = self._waiting, []
             for publisher, message_at in waiting:

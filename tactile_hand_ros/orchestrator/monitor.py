@@ -62,7 +62,7 @@ class Monitor:
         self._closely = closely
         if closely:
             self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
-            self._desired = self._subscribe(PoseStamped, names.DESIRED_POSE, _ALL)
+            self._desired = self._subscribe(PoseStamped, names.ACCEPTED_POSE, _ALL)
         self._diagnostics = self._subscribe(DiagnosticArray, names.DIAGNOSTICS, _ALL)
         self._last: dict[str, Any] = {}
         self._targets: list[tuple[int, Any]] = []
@@ -78,8 +78,11 @@ class Monitor:
         """Return the stamp of the newest tick that was answered [ns], -1 before the first."""
         data = take_latest(self._command)
         if data is not None:
+            before = self.tick
             with suppress(MessageError):  # the plant refuses it too, and says so
                 self.tick = stamp_of(data)
+            if self.tick < before:
+                self._targets.clear()  # a reset forgets them
         return self.tick
 
     def look(self) -> Look:
@@ -141,11 +144,10 @@ class Monitor:
     def _take_targets(self) -> None:
         for data, _ in taken(self._desired):
             message = deserialize_message(data, PoseStamped)
-            try:
-                target = pose_from_ros(message)
-            except MessageError:  # the controller refuses it too, and says so
-                continue
-            self._targets.append((stamp_to_ns(message.header.stamp), target.position))
+            stamp = stamp_to_ns(message.header.stamp)
+            if self._targets and stamp < self._targets[-1][0]:
+                self._targets.clear()  # a reset has set time back
+            self._targets.append((stamp, pose_from_ros(message).position))
 
     def _error(self, pose: PoseStamped) -> float:
         """Return the distance from the target that holds at the pose's tick [m]."""

@@ -139,9 +139,5 @@ class UserForces:
 
 def how_to_steer(namespace: str) -> str:
     """Return the command that moves the hand from a second terminal."""
-    topic = f"{namespace.rstrip('/')}/{names.DESIRED_POSE}"
-    pose = (
-        "{header: {frame_id: palm}, pose: {position: {x: 0.02, y: 0.06, z: 0.40}, "
-        "orientation: {w: 1.0}}}"
-    )
-    return f"ros2 topic pub --once {topic} geometry_msgs/msg/PoseStamped '{pose}'"
+    where = "" if namespace == "/" else f" --namespace {namespace}"
+    return f"tactile-hand move 0.02 0.06 0.40{where}"

@@ -60,6 +60,8 @@ def links(scenario: Scenario) -> list[Link]:
         *(Link(names.accepted_parameters(node), node) for node in _ACTING),
         Link(names.accepted_requests(names.REGULATOR), names.REGULATOR),
         Link(names.accepted_requests(names.CONTROLLER), names.CONTROLLER),
+        Link(names.rejected(names.REGULATOR), names.REGULATOR),
+        Link(names.rejected(names.CONTROLLER), names.CONTROLLER),
         Link(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
         Link(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
         *per_finger,

@@ -11,7 +11,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER, REGULATOR
+from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER, REGULATOR, USER_COMMANDS
 from tactile_hand_ros.orchestrator.topology import Link, links
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
 
@@ -50,6 +50,12 @@ def services() -> list[tuple[str, str]]:
     ]
 
 
+def _recorded(link: Link) -> Link:
+    """Add the recorder, which leaves the commands of users to those who act on them."""
+    recorder = () if link.topic in USER_COMMANDS else (RECORDER,)
+    return Link(link.topic, link.publisher, link.subscribers + recorder)
+
+
 class Wiring:
     """Compares the ROS graph with what the run needs.
 
@@ -70,11 +76,7 @@ class Wiring:
         """
         self._node = node
         self._namespace = node.get_namespace()
-        recorder = (RECORDER,) if recorded else ()
-        self._links = [
-            Link(link.topic, link.publisher, link.subscribers + recorder)
-            for link in links(scenario)
-        ]
+        self._links = [_recorded(link) if recorded else link for link in links(scenario)]
         self._services = services()
 
     def missing(self, facts: Facts) -> Iterator[Gap]:

@@ -36,6 +36,9 @@ class Guarded(Protocol):
     def to_safe_state(self, reason: str) -> None:
         """Do what is safe after an error that was not foreseen."""
 
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Do what is to be done about a message that was refused."""
+
 
 class Guard:
     """Runs the callbacks of one node."""
@@ -92,6 +95,7 @@ class Guard:
         if isinstance(error, TactileHandError) and not isinstance(error, UnsafeOutputError):
             if node.diagnostics.reject(source, error):
                 node.get_logger().warning(f"rejected a message on '{source}': {shortened(error)}")
+            node.on_rejected(source, shortened(error))
             return
         reason = described(error)
         if node.diagnostics.error(source, reason):

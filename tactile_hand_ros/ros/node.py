@@ -129,6 +129,14 @@ class TactileNode(Node, Generic[C]):
             reason: What went wrong, in one line.
         """
 
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Answer a message or request that was refused; by default it is only counted.
+
+        Args:
+            source: The topic or service, as it was named when the node was built.
+            reason: Why, in one line.
+        """
+
     def on_report(self) -> None:
         """Add what should be in the next diagnostics; override it to report once a second."""
 

@@ -49,6 +49,7 @@ LAYERS = {
     "run": BASE | RUNS,
     "verify": BASE | RUNS | {"ros"},
     "report": BASE | RUNS,
+    "steering": BASE | {"ros"},
     "orchestrator": BASE | RUNS | {"report", "ros", "nodes"},
     "studies": BASE | RUNS | {"report", "simulation", "ros", "nodes"},
     "bench": BASE | RUNS | {"report", "verify", "simulation", "ros", "orchestrator", "studies"},

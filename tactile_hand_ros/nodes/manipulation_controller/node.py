@@ -159,6 +159,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._controller.configure(config)
         self._accepted.configuration(config)
 
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Tell the user why a command was refused."""
+        self._accepted.rejected(source, reason)
+
     def on_report(self) -> None:
         """Report mode, missing inputs, distance to the target and the margins of the grasp."""
         self._inputs.report()

@@ -10,6 +10,7 @@ from pydantic import field_validator
 from tactile_hand_ros.bag.selection import compile_patterns
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.names import USER_COMMANDS
 
 Compression = Literal["none", "lz4", "zstd"]
 
@@ -27,8 +28,10 @@ class RecorderConfig(Config):
         [".*"], "regular expressions; a topic is recorded if one matches its whole name"
     )
     exclude: list[str] = param(
-        [],
-        "regular expressions; a topic is not recorded if one matches its whole name",
+        [f"(?!.*/accepted/).*/({'|'.join(USER_COMMANDS)})"],
+        "regular expressions; a topic is not recorded if one matches its whole name. Commands of "
+        "users are for the nodes that act on them; accepted/… and rejected/… say what became of "
+        "them",
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
     chunk_size: int = param(

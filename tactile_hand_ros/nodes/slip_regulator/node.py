@@ -122,6 +122,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.configure(config)
         self._accepted.configuration(config)
 
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Tell the user why a command was refused."""
+        self._accepted.rejected(source, reason)
+
     def on_report(self) -> None:
         """Report the squeeze and what was learned of the contacts."""
         self._report.report(self._regulator)

@@ -94,8 +94,8 @@ def test_rate_begins_at_zero() -> None:
 
 
 def test_hint_names_the_topic_in_the_namespace() -> None:
-    assert "/left/desired_pose geometry_msgs/msg/PoseStamped" in how_to_steer("/left")
-    assert " /desired_pose " in how_to_steer("/")
+    assert how_to_steer("/left").endswith(" --namespace /left")
+    assert "namespace" not in how_to_steer("/")
 
 
 def fake_ros2(folder: Path, answer: str, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand move`, `squeeze`, `grasp`, `release` and `reset`: steering a running hand."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tactile_hand_ros.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.steering.client import HandClient
+
+NamespaceOption = Annotated[str, typer.Option(help="Namespace of the hand, as /left.")]
+TimeoutOption = Annotated[
+    float, typer.Option(min=0.1, help="Longest wait for the hand and for its answer [s].")
+]
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_TIMEOUT = 5.0
+
+
+def move(
+    x: Annotated[float, typer.Argument(help="p_d of the contact centroid, palm frame [m].")],
+    y: Annotated[float, typer.Argument(help="The same.")],
+    z: Annotated[float, typer.Argument(help="The same.")],
+    rotate: Annotated[
+        tuple[str, float] | None,
+        typer.Option(
+            metavar="AXIS ANGLE", help="Turn from here about x, y or z of the palm [degrees]."
+        ),
+    ] = None,
+    rotation: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            metavar="RX RY RZ",
+            help="The orientation itself, as rotation vector in the palm frame [degrees].",
+        ),
+    ] = None,
+    namespace: NamespaceOption = "",
+    timeout: TimeoutOption = _TIMEOUT,
+) -> None:
+    """Move the object in a running hand; without a rotation it keeps its orientation.
+
+    Exit code 0: the hand accepts the pose; 2: it refuses, or there is no hand.
+    """
+    if rotate is not None and rotation is not None:
+        raise ConfigurationError("--rotate and --rotation are given; give one")
+    turn = rotation if rotation is not None else _turn(rotate)
+    with _hand(namespace, timeout) as hand:
+        since = hand.move([x, y, z], [math.radians(v) for v in turn], absolute=rotation is not None)
+    print(f"the target is ({x:g}, {y:g}, {z:g}) m from t = {since:.3f} s on")
+
+
+def squeeze(
+    force: Annotated[float, typer.Argument(help="k_f [N].")],
+    namespace: NamespaceOption = "",
+    timeout: TimeoutOption = _TIMEOUT,
+) -> None:
+    """Ask a running hand for a squeeze.
+
+    Exit code 0: the hand accepts it; 2: it refuses, or there is no hand.
+    """
+    with _hand(namespace, timeout) as hand:
+        since = hand.squeeze(force)
+    print(f"a squeeze of {force:g} N is asked for from t = {since:.3f} s on")
+
+
+def grasp(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
+    """Close the fingers of a running hand until all touch, and hold what they touch."""
+    with _hand(namespace, timeout) as hand:
+        print(hand.grasp(True))
+
+
+def release(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
+    """Open the fingers of a running hand: an object without support falls."""
+    with _hand(namespace, timeout) as hand:
+        print(hand.grasp(False))
+
+
+def reset(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
+    """Put a running simulation back to its start; a real hand forgets grasp and targets."""
+    with _hand(namespace, timeout) as hand:
+        print(hand.reset())
+
+
+def _turn(rotate: tuple[str, float] | None) -> tuple[float, ...]:
+    """Return the rotation vector of an axis and an angle, in degrees."""
+    if rotate is None:
+        return (0.0, 0.0, 0.0)
+    axis, angle = rotate
+    if axis.lower() not in _AXES:
+        raise ConfigurationError(f"--rotate: the axis is '{axis}', expected x, y or z")
+    return tuple(angle * part for part in _AXES[axis.lower()])
+
+
+@contextlib.contextmanager
+def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
+    """Take part in the graph of a hand."""
+    from tactile_hand_ros.orchestrator.conduct import full_namespace
+    from tactile_hand_ros.orchestrator.participation import check_environment, ros_context
+    from tactile_hand_ros.steering.client import HandClient, user_node
+
+    check_environment(os.environ)
+    with ros_context([]) as context, user_node(context, full_namespace(namespace, [])) as node:
+        yield HandClient(node, timeout)
+
+
+COMMANDS = (squeeze, grasp, release, reset)
+"""All but `move`, which takes negative numbers as arguments."""

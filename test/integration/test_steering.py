@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A running hand is steered from other processes: no command is lost, refusals are answered."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from support.messages import pose_message
+
+from tactile_hand_ros.bag.reader import read_messages, summarize
+from tactile_hand_ros.cli.app import main
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.recompute import recompute
+
+PATIENCE = 120.0
+POSES = [(0.0, 0.0436, 0.4098 + 1e-4 * i) for i in range(8)]
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def hand(domain: int, tmp_path: Path) -> Iterator[CapturedProcess]:
+    """Return an orchestrator with a hand that runs until a signal."""
+    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
+    with start_executable("orchestrator", *words) as process:
+        process.wait_for_output("t = ", PATIENCE)
+        yield process
+
+
+def publish_once(domain: int, position: tuple[float, float, float]) -> None:
+    """Publish as `ros2 topic pub --once` does: to the first subscriber, and leave soon after."""
+    with private_context(domain) as context:
+        node = Node("once", context=context)
+        publisher = node.create_publisher(PoseStamped, "desired_pose", 1)
+        wait_until(lambda: publisher.get_subscription_count() >= 1, PATIENCE)
+        publisher.publish(pose_message(position, np.eye(3), 0))
+        publisher.wait_for_all_acked()
+        node.destroy_node()
+
+
+def test_every_pose_that_is_published_once_arrives(
+    hand: CapturedProcess, domain: int, tmp_path: Path
+) -> None:
+    for position in POSES:
+        publish_once(domain, position)
+    hand.send(signal.SIGINT)
+    assert hand.wait(PATIENCE) == 0, hand.stderr
+    bag = tmp_path / "runs" / "latest" / "bag"
+    points = [m.pose.position for _, _, m in read_messages(bag, ["/accepted/desired_pose"])]
+    assert [(p.x, p.y, p.z) for p in points] == POSES
+    assert "/desired_pose" not in summarize(bag).types
+
+
+def test_commands_steer_and_refusals_are_answered(
+    hand: CapturedProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wait = ["--timeout", "60"]
+    assert main(["move", "0.0", "0.0436", "0.4108", "--rotate", "z", "-3", *wait]) == 0
+    assert "the target is (0, 0.0436, 0.4108) m from t = " in capsys.readouterr().out
+    assert main(["move", "0.0", "-0.5", "0.4", *wait]) == 2
+    assert "the hand refuses: desired pose" in capsys.readouterr().err
+    assert main(["squeeze", "12", *wait]) == 0
+    assert main(["squeeze", "1000", *wait]) == 2
+    assert "is outside" in capsys.readouterr().err
+    for command in ("release", "grasp"):
+        assert main([command, *wait]) == 0
+    assert main(["reset", *wait]) == 0
+    assert main(["move", "0.0", "0.0436", "0.4108", *wait]) == 0
+    hand.send(signal.SIGINT)
+    assert hand.wait(PATIENCE) == 0, hand.stderr
+    run = Run(tmp_path / "runs" / "latest")
+    assert run.record.desired_position[-1].tolist() == [0.0, 0.0436, 0.4108]
+    assert recompute(run).same
+    assert all(check.ok for check in audit(run))
+
+
+def test_without_a_hand_there_is_one_sentence(
+    domain: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["move", "0", "0.1", "0.42", "--rotation", "0", "0", "0", "--timeout", "0.3"]) == 2
+    assert f"no hand is running in ROS domain {domain}" in capsys.readouterr().err
+    assert main(["move", "0", "0.1", "0.42", "--rotate", "w", "3"]) == 2
+    assert "expected x, y or z" in capsys.readouterr().err
+    assert main(["squeeze", "1", "--namespace", "left", "--timeout", "0.3"]) == 2
+    assert "namespace '/left'" in capsys.readouterr().err
