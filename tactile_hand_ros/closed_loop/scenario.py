@@ -109,13 +109,17 @@ class UserForceConfig(Config):
         return round(self.time * 1e9)
 
 
+UNLIMITED_SLIP = 1.0
+"""Slip distance that limits nothing: farther than any contact slides in a hand [m]."""
+
+
 class GoalConfig(Config):
     """What counts as having reached the last target."""
 
     position_error: float = param(0.001, "largest final position error", unit="m", gt=0.0)
     rotation_error: float = param(0.01, "largest final orientation error |r_d|", unit="rad", gt=0.0)
     slip_distance: float = param(
-        1.0, "largest distance that a contact may slide in all", unit="m", gt=0.0
+        UNLIMITED_SLIP, "largest distance that a contact may slide in all", unit="m", gt=0.0
     )
 
 

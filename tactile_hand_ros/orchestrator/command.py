@@ -94,7 +94,8 @@ def run(
     """Run a scenario: start the nodes, record them, command the poses, sum up.
 
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
-    2: the scenario was refused and nothing was started; 130, 143: ended by SIGINT, SIGTERM.
+    2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
+    by SIGINT, SIGTERM.
     """
     if scenario and named:
         raise ConfigurationError(

@@ -142,7 +142,7 @@ def _run(session: Session, joining: AbstractContextManager[Node], request: Reque
         tell(line)
     if request.open_report:
         tell(summary.open_report(directory))
-    tell(f"{verdict.outcome}; everything is in {directory.path}")
+    tell(f"{summary.told(verdict, results)}; everything is in {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone
         print(*verdict.reasons, sep="\n", end="\n" * bool(verdict.reasons), file=sys.stderr)
     if output.problem is not None and not outcome.interrupted:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import webbrowser
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,18 +13,30 @@ from typing import Any
 from rich.table import Table
 
 from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.page import REPORT, write_report
-from tactile_hand_ros.report.tables import recovery_rows
+from tactile_hand_ros.report.tables import milli, recovery_rows
 from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.run.verdict import (
+    DROPPED,
+    NOT_REACHED,
+    REACHED,
+    STEERED,
+    Judged,
+    headline,
+    judged,
+)
 
 LOST_KEY = "lost_messages"
+EXIT_DROPPED = 3
+INCOMPLETE = "incomplete"
 
 
 @dataclass
@@ -59,7 +72,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
     if not plan.record:
         return results
     try:
-        run = Run(directory.path, namespace=plan.namespace)
+        run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
         results.metrics = run.metrics.to_dict()
         results.recording = run.bag_metrics.to_dict()
         results.assumptions = [line.to_dict() for line in run.ledger]
@@ -115,7 +128,9 @@ class GoalVerdict:
     """How a run is judged.
 
     Attributes:
-        outcome: ``goal reached``, ``goal not reached``, ``finished``, ``interrupted``, ``failed``.
+        outcome: ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
+            goal was reached, but something is missing), ``finished`` (a user ended it),
+            ``interrupted``, ``failed``.
         reasons: Sentences that say why it is not simply good.
         exit_code: Of the orchestrator.
     """
@@ -139,13 +154,19 @@ def judge(plan: Plan, outcome: RunOutcome, results: Results, signal_code: int) -
     troubles = [*(results.problems if expected else []), *outcome.complaints]
     if outcome.failure:
         return GoalVerdict("failed", [outcome.failure, *troubles], 1)
-    if outcome.interrupted and plan.interactive and signal_code == _CTRL_C:
-        return GoalVerdict("finished", troubles, 1 if troubles else 0)
-    if outcome.interrupted:
+    ended = outcome.interrupted and plan.interactive and signal_code == _CTRL_C
+    if outcome.interrupted and not ended:
         return GoalVerdict("interrupted", troubles, signal_code)
+    dropped = results.metrics.get("dropped_at_s")
+    if dropped is not None:
+        reason = f"the object was dropped at t = {dropped:.3f} s"
+        return GoalVerdict(DROPPED, [reason, *troubles], EXIT_DROPPED)
+    if ended:
+        return GoalVerdict(STEERED, troubles, 1 if troubles else 0)
     missed = _missed(plan, outcome, results)
-    verdict = "goal not reached" if missed else "goal reached"
-    return GoalVerdict(verdict, [*missed, *troubles], 1 if missed or troubles else 0)
+    if missed:
+        return GoalVerdict(NOT_REACHED, [*missed, *troubles], 1)
+    return GoalVerdict(INCOMPLETE, troubles, 1) if troubles else GoalVerdict(REACHED, [], 0)
 
 
 _CTRL_C = 130
@@ -153,19 +174,17 @@ _CTRL_C = 130
 
 def _missed(plan: Plan, outcome: RunOutcome, results: Results) -> list[str]:
     """Say by how much the goal was missed; without a bag, by the last pose that was seen."""
-    goal, metrics = plan.scenario.goal, results.metrics
-    position = metrics.get("final_position_error_m") if metrics else outcome.position_error
-    checks = [("final position error", position, goal.position_error, "m")]
-    if metrics:
-        rotation = metrics["final_rotation_error_rad"]
-        checks.append(("final rotation error", rotation, goal.rotation_error, "rad"))
-        slid = metrics.get("max_slip_distance_m")
-        if slid is not None:  # unknown for a real hand
-            checks.append(("longest slip", slid, goal.slip_distance, "m"))
+    goal = plan.scenario.goal
+    if results.metrics:
+        checks = judged(results.metrics, goal)
+    else:
+        seen = None if math.isnan(outcome.position_error) else outcome.position_error
+        checks = [Judged("final position error", seen, goal.position_error, "m")]
     return [
-        f"the {name} is {_number(value)} {unit}, the goal is {limit:g} {unit}"
-        for name, value, limit, unit in checks
-        if value is None or not value <= limit
+        f"the {each.name} is {_number(each.value)} {each.unit}, the goal is {each.limit:g} "
+        f"{each.unit}"
+        for each in checks
+        if not each.passed
     ]
 
 
@@ -224,68 +243,116 @@ def open_report(directory: RunDirectory) -> str:
     return f"no browser was found here; open {file.as_uri()} in one"
 
 
+def told(verdict: GoalVerdict, results: Results) -> str:
+    """Return what became of a run in a few words, with the time where the object was dropped."""
+    if verdict.outcome == DROPPED:
+        return headline(results.metrics)
+    return verdict.outcome
+
+
 def table(plan: Plan, outcome: RunOutcome, results: Results) -> Table:
-    """Return the results as a table for the terminal."""
+    """Return the results as a table for the terminal; what has a goal passes or fails."""
     out = Table()
     out.add_column("result")
     out.add_column("value", justify="right")
     out.add_column("goal", justify="right")
+    out.add_column("")
     for row in _rows(plan, outcome, results):
         out.add_row(*row)
     return out
 
 
-def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[tuple[str, str, str]]:
-    goal, m, r = plan.scenario.goal, results.metrics, results.recording
-    recovered = recovery_rows(results.run.recoveries) if results.run is not None else []
-    position, rotation = m["final_position_error_m"], m["final_rotation_error_rad"]
-    rows = [
-        ("simulated time", f"{m['simulated_time_s']:.3f} s", ""),
-        ("final position error", _milli(position, "mm"), f"< {1e3 * goal.position_error:g} mm"),
-        ("final rotation error", _milli(rotation, "mrad"), f"< {1e3 * goal.rotation_error:g} mrad"),
-        ("settling time", f"{_number(m['settling_time_s'])} s", ""),
-        ("squeeze k_f", f"{_number(m['final_grasp_force_N'])} N", ""),
-        (
-            "sum of normal forces",
-            f"{_number(m['normal_force_sum_N'])} N",
-            f"off by {_percent(m['normal_force_sum_relative_error'])}",
-        ),
-    ]
-    rows += [
-        (
-            f"normal force, {finger}",
-            f"{_number(force)} N",
-            f"k_f f* = {_number(m['optimal_normal_forces_N'][finger])} N",
-        )
-        for finger, force in m["final_normal_forces_N"].items()
-    ]
+Row = tuple[str, str, str, str]
+
+
+def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[Row]:
+    m, r = results.metrics, results.recording
+    held = m["dropped_at_s"] is None
     friction = [b for b in m["max_required_friction"].values() if b is not None]
+    expected = str(r["expected_ticks"] or "")
+    lost = r["lost_messages"]
     return [
-        *rows,
-        ("required friction, peak", f"{max(friction):.3f}" if friction else "-", ""),
-        ("peak joint rate", f"{_number(m['peak_joint_rate_rad_per_s'])} rad/s", ""),
-        *((name, text, "") for name, text in recovered),
-        ("ticks with a lost contact", str(m["contacts_lost_ticks"]), "0"),
-        ("ticks", str(m["ticks"]), str(r["expected_ticks"] or "")),
+        _plain("simulated time", f"{m['simulated_time_s']:.3f} s{_resets(results)}"),
+        *([] if held else [_row("object", headline(m), "held", False)]),
+        *(_held_rows(plan, results) if held else []),
+        *_slip_rows(plan, m),
+        _plain("required friction, peak", f"{max(friction):.3f}" if friction else "unknown"),
+        _plain("peak joint rate", f"{_number(m['peak_joint_rate_rad_per_s'])} rad/s"),
+        _plain("ticks with a lost contact", str(m["contacts_lost_ticks"])),
+        _row("ticks", str(m["ticks"]), expected, not expected or expected == str(m["ticks"])),
         *_answered(plan, r),
         *_deadline_rows(deadlines_of(plan, outcome)),
-        ("tick rate", f"{_number(r['ticks_per_second'])} ticks/s", ""),
-        ("messages recorded, lost", f"{r['messages']}, {r['lost_messages']}", "none lost"),
-        (
-            "start to first tick",
-            f"{_number(outcome.startup.get('first_tick_answered'))} s",
-            "< 5 s",
-        ),
+        _plain("tick rate", f"{_number(r['ticks_per_second'])} ticks/s"),
+        _row("messages recorded, lost", f"{r['messages']}, {lost}", "none lost", not lost),
+        _plain("start to first tick", _seconds(outcome.startup.get("first_tick_answered"))),
     ]
 
 
-def _answered(plan: Plan, recording: dict[str, Any]) -> list[tuple[str, str, str]]:
+def _resets(results: Results) -> str:
+    """Say that all numbers are about what came after the last reset, where there was one."""
+    return " since the last reset" if results.run is not None and results.run.earlier else ""
+
+
+def _plain(name: str, value: str) -> Row:
+    return name, value, "", ""
+
+
+def _row(name: str, value: str, goal: str, passed: bool) -> Row:
+    return name, value, goal, ("pass" if passed else "fail") if goal else ""
+
+
+def _held_rows(plan: Plan, results: Results) -> list[Row]:
+    """Return the rows that only an object in the hand has."""
+    m = results.metrics
+    recovered = recovery_rows(results.run.recoveries) if results.run is not None else []
+    errors = judged(m, plan.scenario.goal)[:2]
+    goals = [] if plan.interactive else errors
+    total = f"{_number(m['normal_force_sum_N'])} N"
+    return [
+        *(_limited(each, bool(goals)) for each in errors),
+        *([_plain("settling time", _seconds(m["settling_time_s"]))] if goals else []),
+        _plain("squeeze k_f", f"{_number(m['final_grasp_force_N'])} N"),
+        _plain(
+            "sum of normal forces", f"{total}, {_percent(m['normal_force_sum_relative_error'])} off"
+        ),
+        *(
+            _plain(
+                f"normal force, {finger}",
+                f"{_number(force)} N, k_f f* = {_number(m['optimal_normal_forces_N'][finger])} N",
+            )
+            for finger, force in m["final_normal_forces_N"].items()
+        ),
+        *(_plain(name, text) for name, text in recovered),
+    ]
+
+
+def _slip_rows(plan: Plan, m: dict[str, Any]) -> list[Row]:
+    """Return the rows of slip: how far where it is known, and how often."""
+    longest = [each for each in judged(m, plan.scenario.goal) if each.name == "longest slip"]
+    asked = not plan.interactive and plan.scenario.goal.slip_distance < UNLIMITED_SLIP
+    count = m.get("slip_count")
+    times = "" if count is None else f"{count}, "
+    detected = _plain("slips, detected", f"{times}{m['slip_alarm_count']}")
+    return [*(_limited(each, asked) for each in longest), detected]
+
+
+def _limited(each: Judged, asked: bool) -> Row:
+    """Return the row of a number in thousandths of its unit, judged where a goal is asked for."""
+    goal = f"< {1e3 * each.limit:g} m{each.unit}" if asked else ""
+    return _row(each.name, milli(each.value, each.unit), goal, each.passed)
+
+
+def _answered(plan: Plan, recording: dict[str, Any]) -> list[Row]:
     """Return a row for how many ticks have a command, which goes without saying in lockstep."""
     name = f"{plan.namespace.rstrip('/')}/{JOINT_COMMAND}"
     commands = recording["topics"].get(name)
     if _is_lockstep(plan) or commands is None:
         return []
-    return [("ticks answered", str(commands["ticks"]), "")]
+    return [_plain("ticks answered", str(commands["ticks"]))]
+
+
+def _seconds(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.4g} s"
 
 
 def deadlines_of(plan: Plan, outcome: RunOutcome) -> Deadlines | None:
@@ -297,7 +364,7 @@ def deadlines_of(plan: Plan, outcome: RunOutcome) -> Deadlines | None:
     return read_deadlines(outcome.plant, plan.scenario.plant.rate, asked, reached)
 
 
-def _deadline_rows(deadlines: Deadlines | None) -> list[tuple[str, str, str]]:
+def _deadline_rows(deadlines: Deadlines | None) -> list[Row]:
     """Return how many deadlines were missed, and why."""
     if deadlines is None:
         return []
@@ -305,8 +372,8 @@ def _deadline_rows(deadlines: Deadlines | None) -> list[tuple[str, str, str]]:
     share = f"{100.0 * deadlines.missed_share:.2f} %"
     causes = deadlines.causes.items()
     return [
-        ("deadlines missed", share, counts),
-        *((f"missed for {cause}", str(count), "") for cause, count in causes),
+        _plain("deadlines missed", f"{share}, {counts}"),
+        *(_plain(f"missed for {cause}", str(count)) for cause, count in causes),
     ]
 
 
@@ -314,9 +381,5 @@ def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.4g}"
 
 
-def _milli(value: float | None, unit: str) -> str:
-    return "unknown" if value is None else f"{1e3 * value:.4g} {unit}"
-
-
 def _percent(value: float | None) -> str:
-    return "unknown" if value is None else f"{100 * value:.2g} %"
+    return "unknown" if value is None else f"{100 * value:{'.0f' if value >= 0.1 else '.2g'}} %"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.closed_loop.scenario import resolved
+from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, resolved
 from tactile_hand_ros.config.model import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.report import tables
@@ -42,34 +42,77 @@ def lost_messages(run: Run) -> int | None:
     return int(text) if text.isdigit() else None
 
 
-def tiles(run: Run) -> list[dict[str, str]]:
+def passed(run: Run) -> bool | None:
+    """Return whether a run is good: held, and its goal reached; None where nothing judges it."""
+    return False if not math.isnan(run.metrics.dropped_at_s) else run.metrics.goal_reached
+
+
+def tiles(run: Run) -> list[dict[str, Any]]:
     """Return the headline: a few numbers, each with what it is and how it is to be judged."""
-    m, bag, goal = run.metrics, run.bag_metrics, run.scenario.goal if run.scenario else None
+    m, bag = run.metrics, run.bag_metrics
+    held = math.isnan(m.dropped_at_s)
     return [
-        _tile(
-            "position error", 1e3 * m.final_position_error_m, "mm",
-            f"goal {1e3 * goal.position_error:g} mm" if goal else "at the end",
-        ),
-        _tile(
-            "orientation error", 1e3 * m.final_rotation_error_rad, "mrad",
-            f"goal {1e3 * goal.rotation_error:g} mrad" if goal else "at the end",
-        ),
-        _tile("settled after", m.settling_time_s, "s", "both errors inside"),
+        *(_pose_tiles(run) if held else [_dropped(m.dropped_at_s)]),
         _tile("squeeze", m.final_grasp_force_N, "N", f"peak {_peak_squeeze(run)}"),
-        _tile("longest slip", 1e3 * m.max_slip_distance_m, "mm", "of any contact"),
+        *_slip_tiles(run),
         _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
         _recorded(bag.messages, lost_messages(run)),
-    ]  # fmt: skip
+    ]
 
 
-def _recorded(messages: int, lost: int | None) -> dict[str, str]:
+def _dropped(time: float) -> dict[str, Any]:
+    return {
+        **_tile("object dropped", time, "s", "fewer than two fingers touch it from then on"),
+        "passed": False,
+    }
+
+
+def _pose_tiles(run: Run) -> list[dict[str, Any]]:
+    m = run.metrics
+    settled = _tile("settled after", m.settling_time_s, "s", "both errors inside")
+    errors = [
+        _limited("position error", m.final_position_error_m, "m", run),
+        _limited("orientation error", m.final_rotation_error_rad, "rad", run),
+    ]
+    return errors if run.steered else [*errors, settled]
+
+
+def _slip_tiles(run: Run) -> list[dict[str, Any]]:
+    """Return how far a contact slid and how often, where the simulation tells, else the alarms."""
+    m = run.metrics
+    note = f"{m.slip_alarm_count} detected"
+    if m.slip_count is None:
+        return [_tile("slips", m.slip_alarm_count, "", note)]
+    goal = run.scenario.goal.slip_distance if run.scenario else UNLIMITED_SLIP
+    limit = f"goal {1e3 * goal:g} mm, " if goal < UNLIMITED_SLIP and not run.steered else ""
+    slips = "1 slip" if m.slip_count == 1 else f"{m.slip_count} slips"
+    tile = _milli("longest slip", m.max_slip_distance_m, "m", f"{limit}{slips}, {note}")
+    return [{**tile, "passed": m.max_slip_distance_m <= goal} if limit else tile]
+
+
+def _limited(label: str, value: float, unit: str, run: Run) -> dict[str, Any]:
+    """Return a tile of an error that the goal limits."""
+    if run.scenario is None or run.steered:
+        return _milli(label, value, unit, "at the end")
+    goal = run.scenario.goal
+    limit = goal.position_error if unit == "m" else goal.rotation_error
+    tile = _milli(label, value, unit, f"goal {1e3 * limit:g} m{unit}")
+    return {**tile, "passed": value <= limit}
+
+
+def _milli(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
+    small = 0.0 if abs(value) < 1e-9 else value
+    return _tile(label, 1e3 * small, f"m{unit}", note)
+
+
+def _recorded(messages: int, lost: int | None) -> dict[str, Any]:
     if lost is None:
         return {"label": "recorded", "value": str(messages), "unit": "", "note": "messages"}
     note = f"of {messages} messages"
     return {"label": "recorded", "value": str(lost), "unit": "lost", "note": note}
 
 
-def _tile(label: str, value: float, unit: str, note: str) -> dict[str, str]:
+def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
     if math.isnan(value):
         return {"label": label, "value": "unknown", "unit": "", "note": note}
     return {"label": label, "value": f"{value:.3g}", "unit": unit, "note": note}

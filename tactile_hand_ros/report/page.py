@@ -22,11 +22,14 @@ from tactile_hand_ros.run.run import Run
 REPORT = "report.html"
 COMPARISON = "comparison.html"
 
+MOST_EARLIER = 9
+"""Sections before the last one that a page has room for."""
+
 _PLACE = re.compile(r"@@(\w+)@@")
 
 
 def write_report(run: Run, folder: Path | None = None) -> Path:
-    """Write ``report.html`` of a run and return the file.
+    """Write ``report.html`` of a run and return the file; each reset begins a section in it.
 
     Args:
         run: The run.
@@ -36,8 +39,10 @@ def write_report(run: Run, folder: Path | None = None) -> Path:
         BagError: If the bag is damaged or has no tick.
         TactileHandError: If the file cannot be written.
     """
-    document = run_document(run)
-    return _write(page([document], "run"), (folder or run_folder(run)) / REPORT)
+    sections = [*run.earlier[-MOST_EARLIER:], run]
+    room = MAX_BYTES // len(sections)
+    documents = [run_document(section, room=room) for section in sections]
+    return _write(page(documents, "run"), (folder or run_folder(run)) / REPORT)
 
 
 def write_comparison(runs: Sequence[Run], file: Path) -> Path:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from tactile_hand_ros.report.style import (
 )
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.drop import dropped_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,7 +53,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     """
     hand = Hand.load(scenario.hand, scenario.layout)
     solid = scenario.plant.object.solid()
-    rows = (min(1, len(record) - 1), len(record) - 1)
+    rows, dropped = (min(1, len(record) - 1), len(record) - 1), dropped_at(record)
     scenes = [_Scene(record, row, hand, solid.vertices, solid.face_corners) for row in rows]
     view = _View(_azimuth(scenes[0].chains))
     with look():
@@ -64,6 +66,8 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
             _fit(axes, everything[np.isfinite(everything).all(axis=1)], view)
         for number, row in enumerate(rows):
             title = f"({'ab'[number]}) {('start', 'end')[number]}, $t$ = {record.times[row]:.3g} s"
+            if number and not math.isnan(dropped):
+                title += f": object dropped at {dropped:.3g} s"
             figure.text(0.015 + 0.5 * number, 0.985, title, va="top")
         figure.text(0.015, 0.012, _CAPTION, fontsize=6.5, color=FAINT)
     return figure
@@ -148,6 +152,16 @@ class _Scene:
         self.faces = faces
 
     @property
+    def is_near(self) -> bool:
+        """Whether the object is known and not farther from the tips than the hand is large."""
+        if not np.isfinite(self.corners).all():
+            return False
+        tips = np.array([chain[-1] for chain in self.chains])
+        size = max(float(np.ptp(chain, axis=0).max()) for chain in self.chains)
+        away = self.corners.mean(axis=0) - tips.mean(axis=0)
+        return float(np.linalg.norm(away)) <= size
+
+    @property
     def points(self) -> list[Array]:
         """All points that must be inside the picture."""
         tips = np.array([chain[-1] for chain in self.chains])
@@ -156,7 +170,7 @@ class _Scene:
         numbers = np.array([_number_place(chain) for chain in self.chains])
         return [
             *self.chains,
-            self.corners,
+            *([self.corners] if self.is_near else []),
             outer,
             numbers,
             self.record.desired_position[[self.row]],
@@ -167,7 +181,7 @@ class _Scene:
         middle = np.nanmean([chain[-1] for chain in self.chains], axis=0) @ camera
         for i, chain in enumerate(self.chains):
             self._draw_finger(axes, i, 6 if chain[-1] @ camera > middle + 0.02 else 2)
-        if np.isfinite(self.corners).all():
+        if self.is_near:
             self._draw_object(axes, camera)
         for i in range(len(self.chains)):
             self._draw_contact(axes, i)

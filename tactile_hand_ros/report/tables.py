@@ -16,6 +16,7 @@ from tactile_hand_ros.run.settling import Settling
 if TYPE_CHECKING:
     from rich.table import Table
 
+_NOTHING = 1e-9  # m or rad: rounding, no motion
 Rows = Sequence[Sequence[str]]
 
 
@@ -24,7 +25,7 @@ def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
     return [
         [
             f"event at {each.start:g} s",
-            f"{number(1e3 * each.largest, 'mm')} away, "
+            f"{milli(each.largest, 'm')} away, "
             + (f"back after {each.time:.2f} s" if each.time < math.inf else "not back"),
         ]
         for each in recoveries
@@ -33,19 +34,33 @@ def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
 
 def metrics_rows(m: Metrics) -> list[list[str]]:
     """Return the metrics of a run as text: name and value."""
-    rows = [
+    held = math.isnan(m.dropped_at_s)
+    return [
         ["simulated time", f"{m.simulated_time_s:g} s in {m.ticks} ticks"],
-        ["final position error", number(1e3 * m.final_position_error_m, "mm")],
+        *([] if held else [["object", f"dropped at {m.dropped_at_s:.3f} s"]]),
+        *(_held_rows(m) if held else []),
+        ["peak joint rate", number(m.peak_joint_rate_rad_per_s, "rad/s")],
+        *_contact_rows(m),
+    ]
+
+
+def _held_rows(m: Metrics) -> list[list[str]]:
+    """Return what is known at the end of a run only if the object is still in the hand."""
+    rows = [
+        ["final position error", milli(m.final_position_error_m, "m")],
         ["final orientation error |r_d|", number(m.final_rotation_error_rad, "rad")],
         ["settling time", number(m.settling_time_s, "s")],
-        ["peak joint rate", number(m.peak_joint_rate_rad_per_s, "rad/s")],
         ["k_f", number(m.final_grasp_force_N, "N")],
         ["sum of f_n", _with_error(m.normal_force_sum_N, m.normal_force_sum_relative_error)],
     ]
     for name, force in m.final_normal_forces_N.items():
         expected = m.optimal_normal_forces_N[name]
         rows.append([f"f_n of {name}", f"{number(force, 'N')}  (k_f f*_n {number(expected, 'N')})"])
-    rows += [
+    return rows
+
+
+def _contact_rows(m: Metrics) -> list[list[str]]:
+    rows = [
         [
             f"beta of {name}, final / largest",
             f"{number(beta)} / {number(m.max_required_friction[name])}",
@@ -55,11 +70,13 @@ def metrics_rows(m: Metrics) -> list[list[str]]:
     lost = "" if math.isnan(m.first_contact_loss_s) else f", first at {m.first_contact_loss_s:g} s"
     rows.append(["ticks without a contact", f"{m.contacts_lost_ticks}{lost}"])
     if not math.isnan(m.max_object_rotation_in_grasp_rad):
-        moved = number(1e3 * m.max_object_displacement_in_grasp_m, "mm")
+        moved = milli(m.max_object_displacement_in_grasp_m, "m")
         turned = number(m.max_object_rotation_in_grasp_rad, "rad")
         rows.append(["largest motion of the object in the grasp", f"{moved}, {turned}"])
     if not math.isnan(m.max_slip_distance_m):
-        rows.append(["largest slip of a contact", number(1e3 * m.max_slip_distance_m, "mm")])
+        rows.append(["longest slip", milli(m.max_slip_distance_m, "m")])
+    times = "" if m.slip_count is None else f"{m.slip_count}, "
+    rows.append(["slips, detected", f"{times}{m.slip_alarm_count}"])
     if m.goal_reached is not None:
         rows.append(["goal", "reached" if m.goal_reached else "not reached"])
     return rows
@@ -147,6 +164,13 @@ def number(value: float, unit: str = "") -> str:
     if math.isnan(value):
         return "unknown"
     return f"{value:.4g} {unit}".rstrip()
+
+
+def milli(value: float | None, unit: str) -> str:
+    """Return a length [m] or angle [rad] in thousandths; what is too small to matter as zero."""
+    if value is None or math.isnan(value):
+        return "unknown"
+    return f"0 m{unit}" if abs(value) < _NOTHING else number(1e3 * value, f"m{unit}")
 
 
 def _with_error(value: float, error: float) -> str:

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.series import Series
+from tactile_hand_ros.run.series import EARLY, Series
 from tactile_hand_ros.run.topics import HandTopics
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-_EARLY = 100_000_000  # ns that a message may have been logged before the first tick of its run
 
 
 def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
@@ -55,7 +53,7 @@ def in_last_run(series: Series, states: Series) -> Flags:
         states: The topic `joint_states`.
     """
     _, logged = first_ticks(states)
-    begin = int(logged[0]) - _EARLY if len(logged) else 0
+    begin = int(logged[0]) - EARLY if len(logged) else 0
     return series.since(begin) & (np.arange(len(series)) >= last_reset(series.stamps))
 
 
@@ -66,7 +64,7 @@ class _Alignment:
         self._series, self._topics = series, topics
         self._states = self._named(names.JOINT_STATES)
         self._ticks, self._logged = first_ticks(self._states)
-        self._begin = int(self._logged[0]) - _EARLY if len(self._logged) else 0
+        self._begin = int(self._logged[0]) - EARLY if len(self._logged) else 0
         self._joints = self._states.joint_names
 
     def _named(self, name: str) -> Series:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,10 +14,21 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.run.requests import Asked
 
 Flags = NDArray[np.bool_]
 Kind = Literal[
-    "command", "disturbance", "slip", "detection", "reaction", "contact_lost", "contact_made"
+    "command",
+    "request",
+    "refusal",
+    "disturbance",
+    "slip",
+    "detection",
+    "reaction",
+    "contact_lost",
+    "contact_made",
+    "dropped",
+    "gap",
 ]
 
 SLIDING = 1e-3
@@ -33,7 +46,9 @@ class Event:
     Attributes:
         time: Simulated time, s.
         kind: What it was: ``slip`` is a contact that truly begins to slide, ``detection`` the
-            alarm of the hand, ``reaction`` the rise of the squeeze that follows it.
+            alarm of the hand, ``reaction`` the rise of the squeeze that follows it; ``request`` is
+            a service that a user called, ``refusal`` a command that the hand refused, ``gap``
+            ticks that the recording lacks.
         finger: Name of the finger, empty where it concerns the whole hand.
         text: The same in words.
     """
@@ -44,17 +59,49 @@ class Event:
     text: str
 
 
-def events(record: Record, scenario: Scenario | None = None) -> list[Event]:
+def events(
+    record: Record, scenario: Scenario | None = None, *, dropped: float = math.nan
+) -> list[Event]:
     """Return the events of a run in order of time.
 
     Args:
         record: The run; without ground truth there are no events of the kind ``slip``.
         scenario: Its scenario, for the disturbances.
+        dropped: When the object was dropped, s; NaN if it was not.
     """
     found = [*_commands(record), *_of_fingers(record), *_reactions(record)]
+    if not math.isnan(dropped):
+        found.append(Event(dropped, "dropped", "", "the object is dropped"))
     if scenario is not None:
         found += _disturbances(scenario)
     return sorted(found, key=lambda event: event.time)
+
+
+def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[Event]:
+    """Return the events of service calls and of refused commands."""
+    calls = [
+        Event(1e-9 * each.stamp, "request", "", f"a user calls {_call(each)}")
+        for each in requests
+        if each.stamp or each.key != "enable"  # said at the first tick, without any call
+    ]
+    return calls + [
+        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is refused: {each.value}")
+        for each in refusals
+    ]
+
+
+def _call(asked: Asked) -> str:
+    return f"{asked.key} ({asked.value})" if asked.value else asked.key
+
+
+def slip_count(record: Record) -> int:
+    """Return how often a contact truly began to slide."""
+    return sum(len(_starts(record, column > SLIDING)) for column in record.true_sliding.T)
+
+
+def alarm_count(record: Record) -> int:
+    """Return how often the hand detected that a contact slips."""
+    return sum(len(_starts(record, column == Grip.SLIP)) for column in record.grip.T)
 
 
 def _commands(record: Record) -> list[Event]:

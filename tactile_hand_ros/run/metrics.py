@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import GoalConfig, Scenario
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.drop import dropped_at
+from tactile_hand_ros.run.events import alarm_count, slip_count
 
 Array = NDArray[np.float64]
 
@@ -51,8 +53,11 @@ class Metrics:
         max_object_rotation_in_grasp_rad: The same, its rotation.
         max_slip_distance_m: Largest distance that a contact slid in all; NaN where only the
             simulation knows it.
-        goal_reached: Whether the final errors are inside the scenario's goal, and no contact is
-            known to have slid farther than it allows; None without a scenario.
+        slip_count: How often a contact began to slide, None where only the simulation knows it.
+        slip_alarm_count: How often the hand detected that a contact slips.
+        dropped_at_s: When the object was dropped; NaN if it was held or let go.
+        goal_reached: Whether the object is held, the final errors are inside the scenario's goal,
+            and no contact is known to have slid farther than it allows; None without a scenario.
     """
 
     ticks: int
@@ -75,6 +80,9 @@ class Metrics:
     max_object_displacement_in_grasp_m: float
     max_object_rotation_in_grasp_rad: float
     max_slip_distance_m: float
+    slip_count: int | None
+    slip_alarm_count: int
+    dropped_at_s: float
     goal_reached: bool | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,12 +100,15 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
+def metrics(
+    record: Record, scenario: Scenario | None = None, *, releases: Sequence[float] = ()
+) -> Metrics:
     """Measure a run: how near it comes to (7), and in its normal forces to (15).
 
     Args:
         record: The run; ground truth and single topics may be missing.
         scenario: Its scenario, for the goal.
+        releases: When a user let the hand open, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal
     position = np.linalg.norm(derived.position_error(record), axis=1)
@@ -106,7 +117,9 @@ def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
     lost = np.flatnonzero(derived.contact_lost(record))
     moved, turned = derived.motion_in_grasp(record)
     slid = _peak(record.true_slid)
-    reached = bool(len(inside) and inside[-1]) and not slid > goal.slip_distance
+    dropped = dropped_at(record, releases)
+    held = bool(len(inside) and inside[-1]) and math.isnan(dropped)
+    reached = held and not slid > goal.slip_distance
     return Metrics(
         ticks=len(record),
         simulated_time_s=_span(record.times),
@@ -121,6 +134,9 @@ def metrics(record: Record, scenario: Scenario | None = None) -> Metrics:
         max_object_displacement_in_grasp_m=_peak(moved),
         max_object_rotation_in_grasp_rad=_peak(turned),
         max_slip_distance_m=slid,
+        slip_count=None if math.isnan(slid) else slip_count(record),
+        slip_alarm_count=alarm_count(record),
+        dropped_at_s=dropped,
         goal_reached=None if scenario is None else reached,
     )
 

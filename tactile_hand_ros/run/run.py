@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,15 +25,18 @@ from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.alignment import align
 from tactile_hand_ros.run.bag_metrics import BagMetrics, bag_metrics, latencies
-from tactile_hand_ros.run.events import Event, events
+from tactile_hand_ros.run.events import Event, asked_events, events
 from tactile_hand_ros.run.ledger import Assumption, ledger
 from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.run.requests import Asked, read_asked, releases
 from tactile_hand_ros.run.series import Series, read_series
 from tactile_hand_ros.run.settling import Settling, recoveries
 from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
+from tactile_hand_ros.run.verdict import headline
 
 BAG = "bag"
 SCENARIO_FILE = "scenario.yaml"
+SUMMARY_FILE = "summary.json"
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,8 @@ class Run:
         *,
         namespace: str | None = None,
         fingers: Sequence[str] | None = None,
+        steered: bool | None = None,
+        stop: int | None = None,
     ) -> None:
         """Open a run.
 
@@ -77,6 +83,9 @@ class Run:
             namespace: Namespace of the hand, if the bag holds several.
             fingers: Names of the fingers in order; by default those of the scenario's hand, or all
                 that have topics.
+            steered: Whether a user steered it and no goal judges it; by default as summary.json
+                beside the bag says.
+            stop: Log time before which the run ends, ns; see `earlier`.
 
         Raises:
             BagError: If there is no such run, or its bag is broken or holds no such hand.
@@ -86,6 +95,7 @@ class Run:
         self.summary = summarize(self.bag)
         self._prefix = find_prefix(self.summary.types, namespace, self.bag)
         self._given_fingers = fingers
+        self._steered, self._stop = steered, stop
         self.topics.check(self.summary.types)
 
     @cached_property
@@ -143,13 +153,47 @@ class Run:
         Raises:
             BagError: If the bag is damaged.
         """
-        series = read_series(self.bag, self.topics.types)
+        series = read_series(self.bag, self.topics.types, self._stop)
         if not len(series[self.topics.full(names.JOINT_STATES)]):
             raise BagError(
                 f"The bag {self.bag} has no message on {self.topics.full(names.JOINT_STATES)}, so "
                 "there is not a single tick; was the hand running?"
             )
         return series
+
+    @cached_property
+    def earlier(self) -> list[Run]:
+        """The same bag up to each reset in it: what came before the present run, oldest first.
+
+        A reset sets time back, and everything else here is about what came after the last one.
+        """
+        states = self.series[self.topics.full(names.JOINT_STATES)]
+        starts = np.flatnonzero(np.diff(states.stamps) < 0) + 1
+        return [
+            Run(
+                self.path,
+                namespace=self._prefix,
+                fingers=self.topics.fingers,
+                steered=self.steered,
+                stop=int(states.log_times[start]),
+            )
+            for start in starts
+        ]
+
+    @cached_property
+    def requests(self) -> list[Asked]:
+        """The service calls that changed the controller."""
+        return self._asked(names.accepted_requests(names.CONTROLLER))
+
+    @cached_property
+    def refusals(self) -> list[Asked]:
+        """The commands of users that were refused."""
+        found = [self._asked(names.rejected(n)) for n in (names.CONTROLLER, names.REGULATOR)]
+        return sorted(each for one in found for each in one)
+
+    def _asked(self, topic: str) -> list[Asked]:
+        states = self.series[self.topics.full(names.JOINT_STATES)]
+        return read_asked(self.bag, self.topics.full(topic), states, self._stop)
 
     @cached_property
     def record(self) -> Record:
@@ -159,7 +203,24 @@ class Run:
     @cached_property
     def metrics(self) -> Metrics:
         """What was achieved."""
-        return metrics(self.record, self.scenario)
+        found = metrics(self.record, self.scenario, releases=releases(self.requests))
+        return replace(found, goal_reached=None) if self.steered else found
+
+    @cached_property
+    def steered(self) -> bool:
+        """Whether a user steered the run, so that no goal judges it."""
+        if self._steered is not None:
+            return self._steered
+        try:
+            content = json.loads((self.bag.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
+            return bool(content["interactive"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return False  # a bag of its own
+
+    @property
+    def headline(self) -> str:
+        """What became of the run, in a few words; empty where nothing judges it."""
+        return headline(self.metrics.to_dict(), steered=self.steered)
 
     @property
     def ledger(self) -> list[Assumption]:
@@ -208,8 +269,10 @@ class Run:
 
     @cached_property
     def events(self) -> list[Event]:
-        """Commands, disturbances, slips, alarms, reactions and contact losses, in order of time."""
-        return events(self.record, self.scenario)
+        """What happened, in order of time: see `run.events.Event`."""
+        found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
+        found += asked_events(self.requests, self.refusals)
+        return sorted(found, key=lambda event: event.time)
 
     @cached_property
     def diagnostics(self) -> list[Diagnosis]:

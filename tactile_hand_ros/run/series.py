@@ -17,6 +17,10 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 
+EARLY = 100_000_000
+"""How long before the first tick of its run a message may have been logged [ns]."""
+
+
 @dataclass(frozen=True)
 class Series:
     """The messages of one topic.
@@ -84,22 +88,36 @@ class _Messages:
     data: list[bytes] = field(default_factory=list)
 
 
-def read_series(bag: Path, types: Mapping[str, str]) -> dict[str, Series]:
+def read_series(bag: Path, types: Mapping[str, str], stop: int | None = None) -> dict[str, Series]:
     """Read topics in one pass.
 
     Args:
         bag: Bag folder or file.
         types: Type of each wanted topic by full name; absent topics give empty series.
+        stop: Log time at which a reset begins the next section, ns; None for the end of the bag.
 
     Raises:
         BagError: If the bag cannot be read or holds a broken message.
     """
     found = {topic: _Messages() for topic in types}
-    for topic, log_time, data in read_raw(bag, types):
+    for topic, log_time, data in read_raw(bag, types, stop=stop):
         messages = found[topic]
         messages.times.append(log_time)
         messages.data.append(data)
-    return {topic: _series(types[topic], messages) for topic, messages in found.items()}
+    series = {topic: _series(types[topic], messages) for topic, messages in found.items()}
+    if stop is not None:
+        for topic, one in series.items():
+            series[topic] = _before(one, types[topic], found[topic], stop)
+    return series
+
+
+def _before(series: Series, type_name: str, messages: _Messages, stop: int) -> Series:
+    """Leave out what a node said already about the section that begins at a log time [ns]."""
+    back = np.flatnonzero(np.diff(series.stamps) < 0)
+    if not len(back) or series.log_times[back[-1] + 1] < stop - EARLY:
+        return series
+    end = int(back[-1]) + 1
+    return _series(type_name, _Messages(messages.times[:end], messages.data[:end]))
 
 
 def _series(type_name: str, messages: _Messages) -> Series:

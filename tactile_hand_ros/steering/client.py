@@ -164,6 +164,8 @@ class HandClient:
             self._absence(),
         )
 
+        due = time.monotonic()
+
         def answered() -> bool:
             # Whether the hand has met our subscriptions, only the hand knows: an answer to the
             # first message may have missed them.
@@ -173,7 +175,6 @@ class HandClient:
                 due = time.monotonic() + _AGAIN
             return bool(taken or refused)
 
-        due = time.monotonic()
         self._wait(
             answered,
             f"the hand has not answered within {self._timeout:g} s; is it paused?",

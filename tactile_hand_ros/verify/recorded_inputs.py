@@ -20,6 +20,7 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run.alignment import in_last_run, last_reset
+from tactile_hand_ros.run.requests import read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.run.series import Series
 
@@ -207,15 +208,10 @@ def _value(value: Any) -> Any:
 
 def _requests(run: Run, node: str) -> list[Effect]:
     topic = run.topics.full(names.accepted_requests(node))
-    messages = list(read_messages(run.bag, [topic]))
-    log_times = np.array([log_time for _, log_time, _ in messages], dtype=np.int64)
-    stamps = np.array([_ns(m.header.stamp) for _, _, m in messages], dtype=np.int64)
     states = run.series[run.topics.full(names.JOINT_STATES)]
-    counts = in_last_run(Series(log_times, stamps, []), states)
-    pairs = [message.status[0].values[0] for _, _, message in messages]
     return [
-        Effect(int(stamps[i]), Request(pairs[i].key, pairs[i].value == "true"))
-        for i in np.flatnonzero(counts)
+        Effect(each.stamp, Request(each.key, each.value == "true"))
+        for each in read_asked(run.bag, topic, states)
     ]
 
 

@@ -263,3 +263,15 @@ def test_a_comparison_overlays_runs(page: Page, run: Run, tmp_path: Path) -> Non
     expected = [each.grasp_force[np.searchsorted(each.times, 0.2)] for each in records]
     assert [float(text) for text in squeeze] == pytest.approx(expected, rel=0.05)
     assert_quiet(page)
+
+
+def test_a_dropped_object_leaves_the_picture(page: Page, tmp_path: Path) -> None:
+    scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.6})
+    run = save(tmp_path, ClosedLoop(scenario).run(), scenario)
+    page.open(write_report(run, tmp_path))
+    assert page.js("return document.querySelector('.verdict').textContent") == run.headline
+    assert run.headline.startswith("object dropped at 2.")
+    heights = page.js("return report.scene.view.points.map((point) => point.z)")
+    assert max(heights) - min(heights) < 1.0
+    assert run.record.object_position[-1, 2] < -2.0
+    assert_quiet(page)

@@ -9,7 +9,7 @@ import { runCharts } from "./charts/run.js";
 import { readDocument } from "./data.js";
 import { el } from "./dom.js";
 import { KEYS, listenToKeys } from "./keyboard.js";
-import { comparisonHeader, header } from "./page/header.js";
+import { comparisonHeader, header, sections } from "./page/header.js";
 import { ledger } from "./page/ledger.js";
 import { stage } from "./page/stage.js";
 import { eventList, footer, notes, scenario, tables, tablesSideBySide } from "./page/tables.js";
@@ -31,14 +31,14 @@ function makeContext(time, events) {
   return context;
 }
 
-function showRun(run) {
+function showRun(run, navigation) {
   const context = makeContext(run.time, run.events);
   const { element, scene } = stage(run, content.palette, context);
   const plots = el("div", { class: "plots" });
   const below = [...tables(run.tables), eventList(run.events, context.player)].filter((part) => part);
   root.append(
     header(run, theme),
-    ...[notes(run.notes)].filter((part) => part),
+    ...[navigation, notes(run.notes)].filter((part) => part),
     el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.ledger, context))),
     el("div", { class: "below" }, ...below),
     ...[scenario(run.scenario)].filter((part) => part),
@@ -69,5 +69,14 @@ function showComparison() {
   return { ...context, scene: null, charts };
 }
 
+/** Show the section that the address names, the last one by default; each reset begins one. */
+function showSection() {
+  const last = content.runs.length;
+  const wanted = Number(/^#section=(\d+)$/.exec(window.location.hash)?.[1] ?? last);
+  const shown = Math.min(Math.max(wanted, 1), last);
+  window.addEventListener("hashchange", () => window.location.reload());
+  return { ...showRun(content.runs[shown - 1], sections(content.runs, shown)), section: shown };
+}
+
 /** For tests and for the console. */
-window.report = content.kind === "comparison" ? showComparison() : showRun(content.runs[0]);
+window.report = content.kind === "comparison" ? showComparison() : showSection();

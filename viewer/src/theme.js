@@ -9,8 +9,8 @@ const SURFACES = {
 };
 
 const EVENTS = {
-  light: { slip: "#d62828", detection: "#e07a00", reaction: "#1f7a4d", contact_lost: "#1b2430", contact_made: "#66717f", disturbance: "#8e44ad", command: "#c2185b" },
-  dark: { slip: "#ff5f5f", detection: "#ffab40", reaction: "#4fd18b", contact_lost: "#e8edf3", contact_made: "#93a0b0", disturbance: "#c792ea", command: "#ff6fa3" },
+  light: { slip: "#d62828", detection: "#e07a00", reaction: "#1f7a4d", contact_lost: "#1b2430", contact_made: "#66717f", disturbance: "#8e44ad", command: "#c2185b", request: "#c2185b", refusal: "#e07a00", dropped: "#d62828", gap: "#66717f" },
+  dark: { slip: "#ff5f5f", detection: "#ffab40", reaction: "#4fd18b", contact_lost: "#e8edf3", contact_made: "#93a0b0", disturbance: "#c792ea", command: "#ff6fa3", request: "#ff6fa3", refusal: "#ffab40", dropped: "#ff5f5f", gap: "#93a0b0" },
 };
 
 export class Theme {

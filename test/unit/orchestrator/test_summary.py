@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
@@ -25,6 +26,7 @@ from tactile_hand_ros.orchestrator.summary import (
     judge,
     read_results,
     table,
+    told,
     write_summary,
 )
 from tactile_hand_ros.run.metrics import metrics
@@ -62,11 +64,43 @@ def test_rotation_counts_too() -> None:
     assert verdict.reasons == ["the final rotation error is 0.5 rad, the goal is 0.001 rad"]
 
 
+@pytest.mark.parametrize("plan", [PLAN, STEERED])
+def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
+    found, outcome = results(dropped_at_s=2.16), RunOutcome(interrupted=plan.interactive)
+    verdict = judge(plan, outcome, found, 130)
+    assert (verdict.outcome, verdict.exit_code) == ("object dropped", 3)
+    assert verdict.reasons == ["the object was dropped at t = 2.160 s"]
+    assert told(verdict, found) == "object dropped at 2.160 s"
+
+
+def test_what_has_a_goal_passes_or_fails_and_no_row_contradicts_the_verdict() -> None:
+    """A drop leaves nothing else to be judged; a start has no goal."""
+    scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.3})
+    still = load_scenario("paper", {"duration": 0.1, "targets": []})
+    held = metrics(ClosedLoop(still).run(), still).to_dict()
+    dropped = metrics(ClosedLoop(scenario).run(), scenario).to_dict()
+    started = RunOutcome(startup={"first_tick_answered": 39.0})
+    good = lines(table(PLAN, started, Results(held, dict(RECORDING))))
+    assert good["final position error"][1:] == ["< 0.1 mm", "pass"]
+    assert good["start to first tick"][1:] == ["", ""]
+    assert "fail" not in {verdict for *_, verdict in good.values()}
+    bad = lines(table(Plan(scenario), started, Results(dropped, dict(RECORDING))))
+    assert bad["object"][1:] == ["held", "fail"]
+    assert bad["longest slip"][1:] == ["< 1 mm", "fail"]
+    assert "settling time" not in bad and "unknown" not in str(bad)
+
+
+def lines(found: Table) -> dict[str, list[str]]:
+    """Return the rows of a table by their first cell."""
+    columns = [list(column.cells) for column in found.columns]
+    return {str(name): [str(cell) for cell in rest] for name, *rest in zip(*columns, strict=True)}
+
+
 def test_incomplete_bag_is_no_success() -> None:
     incomplete = results()
     incomplete.problems.append("the recorder lost 3 messages")
     verdict = judge(PLAN, RunOutcome(), incomplete, 128)
-    assert (verdict.outcome, verdict.exit_code) == ("goal reached", 1)
+    assert (verdict.outcome, verdict.exit_code) == ("incomplete", 1)
     assert verdict.reasons == ["the recorder lost 3 messages"]
 
 

@@ -11,7 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recorded import RunWriter, joints, random_record, write_record
+from support.recorded import (
+    PERIOD,
+    START,
+    RunWriter,
+    header,
+    joints,
+    message,
+    random_record,
+    write_record,
+    write_tick,
+)
 
 from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
@@ -55,6 +65,37 @@ class Parts(HTMLParser):
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     return Run(write_record(tmp_path / "bag", random_record(40)))
+
+
+def test_a_reset_begins_a_section_and_hides_nothing(tmp_path: Path) -> None:
+    first, second = random_record(30, seed=2), random_record(12, seed=3)
+    with RunWriter(tmp_path / "bag") as bag:
+        for begin, record in ((0, first), (30, second)):
+            for row in range(len(record)):
+                write_tick(bag, record, row, START + (begin + row) * PERIOD, "/")
+        for service, row in (("grasp", 5), ("reset", 31)):
+            stamp = int((first if row < 30 else second).stamps[row % 30])
+            status = message(
+                "diagnostic_msgs/msg/DiagnosticStatus",
+                level=0,
+                name="manipulation_controller",
+                message=service,
+                hardware_id="",
+                values=[message("diagnostic_msgs/msg/KeyValue", key=service, value="false")],
+            )
+            array = message(
+                "diagnostic_msgs/msg/DiagnosticArray", header=header(stamp), status=[status]
+            )
+            topic = "/accepted/manipulation_controller/requests"
+            bag.write(topic, array, START + row * PERIOD)
+    run = Run(tmp_path / "bag")
+    sections = [*run.earlier, run]
+    assert [len(each.record) for each in sections] == [30, 12]
+    np.testing.assert_array_equal(run.earlier[0].record.theta, first.theta)
+    assert [each.key for one in sections for each in one.requests] == ["grasp", "reset"]
+    assert "a user calls grasp (false)" in [event.text for event in run.earlier[0].events]
+    document = Parts(write_report(run, tmp_path).read_text()).document
+    assert [each["ticks"] for each in document["runs"]] == [30, 12]
 
 
 def unpack(packed):
@@ -103,7 +144,9 @@ class TestDocument:
         run = Run(write_record(tmp_path / "bag", random_record(truth=False)))
         document = run_document(run)
         assert document["object"] is None and document["hand"] is None
-        assert document["goal_reached"] is None and document["ledger"] == []
+        assert (
+            document["passed"] is None and document["headline"] == "" and document["ledger"] == []
+        )
         assert np.isnan(values(document, "object_position")).all()
         assert any("No scenario" in note for note in document["notes"])
 

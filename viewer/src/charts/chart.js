@@ -268,7 +268,7 @@ function drawEvents(plot, spec, { events, theme }) {
   ctx.restore();
 }
 
-const CORNERS = { slip: 3, detection: 4, reaction: 3, contact_lost: 0, contact_made: 0, disturbance: 5, command: 4 };
+const CORNERS = { slip: 3, detection: 4, reaction: 3, contact_lost: 0, contact_made: 0, disturbance: 5, command: 4, request: 4, refusal: 4, dropped: 3, gap: 5 };
 
 /** Draw the sign of an event: not by colour alone. */
 function sign(ctx, kind, x, y, size) {

@@ -14,6 +14,10 @@ const TITLES = {
   contact_made: "contact made",
   disturbance: "disturbance",
   command: "command",
+  request: "request",
+  refusal: "refused",
+  dropped: "dropped",
+  gap: "gap in the recording",
 };
 
 /** Return the specifications of all plots of a run. */

@@ -5,7 +5,7 @@ import { el, icon } from "../dom.js";
 
 /** Make the head of a report. */
 export function header(run, theme) {
-  return el("header", { class: "head" }, titleLine(run.name, run.description, [verdict(run.goal_reached)], theme), tiles(run.tiles));
+  return el("header", { class: "head" }, titleLine(run.name, run.description, [verdict(run)].filter((part) => part), theme), tiles(run.tiles));
 }
 
 /** Make the head of a comparison. */
@@ -21,6 +21,16 @@ export function comparisonHeader(runs, colours, theme) {
   return el("header", { class: "head" }, titleLine(title, "", [], theme), el("div", { class: "run-chips" }, ...chips));
 }
 
+/** Make links to the sections of a run between its resets; nothing where there was no reset. */
+export function sections(runs, shown) {
+  if (runs.length < 2) return null;
+  const links = runs.map((run, i) => {
+    const [number, end] = [i + 1, run.time[run.time.length - 1]];
+    return el("a", { class: `chip ${number === shown ? "shown" : ""}`, href: `#section=${number}` }, `${number}: ${end.toFixed(1)} s, ${run.headline || "until the reset"}`);
+  });
+  return el("nav", { class: "sections", "aria-label": "sections" }, `${runs.length} sections, each begun by a reset: `, ...links);
+}
+
 function titleLine(title, description, extra, theme) {
   const dark = el("button", { class: "quiet", type: "button", title: "light or dark (d)", "aria-label": "light or dark", onclick: () => theme.toggle() }, icon("moon"));
   return el(
@@ -33,17 +43,21 @@ function titleLine(title, description, extra, theme) {
   );
 }
 
-function verdict(reached) {
-  if (reached === null) return null;
-  return el("span", { class: `verdict ${reached ? "good" : "bad"}` }, reached ? "goal reached" : "goal not reached");
+function verdict({ headline, passed }) {
+  if (!headline) return null;
+  return el("span", { class: `verdict ${judgement(passed)}` }, headline);
+}
+
+function judgement(passed) {
+  return typeof passed !== "boolean" ? "" : passed ? "good" : "bad";
 }
 
 function tiles(all) {
   return el(
     "dl",
     { class: "tiles" },
-    ...all.map(({ label, value, unit, note }) =>
-      el("div", { class: "tile" }, el("dt", {}, label), el("dd", {}, el("b", {}, value), unit ? ` ${unit}` : ""), el("small", {}, note)),
+    ...all.map(({ label, value, unit, note, passed }) =>
+      el("div", { class: `tile ${judgement(passed)}` }, el("dt", {}, label), el("dd", {}, el("b", {}, value), unit ? ` ${unit}` : ""), el("small", {}, note)),
     ),
   );
 }

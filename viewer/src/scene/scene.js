@@ -101,7 +101,10 @@ export class Scene {
       this.hand?.pose(rowOf(columns.theta, row));
       found.push(...(this.hand?.points() ?? []));
       for (const tip of this.hand?.tips ?? []) found.push(...around(tip.node.getWorldPosition(new THREE.Vector3()), tip.radius));
-      for (const name of ["object_position", "auxiliary_position", "contact_positions", "desired_position"]) {
+      // Of an object that no finger touches any more, the picture shows only how it leaves.
+      const held = rowOf(columns.contact_positions, row).some(Number.isFinite);
+      const wanted = ["auxiliary_position", "contact_positions", "desired_position"];
+      for (const name of held ? ["object_position", ...wanted] : wanted) {
         const values = rowOf(columns[name], row);
         for (let k = 0; k < values.length; k += 3) {
           if (Number.isFinite(values[k])) found.push(...around(new THREE.Vector3(...values.subarray(k, k + 3)), 0.3 * this.size));

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A drop is the moment from which fewer than two fingers touch for good."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.run.drop import dropped_at
+from tactile_hand_ros.run.events import events
+from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.run.verdict import headline
+
+
+def touched(*fingers: int) -> Record:
+    """Return a record in which so many of three fingers touch at each tick of 0.1 s."""
+    record = Record.empty(len(fingers), ["a", "b", "c"], ["j"])
+    record.stamps[:] = 100_000_000 * np.arange(len(fingers))
+    for row, count in enumerate(fingers):
+        record.contact_positions[row, :count] = 0.0
+        record.forces[row] = 0.0
+    return record
+
+
+@pytest.mark.parametrize(
+    ("fingers", "time"),
+    [
+        ((3, 3, 3), math.nan),
+        ((3, 2, 2), math.nan),  # two can hold
+        ((3, 1, 0), 0.1),
+        ((3, 0, 3, 0, 0), 0.3),  # caught once
+        ((0, 0, 3, 3), math.nan),
+        ((0, 0), math.nan),  # it was never in the hand
+        ((), math.nan),
+    ],
+)
+def test_a_drop_is_for_good(fingers: tuple[int, ...], time: float) -> None:
+    assert dropped_at(touched(*fingers)) == pytest.approx(time, nan_ok=True)
+
+
+def test_what_is_let_go_is_not_dropped() -> None:
+    assert math.isnan(dropped_at(touched(3, 3, 0), releases=[0.1]))
+    assert dropped_at(touched(3, 3, 0, 0), releases=[0.3]) == pytest.approx(0.2)
+
+
+def test_ticks_that_were_not_recorded_are_no_drop() -> None:
+    record = touched(3, 3, 0, 0)
+    record.forces[2:] = np.nan
+    assert math.isnan(dropped_at(record))
+
+
+@pytest.fixture(scope="module")
+def dropped() -> tuple[Record, Scenario]:
+    """Return the pull of the README without slip prevention, which no constant squeeze holds."""
+    scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.5})
+    return ClosedLoop(scenario).run(), scenario
+
+
+def test_the_pull_without_slip_prevention_is_called_a_drop(
+    dropped: tuple[Record, Scenario],
+) -> None:
+    m = metrics(*dropped)
+    assert 2.0 < m.dropped_at_s < 2.5
+    assert m.goal_reached is False
+    assert m.slip_count and m.max_slip_distance_m > 0.001
+    assert headline(m.to_dict()) == f"object dropped at {m.dropped_at_s:.3f} s"
+    found = [each for each in events(*dropped, dropped=m.dropped_at_s) if each.kind == "dropped"]
+    assert [each.time for each in found] == [m.dropped_at_s]
+
+
+def test_the_figure_shows_the_hand_and_not_the_fall(dropped: tuple[Record, Scenario]) -> None:
+    from tactile_hand_ros.report.scene import grasp_figure
+
+    figure = grasp_figure(*dropped)
+    assert any("object dropped at 2" in text.get_text() for text in figure.texts)
+    sizes = [float(np.ptp(axes.get_zlim())) for axes in figure.axes]
+    assert max(sizes) < 1.0  # m; the object is farther down by then
+    assert dropped[0].object_position[-1, 2] < -1.0
