@@ -23,6 +23,8 @@ from tactile_hand_ros.bag.provenance import RECORD_NAME
 from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.errors import BagError
 
+_BAGS = (".mcap", ".db3")
+
 
 def _bounded(compression: str) -> Callable[[bytes, int], bytes]:
     """Return a decompressor of chunks for rosbags, which by itself knows no limit."""
@@ -229,6 +231,12 @@ def _check_content(path: Path) -> None:
 
 def _broken(path: object, error: Exception) -> BagError:
     reason = str(error).rstrip(".") or type(error).__name__
+    file = Path(str(path))
+    if file.is_file() and file.suffix not in _BAGS:
+        return BagError(
+            f"{path} is no bag; give the folder of a run, a bag folder, or a file that ends in "
+            f"{' or '.join(_BAGS)}."
+        )
     return BagError(
         f"The bag {path} is empty, cut off or damaged ({reason}); "
         f"run `tactile-hand recover {path}`."

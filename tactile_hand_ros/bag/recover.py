@@ -31,7 +31,7 @@ from tactile_hand_ros.bag.qos import parse_qos
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.stream import is_being_written
 from tactile_hand_ros.bag.yaml_text import load
-from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.errors import BagError, counted
 from tactile_hand_ros.files import replace_text
 
 BROKEN = ".broken"
@@ -69,7 +69,11 @@ class RecoveredBag:
     def sentence(self) -> str:
         """The outcome in words."""
         topics = sum(1 for topic in self.metadata.topics if topic.message_count)
-        lost = f"{self.left} bytes could not be used" if self.left else "nothing was left behind"
+        lost = (
+            f"{counted(self.left, 'byte')} could not be used"
+            if self.left
+            else "nothing was left behind"
+        )
         if self.oversized:
             lost += f" ({self.oversized})"
         where = (
@@ -78,7 +82,8 @@ class RecoveredBag:
             else f"{self.source} was not touched"
         )
         return (
-            f"recovered {self.messages} messages on {topics} topics to {self.target}; {lost}; "
+            f"recovered {counted(self.messages, 'message')} on {counted(topics, 'topic')} to "
+            f"{self.target}; {lost}; "
             f"{where}"
         )
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_hand_ros.cli.output import NamespaceOption
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
     from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
@@ -213,7 +213,7 @@ def _publish(bag: Path, options: ReplayOptions) -> None:
         try:
             player.run(watch)
         finally:
-            print(f"published {player.progress.messages} messages", file=sys.stderr)
+            print(f"published {counted(player.progress.messages, 'message')}", file=sys.stderr)
 
 
 @contextlib.contextmanager
@@ -229,7 +229,9 @@ def _line(player: Replay) -> Iterator[Any]:
     task = bar.add_task("replay", total=player.progress.duration, state="")
 
     def watch(progress: ReplayProgress) -> None:
-        state = "paused, space goes on" if progress.paused else f"{progress.messages} messages"
+        state = (
+            "paused, space goes on" if progress.paused else counted(progress.messages, "message")
+        )
         bar.update(task, completed=progress.position, state=state)
 
     with bar:

@@ -17,6 +17,7 @@ from tactile_hand_ros.cli.output import (
     figure_formats,
     print_table,
 )
+from tactile_hand_ros.errors import counted
 
 
 def reproduce(
@@ -55,7 +56,7 @@ def reproduce(
         print_table(tables.claim_table(f"layout {result.layout}", result.claims))
         title = f"what the laws do, layout {result.layout}"
         print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
-    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
 
 
 def slip(
@@ -107,7 +108,7 @@ def slip(
     print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
     if points:
         print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
-    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
 
 
 def faults(
@@ -151,7 +152,7 @@ def faults(
     files += save(faults_figure(outcomes), out, "faults", figure_formats(formats))
     title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
     print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
-    print(f"{len(files)} files in {out}: " + ", ".join(f.name for f in files))
+    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
 
 
 def fuzz(

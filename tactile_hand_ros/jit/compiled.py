@@ -17,6 +17,7 @@ import os
 import pickle
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -143,6 +144,8 @@ def _with_numba(function: F) -> F:
 def _jit(function: F) -> F:
     import numba
 
+    # It would advise copies of arrays, wherever a product of a column is compiled.
+    warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
     # numpy's rules for division by zero; no reordering of sums, so that runs repeat to the bit.
     options = {"error_model": "numpy", "fastmath": False, **_strict()}
     try:

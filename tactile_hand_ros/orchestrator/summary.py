@@ -14,7 +14,7 @@ from rich.table import Table
 
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError, counted
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
@@ -91,7 +91,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
             f"the bag holds {results.metrics['ticks']} ticks, expected {expected}"
         )
     if lost:
-        results.problems.append(f"the recorder lost {lost} messages")
+        results.problems.append(f"the recorder lost {counted(lost, 'message')}")
     return results
 
 

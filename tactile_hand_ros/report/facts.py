@@ -11,7 +11,7 @@ import numpy as np
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, resolved
 from tactile_hand_ros.config.model import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError, counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.ledger import Assumption
 from tactile_hand_ros.run.run import BAG, Run
@@ -108,7 +108,7 @@ def _milli(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
 def _recorded(messages: int, lost: int | None) -> dict[str, Any]:
     if lost is None:
         return {"label": "recorded", "value": str(messages), "unit": "", "note": "messages"}
-    note = f"of {messages} messages"
+    note = f"of {counted(messages, 'message')}"
     return {"label": "recorded", "value": str(lost), "unit": "lost", "note": note}
 
 

@@ -36,8 +36,10 @@ _ELEVATION = 24.0
 _FORCE = 0.022  # length of a force arrow, m/N
 _FRAME = 0.045  # length of a contact frame's axes, m
 _ORIGIN = 0.1  # length of the palm frame's axes, m
+_SMALL = 0.3  # reach of a hand below which everything is drawn smaller, m
+_LONGEST = 0.4  # of a force arrow, as a share of the hand's reach
 _CAPTION = (
-    "axes at P: 0.1 m     arrows at contacts: force on the object, 22 mm per N     "
+    "axes at P: {axes:g} m     arrows at contacts: force on the object, {force:.2g} mm per N     "
     "black line: path of the contact centroid to its target"
 )
 
@@ -55,6 +57,12 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     solid = scenario.plant.object.solid()
     rows, dropped = (min(1, len(record) - 1), len(record) - 1), dropped_at(record)
     scenes = [_Scene(record, row, hand, solid.vertices, solid.face_corners) for row in rows]
+    reach = max(float(np.linalg.norm(chain, axis=1).max()) for chain in scenes[0].chains)
+    scale = min(1.0, reach / _SMALL)
+    strongest = max(float(np.nanmax(scene.strengths, initial=1e-9)) for scene in scenes)
+    force = min(_FORCE * scale, _LONGEST * reach / strongest)
+    for scene in scenes:
+        scene.scale, scene.newton = scale, force
     view = _View(_azimuth(scenes[0].chains))
     with look():
         figure = new_figure(PAGE, 3.1, layout="none")
@@ -69,7 +77,8 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
             if number and not math.isnan(dropped):
                 title += f": object dropped at {dropped:.3g} s"
             figure.text(0.015 + 0.5 * number, 0.985, title, va="top")
-        figure.text(0.015, 0.012, _CAPTION, fontsize=6.5, color=FAINT)
+        caption = _CAPTION.format(axes=round(scale * _ORIGIN, 3), force=1e3 * force)
+        figure.text(0.015, 0.012, caption, fontsize=6.5, color=FAINT)
     return figure
 
 
@@ -150,6 +159,12 @@ class _Scene:
         rotation = rotation_from_quaternion(record.object_quaternion[row])
         self.corners = vertices @ rotation.T + record.object_position[row]
         self.faces = faces
+        self.scale, self.newton = 1.0, _FORCE
+
+    @property
+    def strengths(self) -> Array:
+        """The contact forces' magnitudes, shape (k,), N."""
+        return np.asarray(np.linalg.norm(derived.contact_forces(self.record)[self.row], axis=1))
 
     @property
     def is_near(self) -> bool:
@@ -167,9 +182,10 @@ class _Scene:
         tips = np.array([chain[-1] for chain in self.chains])
         shifts = self.radii[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])
         outer = (tips[:, None] + shifts).reshape(-1, 3)
-        numbers = np.array([_number_place(chain) for chain in self.chains])
+        numbers = np.array([_number_place(chain, self.scale) for chain in self.chains])
         return [
             *self.chains,
+            *(arrow for i in range(len(self.chains)) if (arrow := self._arrow(i)) is not None),
             *([self.corners] if self.is_near else []),
             outer,
             numbers,
@@ -192,10 +208,10 @@ class _Scene:
         for base in bases:
             axes.plot(*np.array([np.zeros(3), base]).T, color="#d5d5d5", lw=3.0, zorder=0)
         for i, name in enumerate("xyz"):
-            tip = _ORIGIN * np.eye(3)[i]
+            tip = self.scale * _ORIGIN * np.eye(3)[i]
             axes.quiver(0, 0, 0, *tip, color=INK, lw=0.9, arrow_length_ratio=0.22, zorder=1)
             axes.text(*(1.3 * tip), f"${name}$", ha="center", va="center", fontsize=7)
-        axes.text(0.0, 0.0, -0.045, "P", ha="center", va="center", fontsize=8)
+        axes.text(0.0, 0.0, -0.045 * self.scale, "P", ha="center", va="center", fontsize=8)
 
     def _draw_finger(self, axes: Any, i: int, zorder: int) -> None:
         color, chain = finger_color(i), self.chains[i]
@@ -206,7 +222,7 @@ class _Scene:
             x, y, z, color=color, alpha=0.45, lw=0, zorder=zorder + 0.1, rcount=40, rasterized=True
         )
         axes.text(
-            *_number_place(chain),
+            *_number_place(chain, self.scale),
             str(i + 1),
             color=color,
             weight="bold",
@@ -238,14 +254,24 @@ class _Scene:
         if not np.isfinite(point).all():
             return
         frame = rotation_from_quaternion(record.contact_quaternions[row, i])
-        force = frame @ derived.contact_forces(record)[row, i]
         for axis in (0, 2):
-            end = point + _FRAME * frame[:, axis]
+            end = point + self.scale * _FRAME * frame[:, axis]
             axes.plot(*np.array([point, end]).T, color=axis_color(axis), lw=1.3, zorder=7)
         axes.plot(*point[:, None], "o", color=INK, ms=2.5, zorder=8)
-        if np.isfinite(force).all() and np.linalg.norm(force) > 1e-9:
-            arrow = _FORCE * force
+        ends = self._arrow(i)
+        if ends is not None:
+            arrow = ends[1] - ends[0]
             axes.quiver(*point, *arrow, color=INK, lw=1.3, arrow_length_ratio=0.28, zorder=8)
+
+    def _arrow(self, i: int) -> Array | None:
+        """Return both ends of the force at a contact, shape (2, 3), None where there is none."""
+        point = self.record.contact_positions[self.row, i]
+        frame = rotation_from_quaternion(self.record.contact_quaternions[self.row, i])
+        force = frame @ derived.contact_forces(self.record)[self.row, i]
+        known = np.isfinite(point).all() and np.isfinite(force).all()
+        if not known or np.linalg.norm(force) <= 1e-9:
+            return None
+        return np.array([point, point + self.newton * force])
 
     def _draw_goal(self, axes: Any) -> None:
         path = self.record.auxiliary_position[: self.row + 1]
@@ -253,13 +279,18 @@ class _Scene:
         goal = self.record.desired_position[self.row]
         if np.isfinite(goal).all():
             axes.plot(*goal[:, None], "x", color="#CC0000", ms=6, mew=1.6, zorder=9)
-            axes.text(*(goal + np.array([0.0, 0.0, 0.035])), "$p_d$", color="#CC0000", zorder=9)
+            axes.text(
+                *(goal + np.array([0.0, 0.0, 0.035 * self.scale])),
+                "$p_d$",
+                color="#CC0000",
+                zorder=9,
+            )
 
 
-def _number_place(chain: Array) -> Array:
+def _number_place(chain: Array, scale: float) -> Array:
     """Return where a finger's number stands: beside its base, on the outer side."""
     outward = chain[0] / max(float(np.linalg.norm(chain[0])), 1e-9)
-    return np.asarray(chain[0] + 0.085 * outward + np.array([0.0, 0.0, -0.02]))
+    return np.asarray(chain[0] + scale * (0.085 * outward + np.array([0.0, 0.0, -0.02])))
 
 
 def _sphere(centre: Array, radius: float) -> tuple[Array, Array, Array]:

@@ -143,7 +143,9 @@ def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
         MissingLibraryError: If rich is not installed.
     """
     rich = optional("rich.table", "Tables in the terminal")
-    table: Table = rich.Table(title=title, title_justify="left", title_style="bold")
+    table: Table = rich.Table(
+        title=title, title_justify="left", title_style="bold", show_header=any(columns)
+    )
     for column in columns:
         table.add_column(column, no_wrap=column == "verdict")
     for row in rows:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from tactile_hand_ros.errors import counted
+
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
     DiagnosticStatus.WARN,
@@ -158,13 +160,13 @@ class Diagnostics:
         recent = _latest(self._errors, now)
         if recent is not None:
             source, entry = recent
-            return ERROR, f"{entry.count} errors in {source}: {entry.reason}"
+            return ERROR, f"{counted(entry.count, 'error')} in {source}: {entry.reason}"
         if self._faults:
             return level, text
         recent = _latest(self._rejections, now)
         if recent is not None:
             topic, entry = recent
-            return WARN, f"{entry.count} messages on {topic} rejected: {entry.reason}"
+            return WARN, f"{counted(entry.count, 'message')} on {topic} rejected: {entry.reason}"
         if self._ticks and not ticks:
             return STALE, f"no new tick, {self._ticks} so far"
         return OK, "running"

@@ -97,7 +97,7 @@ def test_a_bad_message_is_counted_reported_and_survived(node, user):
         wait_until(lambda: node.got == [2.0], message="the good message after the bad one")
         report = wait_until(lambda: [r for r in reports if r.level == DiagnosticStatus.WARN])[-1]
     assert report.name == "/left/example"
-    words = "1 messages on x rejected: data is nan, expected a finite number up to 1e+09."
+    words = "1 message on x rejected: data is nan, expected a finite number up to 1e+09."
     assert report.message == words
     shown = {pair.key: pair.value for pair in report.values}
     assert shown["rejected x"] == "1"

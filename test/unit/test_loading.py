@@ -50,7 +50,8 @@ def loaded(name: str) -> set[str]:
 @pytest.mark.parametrize("name", UNNEEDED)
 def test_an_executable_loads_only_what_it_needs(name: str) -> None:
     found = loaded(name)
-    assert "rclpy" in found and "tactile_hand_ros.config.model" in found
+    if name != "orchestrator":  # its help needs neither
+        assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]
 
 

@@ -14,7 +14,7 @@ from rclpy.signals import uninstall_signal_handlers
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.errors import BagError, counted
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
 from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
@@ -163,7 +163,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             response.success, response.message = False, str(error)
             return response
         response.success = True
-        response.message = f"{count} messages were written to {self._recording.folder}"
+        response.message = f"{counted(count, 'message')} went to {self._recording.folder}"
         return response
 
 

@@ -140,7 +140,7 @@ def test_damaged_metadata(bag: Path, text: str) -> None:
 def test_unknown_kind_of_file(tmp_path: Path) -> None:
     """A file of another format."""
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(BagError, match="Unrecognized storage format"):
+    with pytest.raises(BagError, match=r"notes.txt is no bag; give the folder of a run"):
         summarize(tmp_path / "notes.txt")
 
 

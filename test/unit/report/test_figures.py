@@ -91,3 +91,17 @@ def test_no_colour_means_two_things() -> None:
     fingers = {finger_color(i) for i in range(6)}
     assert len(fingers) == 6
     assert len({law_color(i) for i in range(3)} | fingers) == 9
+
+
+def test_strong_forces_stay_in_the_picture() -> None:
+    from tactile_hand_ros.closed_loop.loop import ClosedLoop
+    from tactile_hand_ros.closed_loop.scenario import load_scenario
+    from tactile_hand_ros.report.scene import grasp_figure
+
+    scenario = load_scenario("paper", {"duration": 0.01, "targets": []})
+    record = ClosedLoop(scenario).run()
+    record.forces[:, 0] = (0.0, 240.0, 0.0)
+    figure = grasp_figure(record, scenario)
+    caption = next(text.get_text() for text in figure.texts if "mm per N" in text.get_text())
+    length = float(caption.split("force on the object, ")[1].split(" mm")[0])
+    assert 240.0 * length < 250.0  # mm, not farther than the hand reaches

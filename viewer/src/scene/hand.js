@@ -69,6 +69,15 @@ export class HandModel {
     }
   }
 
+  /** Return where a finger begins: the first moving link on the way to its tip that it shares with no other finger. */
+  base(tip) {
+    const chain = (node) => (node && node !== this.group ? [...chain(node.parent), node] : []);
+    const others = this.tips.filter((other) => other !== tip).map((other) => new Set(chain(other.node)));
+    const own = chain(tip.node).filter((node) => !others.some((shared) => shared.has(node)));
+    const moving = this.nodes.filter((node) => node.joint >= 0).map((node) => node.object);
+    return own.find((node) => moving.includes(node)) ?? own[0] ?? tip.node;
+  }
+
   /** Return where all links are, in the palm frame. */
   points() {
     return this.nodes.map((node) => node.object.getWorldPosition(new THREE.Vector3()));

@@ -61,9 +61,7 @@ export class Scene {
     this.hand.pose(rowOf(this.run.columns.theta, 0));
     return this.hand.tips.map((tip) => {
       const badge = new Badge(String(tip.finger + 1), tip.color, 0.42 * this.size);
-      let node = tip.node;
-      while (node.parent?.parent !== this.hand.group && node.parent && node.parent !== this.hand.group) node = node.parent;
-      const base = node.getWorldPosition(new THREE.Vector3());
+      const base = this.hand.base(tip).getWorldPosition(new THREE.Vector3());
       const outward = base.clone().setZ(0);
       if (outward.length() > 1e-6) outward.setLength(0.55 * this.size);
       badge.group.position.copy(base.add(outward));
