@@ -80,6 +80,7 @@ def compare(
     """Lay runs over each other: one page with their plots, and their metrics side by side."""
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.page import COMPARISON, write_comparison
+    from tactile_hand_ros.report.settings import differing, labels
 
     start = time.perf_counter()
     if len(runs) < 2:
@@ -87,8 +88,11 @@ def compare(
     check_writable(out)
     opened = [_open(run, namespace) for run in runs]
     file = write_comparison(opened, out / COMPARISON)
-    names = [f"{number}: {each.path.name}" for number, each in enumerate(opened, 1)]
-    rows = tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
+    names = [f"{number}: {label}" for number, label in enumerate(labels(opened), 1)]
+    if settings := differing(opened):
+        print_table(tables.rich_table("settings that differ", ("", *names), settings))
+    rows = [["", *(each.headline for each in opened)]]
+    rows += tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
     print_table(tables.rich_table("runs", ("", *names), rows))
     _print_page(file, start)
 

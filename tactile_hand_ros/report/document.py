@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +16,7 @@ from tactile_hand_ros.report import facts, model, style
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.run.gaps import gaps
 from tactile_hand_ros.run.run import Run
 
 Array = NDArray[np.float64]
@@ -28,12 +30,15 @@ MAX_EVENTS = 400
 _CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are too few
 
 
-def page_document(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+def page_document(
+    kind: str, runs: list[dict[str, Any]], settings: Sequence[Sequence[str]] = ()
+) -> dict[str, Any]:
     """Return the document of a page.
 
     Args:
         kind: ``run`` or ``comparison``.
         runs: What `run_document` gave for each.
+        settings: Rows of the settings in which they differ.
     """
     palette = {
         "ink": style.INK,
@@ -41,10 +46,16 @@ def page_document(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "axes": [style.axis_color(i) for i in range(3)],
         "runs": [style.run_color(i) for i in range(len(runs))],
     }
-    return {"format": FORMAT, "kind": kind, "palette": palette, "runs": runs}
+    return {
+        "format": FORMAT,
+        "kind": kind,
+        "palette": palette,
+        "runs": runs,
+        "settings": [list(row) for row in settings],
+    }
 
 
-def run_document(run: Run, *, room: int = MAX_BYTES, space: bool = True) -> dict[str, Any]:
+def run_document(run: Run, *, room: int = MAX_BYTES, label: str = "") -> dict[str, Any]:
     """Return everything the page needs to know of a run, as plain data for JSON.
 
     All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
@@ -52,17 +63,23 @@ def run_document(run: Run, *, room: int = MAX_BYTES, space: bool = True) -> dict
     Args:
         run: The run.
         room: How many bytes the arrays may take before base64.
-        space: Whether the 3D view is wanted.
+        label: What a comparison calls it, by default its name.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
     """
     record = run.record
-    hand, problem = model.hand(run) if space else (None, "")
-    columns = plot_columns(run) | (scene_columns(record) if space else {})
+    hand, problem = model.hand(run)
+    plots = plot_columns(run)
+    columns = plots | scene_columns(record)
     rows = _rows(run, room // _bytes_per_tick(columns))
+    around = [pair for pair in gaps(record) if pair[0]]
+    rows = np.union1d(rows, [row for pair in around for row in pair]).astype(np.int64)
+    broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
     return {
         "name": facts.name(run),
+        "label": label or facts.name(run),
+        "gaps": [[float(record.times[row]) for row in pair] for pair in around],
         "description": str(facts.loose_scenario(run).get("description", "")),
         "recorded": _date(run),
         "headline": run.headline,
@@ -72,17 +89,31 @@ def run_document(run: Run, *, room: int = MAX_BYTES, space: bool = True) -> dict
         "fingers": _fingers(record),
         "joints": _joints(record, hand),
         "columns": {
-            name: pack(values[rows], _CODES.get(name, "f4")) for name, values in columns.items()
+            name: pack(_shown(values, rows, broken if name in breaking else []), _code(name))
+            for name, values in columns.items()
         },
         "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
         "hand": hand,
-        "object": model.solid(run) if space else None,
+        "object": model.solid(run),
         "ledger": facts.ledger(run),
         "tiles": facts.tiles(run),
         "tables": facts.all_tables(run),
         "scenario": facts.scenario_text(run),
         "notes": [*facts.notes(run), *([problem] if problem else [])],
     }
+
+
+def _code(name: str) -> str:
+    return _CODES.get(name, "f4")
+
+
+def _shown(values: Array, rows: Rows, broken: Sequence[int]) -> Array:
+    """Return the rows of an array, without a value where a gap begins, so that its line ends."""
+    found: Array = values[rows]
+    if len(broken):
+        found = found.copy()
+        found[np.searchsorted(rows, broken)] = np.nan
+    return found
 
 
 def plot_columns(run: Run) -> dict[str, Array]:

@@ -16,6 +16,7 @@ from typing import Any
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
+from tactile_hand_ros.report.settings import differing, labels
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 
@@ -57,8 +58,11 @@ def write_comparison(runs: Sequence[Run], file: Path) -> Path:
         TactileHandError: If the file cannot be written.
     """
     room = MAX_BYTES // max(1, len(runs))
-    documents = [run_document(run, room=room, space=False) for run in runs]
-    return _write(page(documents, "comparison"), file)
+    documents = [
+        run_document(run, room=room, label=label)
+        for run, label in zip(runs, labels(runs), strict=True)
+    ]
+    return _write(page(documents, "comparison", differing(runs)), file)
 
 
 def run_folder(run: Run) -> Path:
@@ -66,12 +70,13 @@ def run_folder(run: Run) -> Path:
     return run.path if run.bag != run.path else run.bag.parent
 
 
-def page(documents: list[dict[str, Any]], kind: str) -> str:
+def page(documents: list[dict[str, Any]], kind: str, settings: Sequence[Sequence[str]] = ()) -> str:
     """Return the HTML of a page that loads nothing from anywhere.
 
     Args:
         documents: What `run_document` gave for each run.
         kind: ``run`` or ``comparison``.
+        settings: Rows of the settings in which they differ.
     """
     names = " and ".join(dict.fromkeys(document["name"] for document in documents))
     style, script = _resource("viewer.css"), _resource("viewer.js")
@@ -81,7 +86,7 @@ def page(documents: list[dict[str, Any]], kind: str) -> str:
         "style_hash": _source_hash(style),
         "script": script,
         "script_hash": _source_hash(script),
-        "document": _json(page_document(kind, documents)),
+        "document": _json(page_document(kind, documents, settings)),
     }
     return _PLACE.sub(lambda place: parts[place.group(1)], _resource("template.html"))
 

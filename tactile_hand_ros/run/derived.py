@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.run.gaps import silent
 
 Array = NDArray[np.float64]
 
@@ -72,8 +73,7 @@ def contact_lost(record: Record) -> NDArray[np.bool_]:
     A tick of which touch says nothing at all, because its messages are missing, is none.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
-    silent = missing & np.isnan(record.forces).all(axis=2)
-    return np.asarray(missing.any(axis=1) & ~silent.all(axis=1))
+    return np.asarray(missing.any(axis=1) & ~silent(record))
 
 
 def motion_in_grasp(record: Record) -> tuple[Array, Array]:

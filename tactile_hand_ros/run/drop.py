@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.run.gaps import silent
 
 _HOLDING = 2
 """Fingers that it takes to hold an object."""
@@ -24,8 +25,7 @@ def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
         releases: When a user let the hand open, s; what is let go is not dropped.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
-    silent = missing.all(axis=1) & np.isnan(record.forces).all(axis=(1, 2))
-    known = np.flatnonzero(~silent)  # of the other ticks, nothing was recorded
+    known = np.flatnonzero(~silent(record))  # of the other ticks, nothing was recorded
     held = np.flatnonzero((~missing[known]).sum(axis=1) >= _HOLDING)
     if not len(held) or held[-1] + 1 == len(known):
         return math.nan

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.run.gaps import gaps, silent
 from tactile_hand_ros.run.requests import Asked
 
 Flags = NDArray[np.bool_]
@@ -69,7 +70,7 @@ def events(
         scenario: Its scenario, for the disturbances.
         dropped: When the object was dropped, s; NaN if it was not.
     """
-    found = [*_commands(record), *_of_fingers(record), *_reactions(record)]
+    found = [*_commands(record), *_of_fingers(record), *_reactions(record), *_gaps(record)]
     if not math.isnan(dropped):
         found.append(Event(dropped, "dropped", "", "the object is dropped"))
     if scenario is not None:
@@ -135,12 +136,12 @@ def _strength(force: tuple[float, ...], torque: tuple[float, ...]) -> str:
 def _of_fingers(record: Record) -> list[Event]:
     found: list[Event] = []
     missing = np.isnan(record.contact_positions[:, :, 0])
-    silent = missing.all(axis=1) & np.isnan(record.forces).all(axis=(1, 2))
+    unknown = silent(record)
     for i, finger in enumerate(record.finger_names):
         name = finger.replace("_", " ")
         sliding = record.true_sliding[:, i] > SLIDING
         alarm = record.grip[:, i] == Grip.SLIP
-        lost, made = _edges(missing[:, i] & ~silent)
+        lost, made = _edges(_held_through(missing[:, i], unknown))
         seen: list[tuple[Kind, list[int], str]] = [
             ("slip", _starts(record, sliding), f"{name} begins to slide"),
             ("detection", _starts(record, alarm), f"slip of {name} is detected"),
@@ -150,6 +151,24 @@ def _of_fingers(record: Record) -> list[Event]:
         for kind, rows, text in seen:
             found += [Event(float(record.times[row]), kind, finger, text) for row in rows]
     return found
+
+
+def _held_through(flags: Flags, unknown: Flags) -> Flags:
+    """Return flags that keep their value where it is not known."""
+    rows = np.maximum.accumulate(np.where(unknown, 0, np.arange(len(flags))))
+    return np.asarray(flags[rows] & ~(unknown & (rows == 0)))
+
+
+def _gaps(record: Record) -> list[Event]:
+    return [
+        Event(
+            float(record.times[first]),
+            "gap",
+            "",
+            f"nothing was recorded for {record.times[last] - record.times[first]:.3g} s",
+        )
+        for first, last in gaps(record)
+    ]
 
 
 def _edges(flags: Flags) -> tuple[list[int], list[int]]:

@@ -257,6 +257,16 @@ def test_a_comparison_overlays_runs(page: Page, run: Run, tmp_path: Path) -> Non
     assert "Metrics" in titles
     heads = page.driver.find_elements(By.CSS_SELECTOR, "thead th")
     assert [head.text for head in heads[:3]] == ["", "1 pull", "2 paper"]
+    assert page.js("return report.scenes.length") == 2
+    assert min(page.js("return report.scenes.map((scene) => scene.colours())")) > 200
+    assert "plant.object.friction" in page.js(
+        "return document.querySelector('.settings').textContent"
+    )
+    page.js("report.scenes[0].view.look('top')")
+    assert page.js(
+        """const [one, other] = report.scenes.map((scene) => scene.view.camera.position.toArray());
+           return Math.max(...one.map((place, i) => Math.abs(place - other[i])))"""
+    ) == pytest.approx(0.0, abs=1e-6)
     page.js("report.player.seek(0.2)")
     squeeze = page.js("return report.charts[2].items.map((item) => item.value.textContent)")
     records = (run.record, other.record)

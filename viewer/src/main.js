@@ -11,8 +11,8 @@ import { el } from "./dom.js";
 import { KEYS, listenToKeys } from "./keyboard.js";
 import { comparisonHeader, header, sections } from "./page/header.js";
 import { ledger } from "./page/ledger.js";
-import { stage } from "./page/stage.js";
-import { eventList, footer, notes, scenario, tables, tablesSideBySide } from "./page/tables.js";
+import { sideBySide, stage } from "./page/stage.js";
+import { eventList, footer, notes, scenario, settingsTable, tables, tablesSideBySide } from "./page/tables.js";
 import { transport } from "./page/transport.js";
 import { Player } from "./player.js";
 import { Theme } from "./theme.js";
@@ -52,13 +52,15 @@ function showRun(run, navigation) {
 }
 
 function showComparison() {
-  const { runs, palette } = content;
+  const { runs, palette, settings } = content;
   const context = makeContext(commonTimes(runs), []);
   const plots = el("div", { class: "plots" });
-  const scenarios = runs.map((run, i) => scenario(run.scenario, `of ${i + 1} ${run.name}`)).filter((part) => part);
+  const scenarios = runs.map((run, i) => scenario(run.scenario, `of ${i + 1} ${run.label}`)).filter((part) => part);
+  const views = sideBySide(runs, palette, context);
   root.append(
     comparisonHeader(runs, palette.runs, theme),
-    ...[notes(runs.flatMap((run, i) => run.notes.map((note) => `${i + 1} ${run.name}: ${note}`)))].filter((part) => part),
+    ...[notes(runs.flatMap((run, i) => run.notes.map((note) => `${i + 1} ${run.label}: ${note}`))), settingsTable(runs, settings)].filter((part) => part),
+    views.element,
     el("main", { class: "overlaid" }, plots, el("section", { class: "stage flat" }, transport({ events: [] }, context))),
     el("div", { class: "below one" }, ...tablesSideBySide(runs)),
     ...scenarios,
@@ -66,7 +68,7 @@ function showComparison() {
   );
   const charts = comparisonCharts(content, context.time, theme).map((spec) => new Chart(spec, context));
   plots.append(...charts.map((chart) => chart.element));
-  return { ...context, scene: null, charts };
+  return { ...context, scene: null, scenes: views.scenes, charts };
 }
 
 /** Show the section that the address names, the last one by default; each reset begins one. */

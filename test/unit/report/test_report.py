@@ -29,6 +29,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report.document import run_document, scene_columns
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.page import write_comparison, write_report
+from tactile_hand_ros.report.settings import differing, labels
 from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.run import Run
@@ -96,6 +97,37 @@ def test_a_reset_begins_a_section_and_hides_nothing(tmp_path: Path) -> None:
     assert "a user calls grasp (false)" in [event.text for event in run.earlier[0].events]
     document = Parts(write_report(run, tmp_path).read_text()).document
     assert [each["ticks"] for each in document["runs"]] == [30, 12]
+
+
+def test_runs_are_labelled_by_what_differs(tmp_path: Path) -> None:
+    runs = []
+    for mode in ("auto", "user"):
+        text = resolved(load_scenario("pull", {"slip_regulator.mode": mode}))
+        told = {"scenario": text}
+        runs.append(Run(write_record(tmp_path / mode, random_record(20), custom_data=told)))
+    assert differing(runs) == [["slip_regulator.mode", "auto", "user"]]
+    assert labels(runs) == ["pull (mode=auto)", "pull (mode=user)"]
+    assert labels([runs[0], runs[0]]) == ["pull (auto)", "pull (auto)"]
+
+
+def test_a_gap_in_a_bag_is_a_gap_and_no_lost_contact(tmp_path: Path) -> None:
+    record = random_record(60)
+    record.contact_positions[20:30] = record.forces[20:30] = np.nan
+    with RunWriter(tmp_path / "bag") as bag:
+        for row in [*range(40), *range(50, 60)]:
+            write_tick(bag, record, row, START + row * PERIOD, "/")
+    run = Run(tmp_path / "bag")
+    assert [(event.time, event.kind) for event in run.events if event.kind == "gap"] == [
+        (0.038, "gap"),
+        (0.078, "gap"),
+    ]
+    assert not [event for event in run.events if event.kind.startswith("contact")]
+    assert run.metrics.contacts_lost_ticks == 0
+    document = run_document(run)
+    assert np.array(document["gaps"]) == pytest.approx(np.array([[0.038, 0.06], [0.078, 0.1]]))
+    time, rates = values(document, "time"), values(document, "rates")
+    assert np.isnan(rates[np.searchsorted(time, 0.078 - 1e-9)]).all()  # the line ends here
+    assert np.isfinite(rates[-1]).all()
 
 
 def unpack(packed):
@@ -251,7 +283,7 @@ class TestCommands:
         assert cli.main(["compare", bag, bag, "--out", str(tmp_path / "out")]) == 0
         assert (tmp_path / "out" / "comparison.html").is_file()
         out = capsys.readouterr().out
-        assert "1: bag" in out and "2: bag" in out and "peak joint rate" in out
+        assert "1: " in out and out.count("(bag)") == 2 and "peak joint rate" in out
 
     @pytest.mark.parametrize("damage", ["missing", "cut", "no ticks", "alone"])
     def test_bad_input_is_one_sentence(

@@ -13,10 +13,10 @@ export function commonTimes(runs) {
 /** Return the specifications of all plots. */
 export function comparisonCharts(document, times, theme) {
   const { runs, palette } = document;
-  const places = runs.map((run) => placement(run.time, times));
+  const places = runs.map((run) => placement(run, times));
   const over = (pick, extra = {}) =>
     runs.map((run, i) => ({
-      label: `${i + 1} ${run.name}`,
+      label: `${i + 1} ${run.label}`,
       color: () => theme.data(palette.runs[i]),
       data: spread(pick(run), places[i]),
       width: 1.8,
@@ -36,9 +36,10 @@ export function comparisonCharts(document, times, theme) {
   ];
 }
 
-/** Return the row of a run for each common time, -1 outside of it. */
-function placement(own, times) {
-  return Array.from(times, (time) => (time < own[0] - 1e-6 || time > own[own.length - 1] + 1e-6 ? -1 : rowAt(own, time + 1e-6)));
+/** Return the row of a run for each common time, -1 outside of it and where its recording has a gap. */
+function placement({ time: own, gaps }, times) {
+  const unknown = (time) => time < own[0] - 1e-6 || time > own[own.length - 1] + 1e-6 || gaps.some(([from, to]) => time > from + 1e-6 && time < to - 1e-6);
+  return Array.from(times, (time) => (unknown(time) ? -1 : rowAt(own, time + 1e-6)));
 }
 
 /** Hold each value until the next tick of its run. */

@@ -11,7 +11,7 @@ export function header(run, theme) {
 /** Make the head of a comparison. */
 export function comparisonHeader(runs, colours, theme) {
   const chips = runs.map((run, i) => {
-    const chip = el("span", { class: "run-chip" }, el("i", {}), `${i + 1} ${run.name}`, el("small", {}, run.recorded));
+    const chip = el("span", { class: "run-chip" }, el("i", {}), `${i + 1} ${run.label}`, el("small", {}, run.recorded));
     const paint = () => chip.style.setProperty("--run", theme.data(colours[i]));
     paint();
     theme.listen(paint);

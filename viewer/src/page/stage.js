@@ -31,6 +31,27 @@ export function stage(run, palette, context) {
   return { element, scene };
 }
 
+/** Make a 3D view of each run, all of one time and seen from one side. */
+export function sideBySide(runs, palette, { player, theme }) {
+  const scenes = [];
+  const parts = runs.map((run, i) => {
+    const canvas = el("canvas", { class: "scene", tabindex: "-1", "aria-label": `3D view of ${run.label}` });
+    const badge = el("span", { class: "verdict" }, run.headline);
+    const viewport = el("div", { class: "viewport" }, canvas, el("div", { class: "name" }, `${i + 1} ${run.label} `, run.headline ? badge : null));
+    const scene = makeScene(canvas, run, palette, theme, viewport);
+    if (scene) {
+      scenes.push(scene);
+      player.listen((p) => scene.show(p.time, p.playing));
+      new ResizeObserver(() => scene.invalidate()).observe(viewport);
+    }
+    return el("section", { class: "stage beside" }, viewport);
+  });
+  for (const scene of scenes) {
+    scene.view.controls.addEventListener("change", () => scenes.filter((other) => other !== scene).forEach((other) => other.view.follow(scene.view)));
+  }
+  return { element: el("div", { class: "beside-all" }, ...parts), scenes };
+}
+
 function makeScene(canvas, run, palette, theme, viewport) {
   try {
     return new Scene(canvas, run, palette, theme);

@@ -21,7 +21,7 @@ export function tablesSideBySide(runs) {
   return titles.map((title) => {
     const maps = runs.map((run) => new Map(run.tables.find((table) => table.title === title)?.rows ?? []));
     const names = [...new Set(maps.flatMap((map) => [...map.keys()]))];
-    const head = el("tr", {}, el("th", {}), ...runs.map((run, i) => el("th", { scope: "col" }, `${i + 1} ${run.name}`)));
+    const head = el("tr", {}, el("th", {}), ...runs.map((run, i) => el("th", { scope: "col" }, `${i + 1} ${run.label}`)));
     const body = names.map((name) => {
       const values = maps.map((map) => map.get(name) ?? "");
       const same = values.every((value) => value === values[0]);
@@ -29,6 +29,14 @@ export function tablesSideBySide(runs) {
     });
     return el("section", { class: "panel wide" }, el("h2", {}, title), el("table", {}, el("thead", {}, head), el("tbody", {}, ...body)));
   });
+}
+
+/** Make the table of the settings in which runs differ. */
+export function settingsTable(runs, rows) {
+  if (!rows.length) return null;
+  const head = el("tr", {}, el("th", {}), ...runs.map((run, i) => el("th", { scope: "col" }, `${i + 1} ${run.label}`)));
+  const body = rows.map(([key, ...values]) => el("tr", {}, el("th", { scope: "row" }, key), ...values.map((value) => el("td", {}, value))));
+  return el("section", { class: "panel wide settings" }, el("h2", {}, "Settings that differ"), el("table", {}, el("thead", {}, head), el("tbody", {}, ...body)));
 }
 
 /** Make the scenario, folded. */
