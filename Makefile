@@ -39,7 +39,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench mutate lock audit setup clean FORCE
+.PHONY: help demo run test lint bench docs-figures mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -47,6 +47,7 @@ help:
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
 	@echo 'make test                 ruff, mypy and the whole test suite'
 	@echo 'make bench                measure'
+	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
 	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
 	@echo 'make clean                remove .venv, build results and caches; runs/ stays'
@@ -76,6 +77,10 @@ lint: $(VENV)/.dev $(VENV)/.package
 # At low priority: it takes both cores for a while.
 mutate: $(VENV)/.mutate $(VENV)/.package
 	@PYTHONPATH=test nice $(PY) -m mutation $(ARGS)
+
+docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+	@$(PY) docs/draw_pages.py
+	@$(PY) docs/draw_architecture.py
 
 setup: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 

@@ -13,6 +13,7 @@ _NOT_SET = "not set"
 _NAMED = 2  # settings in the label of a run
 _LONGEST = 60  # characters of a value in a table
 _WORDS = ("name", "description")
+_PLACES = ("manipulation_controller.law.folder",)  # where a file lies changes nothing
 
 
 def differing(runs: Sequence[Run]) -> list[list[str]]:
@@ -45,7 +46,7 @@ def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return nested settings by dotted key, as text, without names and descriptions."""
     found: dict[str, str] = {}
     for key, value in data.items():
-        if not prefix and key in _WORDS:
+        if (not prefix and key in _WORDS) or prefix + key in _PLACES:
             continue
         if isinstance(value, dict):
             found |= _flat(value, f"{prefix}{key}.")

@@ -26,6 +26,7 @@ EXECUTABLES = [
     "recorder",
     "slip_regulator",
     "tactile_sensor",
+    "viewer",
 ]
 # What an installation is made of, and nothing that a developer may have lying about.
 SOURCES = ("config", "resource", "scripts", PACKAGE)

@@ -69,7 +69,7 @@ PLAIN = (
     "simulation",
     "closed_loop",
 )
-SEEING_NODES = {"plant", "tactile_sensor", "readings", "composed", "recorder", "replay"}
+SEEING_NODES = {"plant", "tactile_sensor", "readings", "composed", "recorder", "replay", "viewer"}
 BLIND_NODES = sorted(
     path
     for path in (ROOT / PACKAGE / "nodes").rglob("*.py")
@@ -210,7 +210,7 @@ def test_only_those_who_simulate_import_the_simulation() -> None:
         if any(layer(other) == "simulation" for other in used)
     }
     allowed = ("simulation", "closed_loop", "studies", "bench", "nodes.plant")
-    allowed += ("nodes.tactile_sensor", "nodes.readings")
+    allowed += ("nodes.tactile_sensor", "nodes.readings", "nodes.viewer")
     assert {name for name in users if not name.startswith(allowed)} == set()
 
 

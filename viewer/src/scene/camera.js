@@ -34,6 +34,7 @@ export class View {
     this.camera.position.copy(other.camera.position);
     this.controls.target.copy(other.controls.target);
     this.controls.update();
+    this._placed = this.camera.position.clone();
   }
 
   resize(width, height) {

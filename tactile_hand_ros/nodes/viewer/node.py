@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The viewer: what RViz, Foxglove and PlotJuggler need to show a hand, a few times a second.
+
+It takes the newest message of each topic when a picture is due, so it costs little at any tick
+rate, and nothing depends on it. Without tf2_msgs there are no transforms; the markers need none.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from tactile_hand_ros import names
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.viewer.frames import (
+    OBJECT_FRAME,
+    Frame,
+    LinkFrames,
+    transforms,
+)
+from tactile_hand_ros.nodes.viewer.markers import Scene, markers
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
+from tactile_hand_ros.ros.messages.conversions import (
+    contacts_from_ros,
+    force_from_ros,
+    pose_from_ros,
+    stamp_to_ns,
+)
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.simulation.plant_config import ObjectConfig
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the wheels; part of every full installation
+    TFMessage = None
+
+Array = NDArray[np.float64]
+
+MARKERS = "markers"
+
+
+class ViewerConfig(Config):
+    """What is shown."""
+
+    hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
+    rate: float = param(30.0, "pictures per second", unit="Hz", gt=0.0, le=100.0)
+    object: ObjectConfig = ObjectConfig()
+
+
+class ViewerNode(TactileNode[ViewerConfig]):
+    """Publishes transforms and markers.
+
+    Subscriptions, of which the newest message counts: `joint_states`, `tactile/contacts`,
+    `tactile/<finger>/wrench`, `grip_state`, `accepted/desired_pose`, `ground_truth/object_pose`.
+
+    Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while someone
+    subscribes), `/tf` and `/tf_static` (tf2_msgs/TFMessage, where it is installed: from `palm` to
+    links, contacts and object).
+
+    Parameters: the fields of `ViewerConfig`; a plant's parameter file fits as well.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Read the hand.
+
+        Raises:
+            TactileHandError: If a parameter is refused or there is no such hand.
+        """
+        super().__init__("viewer", ViewerConfig, **kwargs)
+        hand = Hand.load(self.config.hand, self.config.layout)
+        self._fingers, self._links = hand.finger_names, LinkFrames(hand.description)
+        self._corners = _triangles(self.config.object)
+        self._goal: Frame | None = None
+        self._taken: dict[str, Any] = {}
+        listened = {
+            names.JOINT_STATES: JointState,
+            names.CONTACTS: PoseArray,
+            names.GRIP_STATE: JointState,
+            names.ACCEPTED_POSE: PoseStamped,
+            names.OBJECT_POSE: PoseStamped,
+            **{names.wrench(finger): WrenchStamped for finger in self._fingers},
+        }
+        self._listening = {
+            topic: subscribe_directly(self, kind, topic, QoSProfile(depth=1))
+            for topic, kind in listened.items()
+        }
+        self._markers = self.create_publisher(MarkerArray, MARKERS, qos.user_qos())
+        self._tf = self._publish_static()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0 / self.config.rate, self.show, clock=steady)
+
+    def _publish_static(self) -> Any:
+        """Publish what does not move, and return the publisher of what does, None without tf2."""
+        if TFMessage is None:
+            self.diagnostics.value("tf", "tf2_msgs is not installed")
+            return None
+        self._static = self.create_publisher(TFMessage, "/tf_static", qos.latched_qos())
+        self._static.publish(TFMessage(transforms=transforms(self._links.fixed(), 0)))
+        return self.create_publisher(TFMessage, "/tf", qos.user_qos())
+
+    def show(self) -> None:
+        """Publish a picture of what is known now."""
+        for topic, subscription in self._listening.items():
+            self._take(topic, subscription)
+        contacts = self._contacts()
+        where = self._pose(names.OBJECT_POSE, OBJECT_FRAME)
+        if self._tf is not None and names.JOINT_STATES in self._taken:
+            stamp = stamp_to_ns(self._taken[names.JOINT_STATES].header.stamp)
+            seen = [*self._links.moving(self._theta()), *(c for c in contacts if c.is_known)]
+            known = [where] if where is not None and where.is_known else []
+            self._tf.publish(TFMessage(transforms=transforms([*seen, *known], stamp)))
+        if self._markers.get_subscription_count():
+            goal = self._pose(names.ACCEPTED_POSE, "goal")
+            scene = Scene(self._corners, where, contacts, self._forces(), self._friction(), goal)
+            self._markers.publish(markers(scene))
+        self.diagnostics.tick()
+
+    def _take(self, topic: str, subscription: Subscription) -> None:
+        data = take_latest(subscription)
+        if data is not None:
+            self._taken[topic] = deserialize_message(data, subscription.msg_type)
+
+    def _theta(self) -> Array:
+        message = self._taken[names.JOINT_STATES]
+        angles = dict(zip(message.name, message.position, strict=False))
+        return np.array([angles.get(name, 0.0) for name in self._links.joint_names])
+
+    def _contacts(self) -> list[Frame]:
+        """Return the contact of each finger, NaN where it does not touch."""
+        k = len(self._fingers)
+        positions, quaternions = np.full((k, 3), np.nan), np.full((k, 4), np.nan)
+        if names.CONTACTS in self._taken:
+            with suppress(MessageError):  # the controllers refuse it, and say so
+                positions, quaternions = contacts_from_ros(self._taken[names.CONTACTS], k)
+        places = zip(self._fingers, positions, quaternions, strict=True)
+        return [Frame(names.contact_frame(finger), *place) for finger, *place in places]
+
+    def _forces(self) -> Array:
+        forces = np.full((len(self._fingers), 3), np.nan)
+        for i, finger in enumerate(self._fingers):
+            message = self._taken.get(names.wrench(finger))
+            if message is not None:
+                with suppress(MessageError):
+                    forces[i] = force_from_ros(message)
+        return forces
+
+    def _friction(self) -> Array:
+        grip = self._taken.get(names.GRIP_STATE)
+        known = {} if grip is None else dict(zip(grip.name, grip.position, strict=False))
+        return np.array([known.get(finger, np.nan) for finger in self._fingers])
+
+    def _pose(self, topic: str, name: str) -> Frame | None:
+        message = self._taken.get(topic)
+        with suppress(MessageError):
+            if message is not None:
+                pose = pose_from_ros(message)
+                return Frame(name, pose.position, quaternion_from_rotation(pose.rotation))
+        return None
+
+
+def _triangles(config: ObjectConfig) -> Array:
+    """Return the corners of the object's faces, cut into triangles, shape (3 t, 3), m."""
+    solid = config.solid()
+    corners = [
+        solid.vertices[index]
+        for face in solid.face_corners
+        for pair in zip(face[1:], face[2:], strict=False)
+        for index in (face[0], *pair)
+    ]
+    return np.array(corners)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the viewer until SIGINT or SIGTERM and return the exit code."""
+    return run_node(ViewerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
