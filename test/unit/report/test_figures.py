@@ -23,6 +23,7 @@ def lost(record: Record) -> Record:
     for array in (record.contact_positions, record.contact_quaternions, record.optimal_forces):
         array[half:] = np.nan
     record.auxiliary_position[half:] = record.auxiliary_quaternion[half:] = np.nan
+    record.forces[half:] = 0.0  # fingers that do not touch feel nothing
     return record
 
 
