@@ -25,6 +25,7 @@ from support.recorded import (
 
 from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+from tactile_hand_ros.command_line import EXIT_REFUSED
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report.document import run_document, scene_columns
 from tactile_hand_ros.report.pack import pack
@@ -301,7 +302,7 @@ class TestCommands:
                 bag.write("/other", joints(0, ["a"], position=[1.0]), 1)
         elif damage == "alone":
             arguments = ["compare", str(run.bag)]
-        assert cli.main(arguments) == 1
+        assert cli.main(arguments) == EXIT_REFUSED
         error = capsys.readouterr().err.strip()
         assert error.startswith("tactile-hand: ") and len(error.splitlines()) == 1
         assert not (bad.parent / "report.html").exists()
