@@ -50,8 +50,7 @@ def loaded(name: str) -> set[str]:
 @pytest.mark.parametrize("name", UNNEEDED)
 def test_an_executable_loads_only_what_it_needs(name: str) -> None:
     found = loaded(name)
-    if name != "orchestrator":  # its help needs neither
-        assert "rclpy" in found and "tactile_hand_ros.config.model" in found
+    assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]
 
 
