@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.control.slip.detector import SlipDetectorConfig
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
@@ -33,7 +33,6 @@ NOISES = (0.003, 0.01, 0.03)  # N
 IN_TIME = 0.01  # s
 _WAY = ((-0.1, 0.2, 0.4), (0.0, 0.0434, 0.4098))  # the paper's goal and back
 _REST = 5.0  # s at each
-_COMMON = ("hand", "seed")  # are said at the top of a scenario
 COLUMNS = ("noise", "threshold", "false alarms", "per minute", "slips", "within 10 ms", "delay")
 
 
@@ -77,13 +76,13 @@ def paper_scenario(seconds: float, *, noise: bool = False, seed: int = 1) -> Sce
         {"time": _REST * i, "position": list(_WAY[i % 2])}
         for i in range(math.ceil(seconds / _REST))
     ]
-    skin = load_scenario("gravity").tactile_sensor.model_dump() if noise else {"rate": 1000.0}
+    skin = plain(load_scenario("gravity"))["tactile_sensor"] if noise else {"rate": 1000.0}
     changes = {
         "duration": seconds,
         "seed": seed,
         "targets": targets,
         "plant.rate": 1000.0,
-        "tactile_sensor": {key: value for key, value in skin.items() if key not in _COMMON},
+        "tactile_sensor": skin,
     }
     return load_scenario("paper", changes)
 
