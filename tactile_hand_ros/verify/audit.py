@@ -48,6 +48,7 @@ FORCE_TOLERANCE = 1e-6  # of residuals and of the gap
 CONE_TOLERANCE = 1e-4  # of f*; the optimization inside cones is as accurate
 TORQUE_TOLERANCE = 1e-9  # N m
 POSE_TOLERANCE = 1e-9  # m and rad
+CONES = "(13) with cones, f* on its way to the optimum"
 _SIDES, _PENALTY = 12, 5.0
 _LEAST_SQUEEZE, _LEAST_SPREAD = 0.1, 1e-2  # N, 1: below, cones have no load
 _COLLINEAR = 1e-3
@@ -236,7 +237,7 @@ def _audit_cones(
     grasps: list[_Grasp | None],
 ) -> list[Check]:
     """Check that f* goes its way from that of the tick before to the optimum inside the cones."""
-    off: Array = np.full(len(rows), np.nan)
+    at, off = [], []
     for i, grasp in enumerate(grasps):
         if grasp is None or not both[i]:
             continue
@@ -250,10 +251,10 @@ def _audit_cones(
             learned = optimum.Pyramids(friction, grasp.load, _SIDES, _PENALTY)
             share = 1.0 - np.exp(-grasp.elapsed / config.shape_time)
             goal = optimum.follow(grasp.before, goal, equal, learned, share)
-        off[i] = np.abs(record.optimal_forces[rows[i]].ravel() - goal).max()
-    at = np.flatnonzero(np.isfinite(off))
-    name = "(13) with cones, on the way of f* to the optimum"
-    return [_check(name, record, rows[at], off[at], CONE_TOLERANCE, "1")]
+        at.append(i)
+        off.append(np.abs(record.optimal_forces[rows[i]].ravel() - goal).max())
+    where = rows[np.array(at, dtype=np.intp)]
+    return [_check(CONES, record, where, np.array(off), CONE_TOLERANCE, "1")]
 
 
 class _Grasp(NamedTuple):

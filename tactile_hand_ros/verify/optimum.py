@@ -172,8 +172,8 @@ class Pyramids:
 def solve_inside(equal: Array, weights: Array, minimum: float, p: Pyramids) -> Array:
     """Return f* of (13) inside friction pyramids at one tick, shape (3k,).
 
-    With t below as the common violation, the cost sum w f^2 / max w + rho t + t^2 is a distance, the
-    rows of `equal` leave few directions, and what remains is least-distance programming: the
+    With t, the common violation of the pyramids, the cost w f^2 / max w + rho t + t^2 is a distance.
+    The rows of `equal` leave few directions. What remains is least-distance programming: the
     smallest z with A z >= b, which follows from non-negative least squares.
 
     Source: Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23.
