@@ -172,7 +172,7 @@ class Pyramids:
 def solve_inside(equal: Array, weights: Array, minimum: float, p: Pyramids) -> Array:
     """Return f* of (13) inside friction pyramids at one tick, shape (3k,).
 
-    With t, the common violation of the pyramids, the cost w f^2 / max w + rho t + t^2 is a distance.
+    With t, the largest violation of the pyramids, w f^2 / max w + rho t + t^2 is a distance.
     The rows of `equal` leave few directions. What remains is least-distance programming: the
     smallest z with A z >= b, which follows from non-negative least squares.
 
