@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Audit: is every recorded f* the optimum of (13), every torque that of the law?
+"""Audit: does every recorded f* follow from the optimum of (13), every torque from the law?
 
 Both are computed again from the recorded inputs, by other formulas and solvers than those of the
 nodes. What they share with the nodes is the hand's kinematics, and the small filters that have a
@@ -14,6 +14,7 @@ Where the hand did not drive, torques are not checked.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +45,10 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FORCE_TOLERANCE = 1e-6  # of residuals and of the gap
-CONE_TOLERANCE = 1e-4  # that of the optimization inside cones
+CONE_TOLERANCE = 1e-4  # of f*; the optimization inside cones is as accurate
 TORQUE_TOLERANCE = 1e-9  # N m
 POSE_TOLERANCE = 1e-9  # m and rad
+CONES = "(13) with cones, f* on its way to the optimum"
 _SIDES, _PENALTY = 12, 5.0
 _LEAST_SQUEEZE, _LEAST_SPREAD = 0.1, 1e-2  # N, 1: below, cones have no load
 _COLLINEAR = 1e-3
@@ -160,11 +162,13 @@ def _audit_forces(inputs: Inputs) -> list[Check]:
     record = inputs.record
     rows = np.flatnonzero(_grasped(record) & inputs.answered(record.optimal_forces))
     configs = in_force(inputs.configurations[names.OPTIMIZER], record.stamps)
-    loads = _loads(configs[0].load_time, inputs, rows) if configs[0].cones else np.zeros(len(rows))
+    grasps = _grasps(configs, inputs, rows) if configs[0].cones else [None] * len(rows)
     checks = []
     for config in {id(config): config for config in configs}.values():
         part = np.array([configs[row] is config for row in rows], dtype=np.bool_)
-        checks += _audit_forces_with(config, inputs, rows[part], loads[part])
+        checks += _audit_forces_with(
+            config, inputs, rows[part], [g for g, own in zip(grasps, part, strict=True) if own]
+        )
     return _merged(checks)
 
 
@@ -186,9 +190,12 @@ def _merged(checks: list[Check]) -> list[Check]:
 
 
 def _audit_forces_with(
-    config: ForceOptimizerConfig, inputs: Inputs, rows: NDArray[np.intp], loads: Array
+    config: ForceOptimizerConfig,
+    inputs: Inputs,
+    rows: NDArray[np.intp],
+    grasps: list[_Grasp | None],
 ) -> list[Check]:
-    """Check f* at the ticks of one configuration; `loads` are from `_loads`."""
+    """Check f* at the ticks of one configuration; `grasps` are from `_grasps`."""
     record = inputs.record
     k = len(record.finger_names)
     positions = record.contact_positions[rows]
@@ -203,16 +210,16 @@ def _audit_forces_with(
     both: Flags = np.asarray(answered & wanted)
     plain, checks = both, list[Check]()
     if config.cones:
-        pyramids = _pyramids(config, record, rows, loads)
-        known = np.array([p is not None for p in pyramids], dtype=np.bool_)
+        known = np.array([grasp is not None for grasp in grasps], dtype=np.bool_)
         felt: Flags = np.asarray(np.isfinite(record.forces[rows]).all(axis=(1, 2)))
         felt &= np.isfinite(record.friction[rows]).all(axis=1)
-        differs: Flags = np.asarray(np.abs(given - best.forces).max(axis=1) > FORCE_TOLERANCE)
         # The cones are unknown where the bag has lost a message.
-        plain = both & ~(differs & (known | ~felt))
-        checks = _audit_cones(problem, record, rows, given, pyramids, both, differs)
-    at = np.flatnonzero(plain)
+        plain = both & ~known & felt
+        checks = _audit_cones(config, problem, record, rows, best.forces, both, grasps)
+    at, every = np.flatnonzero(plain), np.flatnonzero(both)
+    unbalanced = optimum.imbalance(problem.part(every), given[every])
     return [
+        _check("f* in balance, sum of normals 1", record, rows[every], unbalanced, 1e-6, "1"),
         _check("(13), optimality conditions", record, rows[at], residual[at], 1e-6, "1"),
         _check("(13), duality gap per cost", record, rows[at], gap[at], 1e-6, "1"),
         _check("f* where (13) has one", record, rows, 1.0 * (answered != wanted), 0.5, "1"),
@@ -220,75 +227,106 @@ def _audit_forces_with(
     ]
 
 
-def _pyramids(
-    config: ForceOptimizerConfig, record: Record, rows: NDArray[np.intp], loads: Array
-) -> list[optimum.Pyramids | None]:
-    """Return the friction pyramids at some ticks, None where load or friction is not known."""
-    friction = config.cone_share * record.friction[rows]
-    known: Flags = np.asarray(
-        np.isfinite(loads).all(axis=(1, 2)) & np.isfinite(friction).all(axis=1)
-    )
-    return [
-        optimum.Pyramids(friction[i], loads[i], _SIDES, _PENALTY) if known[i] else None
-        for i in range(len(rows))
-    ]
-
-
 def _audit_cones(
+    config: ForceOptimizerConfig,
     problem: optimum.Problem,
     record: Record,
     rows: NDArray[np.intp],
-    given: Array,
-    pyramids: list[optimum.Pyramids | None],
+    plain: Array,
     both: Flags,
-    differs: Flags,
+    grasps: list[_Grasp | None],
 ) -> list[Check]:
-    """Check f* where cones shape it, and that it is inside them where they do not."""
-    shaped: Array = np.full(len(rows), np.nan)
-    others = shaped.copy()
-    for i, p in enumerate(pyramids):
-        if p is None or not both[i]:
+    """Check that f* goes its way from that of the tick before to the optimum inside the cones."""
+    at, off = [], []
+    for i, grasp in enumerate(grasps):
+        if grasp is None or not both[i]:
             continue
-        if differs[i]:
-            shaped[i] = optimum.cone_violation(
-                problem.equal[i], problem.weights, problem.minimum, p, given[i]
-            )
-        else:
-            others[i] = max(0.0, p.excess(given[i]))
-    checks = []
-    for name, worst in (
-        ("(13) with cones, optimality conditions", shaped),
-        ("cones that did not shape f*", others),
-    ):
-        at = np.flatnonzero(np.isfinite(worst))
-        checks.append(_check(name, record, rows[at], worst[at], CONE_TOLERANCE, "1"))
-    return checks
+        friction = record.friction[rows[i]]
+        equal, goal = problem.equal[i], plain[i]
+        usable = config.cone_share * friction
+        inside = optimum.Pyramids(usable, grasp.ready_for, _SIDES, _PENALTY)
+        if inside.excess(goal) > 0.0:
+            goal = optimum.solve_inside(equal, problem.weights, problem.minimum, inside)
+        if grasp.before is not None and config.shape_time > 0.0:
+            learned = optimum.Pyramids(friction, grasp.load, _SIDES, _PENALTY)
+            share = 1.0 - np.exp(-grasp.elapsed / config.shape_time)
+            goal = optimum.follow(grasp.before, goal, equal, learned, share)
+        at.append(i)
+        off.append(np.abs(record.optimal_forces[rows[i]].ravel() - goal).max())
+    where = rows[np.array(at, dtype=np.intp)]
+    return [_check(CONES, record, where, np.array(off), CONE_TOLERANCE, "1")]
 
 
-def _loads(load_time: float, inputs: Inputs, rows: NDArray[np.intp]) -> Array:
-    """Return the smoothed load per unit of squeeze at some ticks, shape (n, k, 3)."""
+class _Grasp(NamedTuple):
+    """What the cones at a tick follow from.
+
+    Attributes:
+        load: Smoothed load per unit of squeeze, shape (k, 3).
+        ready_for: The same with the reserve, and for less squeeze, shape (k, 3).
+        before: f* from which that of this tick goes on, shape (3k,); None where it begins anew.
+        elapsed: Time since then, s.
+    """
+
+    load: Array
+    ready_for: Array
+    before: Array | None
+    elapsed: float
+
+
+def _grasps(
+    configs: list[ForceOptimizerConfig], inputs: Inputs, rows: NDArray[np.intp]
+) -> list[_Grasp | None]:
+    """Return what the cones at some ticks follow from, None where load or friction is not known."""
     record = inputs.record
-    positions = record.contact_positions[rows]
-    rotations = _rotations(record.contact_quaternions[rows])
-    forces = record.forces[rows]
+    positions, forces, friction = (
+        record.contact_positions[rows],
+        record.forces[rows],
+        record.friction[rows],
+    )
+    load, squeeze = _loads(positions, _rotations(record.contact_quaternions[rows]), forces)
+    usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
+    losses = np.cumsum(_sensed(inputs) & ~_grasped(record))
+    found: list[_Grasp | None] = [None] * len(rows)
+    smooth, largest, last = load[:0], np.zeros(load.shape[1]), -1
+    for i in np.flatnonzero(usable):
+        config, elapsed, before = configs[rows[i]], 0.0, None
+        per_squeeze = load[i] / squeeze[i]
+        # The filters begin anew after ticks without a grasp.
+        if last == i - 1 and last >= 0 and losses[rows[i]] == losses[rows[last]]:
+            elapsed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
+            share = 1.0 - np.exp(-elapsed / config.load_time)
+            per_squeeze = smooth + share * (per_squeeze - smooth)
+            previous = record.optimal_forces[rows[last]].ravel()
+            if config is configs[rows[last]] and np.isfinite(previous).all():
+                before = previous
+        smooth, last = per_squeeze, int(i)
+        keep = np.exp(-elapsed / config.reserve.memory)
+        largest = np.maximum(keep * largest, np.linalg.norm(load[i], axis=1))
+        if np.isfinite(friction[i]).all():
+            ready_for = _ready_for(config, per_squeeze, squeeze[i], largest, friction[i])
+            found[i] = _Grasp(per_squeeze, ready_for, before, elapsed)
+    return found
+
+
+def _ready_for(
+    config: ForceOptimizerConfig, load: Array, squeeze: float, largest: Array, friction: Array
+) -> Array:
+    """Return the load per unit of squeeze for which f* is made, shape (k, 3)."""
+    reserve = config.reserve
+    radii = np.maximum(reserve.floor / len(load), reserve.share * largest)
+    normal = np.array([0.0, 1.0, 0.0])
+    slack = radii * np.hypot(1.0, 1.0 / (config.cone_share * friction)) / squeeze
+    return np.asarray((load - slack[:, None] * normal) / config.squeeze_share)
+
+
+def _loads(positions: Array, rotations: Array, forces: Array) -> tuple[Array, Array]:
+    """Return load, shape (n, k, 3), and squeeze, shape (n,), of forces in contact frames, N."""
     maps = _grasp_maps(positions)
-    in_palm = np.einsum("nkij,nkj->nki", rotations, forces).reshape(len(rows), -1)
+    in_palm = np.einsum("nkij,nkj->nki", rotations, forces).reshape(len(forces), -1)
     wrench = np.einsum("nij,nj->ni", maps, in_palm)
     carried = np.einsum("nij,nj->ni", np.linalg.pinv(maps), wrench).reshape(forces.shape)
     load = np.einsum("nkij,nki->nkj", rotations, carried)
-    squeeze = (forces - load)[:, :, 1].sum(axis=1)
-    usable = (squeeze >= _LEAST_SQUEEZE) & (_spread(positions) >= _LEAST_SPREAD)
-    losses = np.cumsum(_sensed(inputs) & ~_grasped(record))
-    out: Array = np.full_like(load, np.nan)
-    last = -1
-    for i in np.flatnonzero(usable):
-        out[i] = load[i] / squeeze[i]
-        # The filter forgets at ticks without a grasp.
-        if last == i - 1 and last >= 0 and losses[rows[i]] == losses[rows[last]]:
-            passed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
-            out[i] = out[last] + (1.0 - np.exp(-passed / load_time)) * (out[i] - out[last])
-        last = int(i)
-    return out
+    return load, (forces - load)[:, :, 1].sum(axis=1)
 
 
 def _grasp_maps(positions: Array) -> Array:

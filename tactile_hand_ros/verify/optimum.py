@@ -2,9 +2,8 @@
 """Optimality of recorded f*: (13) solved again for all ticks at once, by other means than OSQP.
 
 Without cones the optimum is found by trying the sets of bounds that may be active, each of which
-gives a linear system. With cones the optimality conditions are checked instead: f* is optimal if
-and only if non-negative multipliers of the constraints that it touches balance the gradient, which
-is a non-negative least-squares problem (Lawson and Hanson 1974).
+gives a linear system. With cones it is the solution of a least-distance problem, by non-negative
+least squares (Lawson and Hanson 1974), and f* goes its way there from the f* of the tick before.
 
 Independent on purpose, down to its own grasp map (11): a mistake in the code that the nodes run
 would otherwise be made twice and look right.
@@ -23,7 +22,6 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _ROUNDING = 1e-9
-_TOUCHES = 1e-5  # distance below which a cone counts as touched
 
 
 @dataclass(frozen=True)
@@ -131,6 +129,13 @@ def gaps(problem: Problem, forces: Array, multipliers: Array) -> tuple[Array, Ar
     return np.asarray(worst), np.asarray(np.abs(cost - dual) / cost)
 
 
+def imbalance(problem: Problem, forces: Array) -> Array:
+    """Return the largest of |G~ f*| and |sum f_n - 1| at all ticks, shape (n,)."""
+    image = (problem.equal @ forces[:, :, None])[:, :, 0]
+    image[:, 6] -= 1.0
+    return np.asarray(np.abs(image).max(axis=1, initial=0.0))
+
+
 @dataclass(frozen=True)
 class Pyramids:
     """Friction pyramids of k contacts at one tick, and what it costs to leave them.
@@ -164,27 +169,50 @@ class Pyramids:
         return float((rows @ forces - bound).max())
 
 
-def cone_violation(equal: Array, weights: Array, minimum: float, p: Pyramids, f: Array) -> float:
-    """Return how far f*, shape (3k,), is from the optimality conditions with cones.
+def solve_inside(equal: Array, weights: Array, minimum: float, p: Pyramids) -> Array:
+    """Return f* of (13) inside friction pyramids at one tick, shape (3k,).
 
-    The largest of the violated constraints and of the gradient that no multipliers balance, with
-    costs scaled to 0.3 for the largest weight as in the optimization.
+    With t, the largest violation of the pyramids, w f^2 / max w + rho t + t^2 is a distance.
+    The rows of `equal` leave few directions. What remains is least-distance programming: the
+    smallest z with A z >= b, which follows from non-negative least squares.
+
+    Source: Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23.
     """
-    scale = 0.3 / weights.max()
+    size = len(weights)
     rows, bound = p.rows()
-    excess = rows @ f - bound
-    t = max(0.0, float(excess.max()))
-    size = len(f)
-    gradient = np.append(2.0 * scale * weights * f, 0.3 * p.penalty + 2.0 * 0.3 * t)
-    touched = [np.append(row, -1.0) for row in rows[excess > t - _TOUCHES]]
-    if t < _TOUCHES:
-        touched.append(np.append(np.zeros(size), -1.0))
-    for i in np.flatnonzero(f[1::3] < minimum + _TOUCHES):
-        touched.append(np.eye(size + 1)[1 + 3 * i] * -1.0)
-    free = np.hstack([equal, np.zeros((7, 1))])
-    columns = np.vstack([free, -free, *touched]).T
-    residual = columns @ nnls(columns, -gradient)[0] + gradient
-    image = equal @ f
-    image[6] -= 1.0
-    below = max(0.0, minimum - float(f[1::3].min()))
-    return float(max(np.abs(residual).max(), np.abs(image).max(), below))
+    outer = np.hstack([-rows, np.ones((len(rows), 1))])
+    inner = np.eye(size + 1)[[*range(1, size, 3), size]]
+    above = np.vstack([outer, inner])
+    least = np.concatenate([-bound, np.full(size // 3, minimum), [0.0]])
+    scale = np.sqrt(np.append(weights / weights.max(), 1.0))
+    centre = np.append(np.zeros(size), -0.5 * p.penalty)
+    fixed = np.hstack([equal, np.zeros((len(equal), 1))])
+    right = np.append(np.zeros(len(equal) - 1), 1.0)
+    u, values, vt = np.linalg.svd(fixed / scale)
+    rank = int((values > _ROUNDING * values[0]).sum())
+    free = vt[rank:].T
+    at = vt[:rank].T @ ((u[:, :rank].T @ (right - fixed @ centre)) / values[:rank])
+    # x = centre + (at + free z) / scale, and the cost is |at|^2 + |z|^2.
+    a, b = (above / scale) @ free, least - above @ (centre + at / scale)
+    columns = np.vstack([a.T, b])
+    unit = np.append(np.zeros(len(columns) - 1), 1.0)
+    residual = columns @ nnls(columns, unit)[0] - unit
+    z = -residual[:-1] / residual[-1]
+    return np.asarray((centre + (at + free @ z) / scale)[:size])
+
+
+def follow(before: Array, goal: Array, equal: Array, learned: Pyramids, share: float) -> Array:
+    """Return f* a share of the way from that of the last tick to an optimum, shape (3k,).
+
+    It begins at the nearest forces in balance and goes at least as far as it takes to be inside the
+    pyramids of the learned friction.
+    """
+    right = np.append(np.zeros(len(equal) - 1), 1.0)
+    start = before + np.linalg.pinv(equal) @ (right - equal @ before)
+    rows, bound = learned.rows()
+    first, last = rows @ start - bound, rows @ goal - bound
+    outside = first > 0.0
+    if (last[outside] >= 0.0).any():
+        return goal
+    ways = first[outside] / (first[outside] - last[outside])
+    return np.asarray(start + max(share, ways.max(initial=0.0)) * (goal - start))

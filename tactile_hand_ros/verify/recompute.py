@@ -276,6 +276,7 @@ class ShadowLoop:
     def _optimize(self, row: int, contacts: Contacts) -> None:
         for config in self._configurations[names.OPTIMIZER].until(int(self._recorded.stamps[row])):
             self._optimizer.configure(config)
+            self._cone_watch.configure(config)
         c, cones = self._optimizer.config, None
         if c.cones:
             cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])

@@ -241,37 +241,53 @@ class ForceOptimizer:
         if cones is None or not solved.ok:
             self._shape = None
             return solved
-        return self._steadied(self._inside(solved, balance, cones), balance, cones)
+        forces, residual, shaped = self._inside(solved, balance, cones)
+        forces = self._steadied(forces, balance, cones)
+        missing, excess = imbalance(forces, balance)
+        # Not by _replace, whose tuple the collector would count as made and not as freed.
+        return OptimalForces(
+            Status.SOLVED,
+            "",
+            forces,
+            missing,
+            excess,
+            residual,
+            solved.bound_residual,
+            solved.iterations,
+            solved.solve_time,
+            cones.margin(forces),
+            shaped,
+        )
 
-    def _inside(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
-        """Keep an answer inside its cones, where it is optimal too, and reshape any other."""
+    def _inside(
+        self, solved: OptimalForces, balance: Array, cones: Cones
+    ) -> tuple[Array, float, bool]:
+        """Keep an answer inside its cones, where it is optimal too, and reshape any other.
+
+        Returns:
+            The optimum, its stationarity residual, and whether the cones changed it.
+        """
         if cones.holds(solved.forces):
-            return solved
+            return solved.forces, solved.stationarity_residual, False
         if self._shaper is None:
             c = self.config
             self._shaper = ConeOptimizer(self._weights, c.minimum_normal, c.solver == "exact")
         forces, residual = self._shaper.solve(balance, cones)
         if not residual < _MAX_CONE_RESIDUAL:
             self._shaper = None
-            return solved
-        return solved._replace(forces=forces, stationarity_residual=residual, shaped=True)
+            return solved.forces, solved.stationarity_residual, False
+        return forces, residual, True
 
-    def _steadied(self, solved: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
-        """Follow an answer steadily, see `steady`; the first one is followed at once."""
-        before, time, forces = self._shape, self.config.shape_time, solved.forces
+    def _steadied(self, optimum: Array, balance: Array, cones: Cones) -> Array:
+        """Follow an optimum steadily, see `steady`; the first one is followed at once."""
+        before, time, forces = self._shape, self.config.shape_time, optimum
         if before is not None and time > 0.0 and cones.elapsed > 0.0:
             share = 1.0 - math.exp(-cones.elapsed / time)
             learned = cones.usable_friction / self.config.cone_share
-            steady, found = followed(before, forces, balance, cones.load, learned, share)
-            forces = steady if found else forces
+            steady, found = followed(before, optimum, balance, cones.load, learned, share)
+            forces = steady if found else optimum
         self._shape = forces
-        missing, excess = imbalance(forces, balance)
-        return solved._replace(
-            forces=forces,
-            balance_residual=missing,
-            sum_residual=excess,
-            cone_margin=cones.margin(forces),
-        )
+        return forces
 
     def _set_up(self) -> None:
         k, n = self._k, self._columns

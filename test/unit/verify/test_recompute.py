@@ -33,7 +33,7 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.audit import CONES, audit
 from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, recompute
 from tactile_hand_ros.verify.recorded_inputs import read_inputs
 
@@ -260,7 +260,8 @@ def test_audit_agrees_with_what_the_controllers_do(name: str, law: str, tmp_path
     checks = audit(write(tmp_path, scenario, ClosedLoop(scenario).run(TICKS)))
     assert [c for c in checks if not c.ok] == []
     assert sum(c.ticks for c in checks if "torque" in c.name) > TICKS // 2
-    assert sum(c.ticks for c in checks if "optimality" in c.name) > TICKS // 2
+    shapes = ("(13), optimality conditions", CONES)
+    assert sum(c.ticks for c in checks if c.name in shapes) > TICKS // 2
 
 
 @pytest.mark.parametrize(
@@ -321,13 +322,16 @@ class Changing(ClosedLoop):
 
 
 BLOCKS = {
-    "slip_regulator": "regulator",
-    "force_optimizer": "optimizer",
-    "manipulation_controller": "controller",
+    "slip_regulator": ("regulator",),
+    "force_optimizer": ("optimizer", "_cone_watch"),
+    "manipulation_controller": ("controller",),
 }
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
     "slip_regulator": {60: {"reflex.margin": 0.3}, 180: {"mode": "user", "maximum": 30.0}},
-    "force_optimizer": {90: {"weights": [5.0, 1.0, 8.0], "cone_share": 0.7}},
+    "force_optimizer": {
+        90: {"weights": [5.0, 1.0, 8.0], "cone_share": 0.7},
+        150: {"reserve.floor": 1.0, "squeeze_share": 0.9, "shape_time": 0.02},
+    },
     "manipulation_controller": {
         70: {"law.k_p": 6.0, "law.damping": 0.1, "law.integral.k_p": 2.0},
         130: {"midpoint_hold": True, "reference_time": 0.05, "law.observer.time": 0.0},
@@ -350,9 +354,11 @@ def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
             events.append((row, f"{node}/parameters", event))
         for row, live in rows.items():
 
-            def change(loop: ClosedLoop, name: str = BLOCKS[node], to: Any = live) -> None:
-                block = getattr(loop, name)
-                block.configure(block.config.changed(to))
+            def change(loop: ClosedLoop, node: str = node, to: Any = live) -> None:
+                blocks = [getattr(loop, name) for name in BLOCKS[node]]
+                config = blocks[0].config.changed(to)
+                for block in blocks:
+                    block.configure(config)
 
             changes[row] = change
     record = Changing(scenario, changes).run(TICKS)
@@ -366,7 +372,7 @@ def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
     assert {"grasp_force", "optimal_force", "joint_command"} <= wrong.keys()
     first = {c.name: c.first for c in audit(without) if not c.ok}
     assert first["torque of law (14)"] == 70 * TICK
-    assert first["(13) with cones, optimality conditions"] == 90 * TICK
+    assert first[CONES] == 90 * TICK
 
 
 CALLS = {
@@ -527,8 +533,20 @@ def test_audit_knows_an_optimizer_that_ignores_its_cones(tmp_path: Path) -> None
     scenario = load_scenario("user_grip", changes | {"force_optimizer.cones": True})
     plain = load_scenario("user_grip", changes | {"force_optimizer.cones": False})
     checks = {c.name: c for c in audit(write(tmp_path, scenario, ClosedLoop(plain).run(TICKS)))}
-    assert checks["(13), optimality conditions"].ok
-    assert checks["cones that did not shape f*"].wrong > 100
+    assert checks["f* in balance, sum of normals 1"].ok
+    assert checks[CONES].wrong > 100
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("shape_time", 0.03), ("reserve.floor", 1.0), ("squeeze_share", 0.8)]
+)
+def test_audit_knows_an_f_that_follows_otherwise(key: str, value: float, tmp_path: Path) -> None:
+    """It is balanced and inside the cones, but neither the optimum nor on the way there."""
+    scenario = load_scenario("user_grip", GRIP)
+    other = load_scenario("user_grip", GRIP | {f"force_optimizer.{key}": value})
+    checks = {c.name: c for c in audit(write(tmp_path, scenario, ClosedLoop(other).run(60)))}
+    assert checks["f* in balance, sum of normals 1"].ok
+    assert checks[CONES].wrong > 5
 
 
 def test_audit_of_an_f_that_no_load_explains_is_a_table(tmp_path: Path) -> None:

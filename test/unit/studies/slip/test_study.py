@@ -31,11 +31,11 @@ CASE = SlipCase(
     index=0,
     event="friction",
     friction=0.6,
-    mass=0.15,
+    mass=0.5,
     noise=0.01,
     latency=0.001,
     rate=1000.0,
-    load=2.5,
+    load=3.5,
     pull=(0.0, 0.0, -1.0),
 )
 
@@ -124,10 +124,10 @@ def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
 
 
 def test_a_slip_is_found_answered_and_stopped(run: Record) -> None:
-    """Friction falls to 0.24 under the hand: the object stays in it."""
+    """Friction falls to 0.17, more than the reserve was for: the object stays in the hand."""
     outcome = measured(run)
     assert outcome.survivable and not outcome.lost and outcome.false_alarms == 0
-    assert outcome.excess > 0.0 and outcome.early_slip < 1e-5
+    assert outcome.excess > 1.0 and outcome.early_slip < 1e-5
     assert study_cases.EVENT_TIME <= outcome.onset < study_cases.EVENT_TIME + 0.005
     assert 0.0 < outcome.detection < 0.010
     assert 0.0 < outcome.reaction < 0.020
@@ -139,11 +139,11 @@ def test_a_run_repeats(run: Record) -> None:
 
 
 def test_the_least_squeeze_of_a_run_follows_load_and_friction(run: Record) -> None:
-    """With friction down to 1 / 2.5, the least sum of normal forces is 2.5 times what it was."""
+    """With friction down to 1 / 3.5, the least sum of normal forces is 3.5 times what it was."""
     scenario = study_cases.scenario_of(CASE)
     before, after = (least_at(run, scenario, t, 100) for t in (0.05, 0.2))
     assert before >= 9.81 * CASE.mass / CASE.friction * (1 - 1e-9)
-    assert after > 2.0 * before
+    assert after > 3.0 * before
 
 
 def test_percentiles_know_infinity_and_leave_out_nan() -> None:
