@@ -243,13 +243,13 @@ class ForceOptimizer:
             return solved
         forces, residual, shaped = self._inside(solved, balance, cones)
         forces = self._steadied(forces, balance, cones)
-        missing, excess = imbalance(forces, balance)
+        unbalanced, excess = imbalance(forces, balance)
         # Not by _replace, whose tuple the collector would count as made and not as freed.
         return OptimalForces(
             Status.SOLVED,
             "",
             forces,
-            missing,
+            unbalanced,
             excess,
             residual,
             solved.bound_residual,
