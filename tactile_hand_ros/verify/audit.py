@@ -409,12 +409,14 @@ def _law_torques(
     follows = np.append(False, np.diff(_turns(inputs)[rows]) == 1) & ~renewed
     drive, carry = _wrenches(configs, rows, inputs, follows, renewed)
     squeeze = record.grasp_force[rows][:, None, None]
+    wrench = drive + carry
     if law == "kawamura":
         pull = squeeze / hand.radii.sum() * (centres.mean(axis=1, keepdims=True) - centres)
-        wrench = drive + carry
-        torque = np.einsum("nkim,nki->nm", linear, pull + wrench[:, None, :3])
-        attitude = wrench[:, 3:] + np.array([c.law.k_st * np.array(c.law.r_ref) for c in configs])
-        torque += np.einsum("nkim,ni->nm", angular, attitude)
+        grip = np.einsum("nkim,nki->nm", linear, pull)
+        attitude = np.array([c.law.k_st * np.array(c.law.r_ref) for c in configs])
+        grip += np.einsum("nkim,ni->nm", angular, attitude)
+        rest = np.einsum("nkim,ni->nm", linear, wrench[:, :3])
+        rest += np.einsum("nkim,ni->nm", angular, wrench[:, 3:])
     else:
         arms = points - centres
         turning = np.cross(angular, arms[:, :, :, None], axisa=2, axisb=2, axisc=2)
@@ -425,17 +427,28 @@ def _law_torques(
         else:
             shape = points.mean(axis=1, keepdims=True) - points
         inverse = np.linalg.pinv(_grasp_maps(points))
-        forces = (squeeze * shape).reshape(n, -1)
-        forces += np.einsum("nij,nj->ni", inverse, drive + carry)
-        torque = np.einsum("nfm,nf->nm", jacobian, forces)
-    torque -= np.array([[c.law.damping] for c in configs]) * record.rates[rows]
+        grip = np.einsum("nfm,nf->nm", jacobian, (squeeze * shape).reshape(n, -1))
+        rest = np.einsum("nfm,nf->nm", jacobian, np.einsum("nij,nj->ni", inverse, wrench))
+    rest -= np.array([[c.law.damping] for c in configs]) * record.rates[rows]
+    torque = np.empty((n, m))
+    weights = np.zeros((n, m))
+    for i, config in enumerate(configs):
+        if config.gravity_compensation:
+            weights[i] = hand.gravity_torque(record.theta[rows[i]])
+        torque[i] = rest[i] + _borne(grip[i], rest[i] + weights[i], hand.effort_limits)
     before = torque.copy()
     for i, config in enumerate(configs):
         if config.midpoint_hold and follows[i]:
             torque[i] += 0.5 * (before[i] - before[i - 1])
-        if config.gravity_compensation:
-            torque[i] += hand.gravity_torque(record.theta[rows[i]])
-    return np.asarray(torque)
+    return np.asarray(torque + weights)
+
+
+def _borne(squeeze: Array, rest: Array, limits: Array) -> Array:
+    """Return as much of a squeeze as keeps every joint that it overloads at its limit, (m,)."""
+    overloaded = (np.abs(squeeze + rest) > limits) & (squeeze != 0.0)
+    room = np.sign(squeeze) * limits - rest
+    shares = room[overloaded] / squeeze[overloaded]
+    return np.asarray(squeeze * np.clip(shares.min(initial=1.0), 0.0, 1.0))
 
 
 def _turns(inputs: Inputs) -> NDArray[np.intp]:
