@@ -19,7 +19,7 @@ from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _PERIOD = 0.5  # s between two samples
-_WARM = 0.2  # share of the run after which growth counts
+_WARM = 0.5  # share of the run after which growth counts: caches fill at first
 
 
 @dataclass

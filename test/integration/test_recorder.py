@@ -231,18 +231,18 @@ def test_publisher_that_appears_later_finds_the_subscription_waiting(
     start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
     """A topic that somebody listens to is subscribed before anybody speaks on it."""
-    node.create_subscription(Float64, "user_grasp_force", print, 10)
+    node.create_subscription(Float64, "later", print, 10)
     marker = node.create_publisher(Float64, "marker", DEEP)
     recorder = start(tmp_path / "bag")
     wait_for_recorder(marker)
-    wait_until(lambda: node.count_subscribers("/user_grasp_force") == 2)
-    publisher = node.create_publisher(Float64, "user_grasp_force", 10)
+    wait_until(lambda: node.count_subscribers("/later") == 2)
+    publisher = node.create_publisher(Float64, "later", 10)
     wait_until(lambda: publisher.get_subscription_count() == 2)
     publisher.publish(Float64(data=1.0))
     # The publisher knows of the recorder before the recorder knows of it, and then sends it again.
     assert publisher.wait_for_all_acked(Duration(seconds=30))
     end_well(recorder)
-    assert summarize(tmp_path / "bag").counts["/user_grasp_force"] == 1
+    assert summarize(tmp_path / "bag").counts["/later"] == 1
 
 
 def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(

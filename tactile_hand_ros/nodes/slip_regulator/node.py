@@ -166,6 +166,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def _observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
         """Feel a tick that is too late to be answered: a slip shows in the samples in a row."""
         self._regulator.step(stamp, contacts, forces)
+        self._accepted.take_effect(stamp)
 
     def _checked(self, grasp_force: float) -> float:
         """Let a squeeze pass that may be published.
