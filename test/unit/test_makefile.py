@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -36,7 +37,11 @@ def tree(tmp_path: Path) -> Path:
 
 
 def make(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["make", *words], cwd=tree, capture_output=True, text=True, timeout=60)
+    """Run make as from a shell, also where the tests run below a make of their own."""
+    own = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
+    return subprocess.run(
+        ["make", *words], cwd=tree, env=own, capture_output=True, text=True, timeout=60
+    )
 
 
 @pytest.mark.parametrize("name", ["paper", "it's.yaml", "my runs/a b.yaml", 'say "x".yaml'])
