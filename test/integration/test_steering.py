@@ -75,9 +75,8 @@ def test_commands_steer_and_refusals_are_answered(
     assert main(["squeeze", "12", *wait]) == 0
     assert main(["squeeze", "1000", *wait]) == 2
     assert "is outside" in capsys.readouterr().err
-    for command in ("release", "grasp"):
+    for command in ("reset", "release", "grasp"):
         assert main([command, *wait]) == 0
-    assert main(["reset", *wait]) == 0
     assert main(["move", "0.0", "0.0436", "0.4108", *wait]) == 0
     hand.send(signal.SIGINT)
     assert hand.wait(PATIENCE) == 0, hand.stderr

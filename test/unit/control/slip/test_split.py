@@ -169,5 +169,6 @@ def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
     elif k == 0.0:
         assert inside(0.0) >= -1e-9
     else:
-        assert inside(k) == pytest.approx(0.0, abs=1e-9 * (1.0 + k))
+        # Where the force only grazes the cone, k is a double root, known to sqrt(eps) = 1.5e-8.
+        assert inside(k) == pytest.approx(0.0, abs=3e-8 * (1.0 + k))
         assert inside(np.linspace(0.0, 0.999 * k, 100)).max() < 1e-9
