@@ -27,8 +27,8 @@ from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
-SHARED = {"/diagnostics", "/rosout", "/parameter_events"}
-"""Topics with many publishers, some of which are there before a recorder is."""
+SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
+"""Topics of which something may be said before a recorder is there, or by many publishers."""
 
 
 class RecordedGraph(Graph):
