@@ -284,6 +284,12 @@ def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) ->
     assert np.array_equal(record.stamps, 2_000_000 * np.arange(len(record)))
 
 
+def _take_terminal() -> None:
+    """Make stdin the terminal of this process, and hear when it closes, also below nohup."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> None:
     """SIGHUP, and nobody left to print to: the bag is whole and summed up, nothing runs on."""
     ours, theirs = pty.openpty()
@@ -294,7 +300,7 @@ def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> 
         cwd=tmp_path,
         env={**os.environ, "TERM": "xterm"},
         start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        preexec_fn=_take_terminal,
     )
     os.close(theirs)
     shown = b""
