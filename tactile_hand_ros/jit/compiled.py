@@ -83,7 +83,7 @@ def ensure_compiled() -> None:
     """Let another process compile what is not compiled yet: this one need not load Numba."""
     if is_complete():
         return
-    # In a session of its own: a Ctrl-C is answered by whoever waits here. Should it fail, each
+    # In a session of its own: the waiting process answers a Ctrl-C. Should it fail, each
     # process compiles for itself.
     subprocess.run(
         [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"],

@@ -6,7 +6,7 @@
 The dual method of Goldfarb and Idnani (1983): from an optimum under some inequalities, the one that
 it violates most is let in, and those whose multipliers reach zero on the way are let go. It begins
 with the inequalities that were active in the last tick, so that it takes one linear system nearly
-always. All systems are small: their matrices are factorized anew, which keeps rounding errors from
+always. All systems are small: their matrices are factorized again, keeping rounding errors from
 adding up.
 """
 
@@ -69,7 +69,7 @@ def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
         if not _optimum(problem, held, x, multipliers):
             if not held.any():
                 break
-            held[:] = False  # so many leave nothing free; begin anew without
+            held[:] = False  # so many leave nothing free; start again without
             continue
         pulling = int(np.argmin(y))
         if y[pulling] < -_ROUNDING * max(1.0, np.abs(y).max()):

@@ -21,7 +21,7 @@ _BOUND = 3.0  # times its noise, for which a sample counts at most while the noi
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
 _BRINK = 0.95  # share of the learned friction from which on a contact may well be slipping
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
-_GAP = 2.5  # times the usual time between samples; after so long their differences begin anew
+_GAP = 2.5  # times the usual time between samples; after so long their differences start again
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 
 
@@ -103,7 +103,7 @@ class SlipDetector:
     Samples need not come evenly: with q the time since the last one per time between the two before
     it, r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)), and white noise of variance v makes it
     (1 + (1 + q)^2 + q^2) v, which is scaled to the 6 v of even samples. After a gap the differences
-    begin anew, and evidence and noise stay as they were.
+    start again, and evidence and noise stay as they were.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
