@@ -354,3 +354,18 @@ def test_who_comes_late_still_gets_the_description_of_the_hand(meet: Callable[..
         )
         wait_until(lambda: heard, message="robot_description")
     assert heard == [PLANT.hand.description]
+
+
+def test_time_begins_with_the_first_command(meet: Callable[..., Peer]) -> None:
+    """Before it the hand has no squeeze: the object would fall while other nodes still start."""
+    peer = meet(PlantNode, **{"pacing": "realtime", "rate": 500.0, "resend_after": 0.02})
+    peer.listen(JointState, names.JOINT_STATES)
+    peer.speak(JointState, names.JOINT_COMMAND)
+    ticks = peer.heard[names.JOINT_STATES]
+    with spinning(peer.under_test, peer.node):
+        peer.connect()
+        wait_until(lambda: len(ticks) > 5, message="the first tick, again and again")
+        assert {stamp_to_ns(tick.header.stamp) for tick in ticks} == {0}
+        command = JointState(name=PLANT.hand.joint_names, effort=[0.0] * PLANT.hand.joints)
+        peer.send(names.JOINT_COMMAND, command)
+        peer.answer(names.JOINT_STATES, TICK)

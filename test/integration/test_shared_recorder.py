@@ -142,6 +142,9 @@ def test_the_hand_goes_on_when_its_bag_cannot_be_written(domain: int, tmp_path: 
     with RecordedGraph(60.0, domain, tmp_path) as graph:
         graph.begin()
         graph.wait(lambda: graph.time > 0.05, "some ticks")
+        (file,) = graph.bag.glob("*.mcap")
+        size = file.stat().st_size
+        graph.wait(lambda: file.stat().st_size > size, "ticks in the file")
         graph.writer.kill()
         graph.wait(
             lambda: graph.health["/recorder"].level == DiagnosticStatus.ERROR, "an error report"

@@ -30,10 +30,11 @@ _TELL_PERIOD = 0.1
 class PlantDriver:
     """Drives a run of the plant.
 
-    In lockstep a tick waits for its command: it is sent again after a short silence, and after a
-    long one the joints are held and time follows the wall clock until a command comes. In real time
-    the last command acts until a newer one comes, or until the guard finds it too old. While two
-    senders disagree the joints are held, whatever they send.
+    The first tick waits for its command: without one the hand would open and the object fall. It is
+    sent again after each short silence. In lockstep every tick waits so, and after a long silence
+    the joints are held and time follows the wall clock until a command comes. In real time the last
+    command acts until a newer one comes, or until the guard finds it too old. While two senders
+    disagree the joints are held, whatever they send.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -72,8 +73,13 @@ class PlantDriver:
         is_held = self._run.refusing or self._run.guard.reason
         return "holding" if is_held else "running"
 
+    @property
+    def _waits(self) -> bool:
+        """Whether the present tick waits for its command."""
+        return self._is_lockstep or not self._run.commanded
+
     def begin(self) -> None:
-        """Publish the present tick and wait for its command; in real time let the clock run.
+        """Publish the present tick and wait for its command; in real time go on if there was one.
 
         What changes the mode is told at once, not when the next diagnostics are due.
         """
@@ -83,11 +89,10 @@ class PlantDriver:
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
         self._answered_at = self._sent_at = time.monotonic()
-        self._let_time_pass(self._is_on and not self._is_lockstep)
+        self._let_time_pass(self._is_on and not self._waits)
         if self._is_on:
             self._watcher.reset()
             self._publish()
-            self._real_time.start()
         self._node.publish_diagnostics()
 
     def switch(self, is_on: bool) -> bool:
@@ -123,7 +128,10 @@ class PlantDriver:
         self._diagnostics.clear("state")
         if self._is_lockstep and stamp < run.stamp:
             return  # the controller is back; its answer to the present tick is on its way
+        waited = self._waits
         run.command(stamp, torque)
+        if waited and not self._waits:
+            self._let_time_pass(True)
         if stamp == run.stamp:
             self._diagnostics.latency(self._answered_at - self._sent_at)
             self._real_time.answered()
@@ -153,7 +161,9 @@ class PlantDriver:
     def _let_time_pass(self, passes: bool) -> None:
         self._pace.start()
         self._pacer.reset()
-        if not passes:
+        if passes:
+            self._real_time.start()
+        else:
             self._pacer.cancel()
             self._real_time.stop()
 
@@ -224,7 +234,7 @@ class PlantDriver:
                 self._answered_at = now
                 self._resume()
             return
-        if not self._is_lockstep:
+        if not self._waits:
             return
         if now - self._answered_at >= c.command_timeout:
             self._on_long_silence()
@@ -243,7 +253,7 @@ class PlantDriver:
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an error that was not foreseen, until the next good command."""
         is_idle = not self._is_on or self._is_finished or self._run.refusing
-        if is_idle or (self._is_lockstep and not self._run.commanded):
+        if is_idle or not self._run.commanded:
             return
         self._hold(reason)
         self._announce(f"{reason}; the joints are held", ERROR)

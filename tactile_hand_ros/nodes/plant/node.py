@@ -7,8 +7,8 @@ lockstep, where time waits for the command, after `command_timeout` of silence; 
 the wall clock. It also holds them while two senders of `joint_command` answer the same ticks
 differently and when a joint is faster than its limit. Commands with unknown joints, missing joints
 or NaN count as silence. The squeeze is kept and raised with the load, the joints come to rest, and
-the level in `/diagnostics` is ERROR. In lockstep time stands still at the first tick until the
-first command. Where the simulation diverges, time stands still too, with an ERROR, until `~/reset`
+the level in `/diagnostics` is ERROR. Time stands still at the first tick until the first command.
+Where the simulation diverges, time stands still too, with an ERROR, until `~/reset`
 and `~/run`. Without a plant there are no ticks, and no node answers.
 """
 

@@ -22,6 +22,7 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.node import TactileNode, set_period
+from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
 from tactile_hand_ros.ros.realtime.scheduling import use_batch_scheduling
 from tactile_hand_ros.ros.runner import run_node
 
@@ -62,6 +63,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         super().__init__("recorder", RecorderConfig, **kwargs)
         self._is_over = is_over
         self._failure: BagError | None = None
+        self._between = between_ticks(self.context)
         direct = direct_delivery(self.context)
         if direct is None:
             self._recording = Recording(self, self.config)
@@ -114,7 +116,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.context.try_shutdown()
             return
         try:
-            came = self._recording.step()
+            with self._between.recording():
+                came = self._recording.step()
         except BagError as error:
             self._give_up(error)
             return
@@ -126,7 +129,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
     def _on_rest(self) -> None:
         try:
-            self._recording.rest()
+            with self._between.recording():
+                self._recording.rest()
         except BagError as error:
             self._give_up(error)
 
