@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from tactile_hand_ros.bag.metadata import NO_START, FileMetadata
 from tactile_hand_ros.bag.stream import ChunkStream
 
-CHUNK_SIZE = 65536  # bytes; a killed recorder loses less than one chunk
+CHUNK_SIZE = 2**20  # bytes; a killed recorder loses less than one chunk
 LIBRARY = "tactile_hand_ros"
 COMPRESSIONS = {
     "none": CompressionType.NONE,

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 
-from tactile_hand_ros.bag.bag_file import LIBRARY, BagFile
+from tactile_hand_ros.bag.bag_file import CHUNK_SIZE, LIBRARY, BagFile
 from tactile_hand_ros.bag.metadata import (
     FILE_NAME,
     RECORD_KEY,
@@ -35,7 +35,6 @@ from tactile_hand_ros.errors import BagError, counted
 from tactile_hand_ros.files import replace_text
 
 BROKEN = ".broken"
-_CHUNK_SIZE = 2**20
 _SUFFIX = "_recovered"
 _COMPRESSED = (".zstd", ".lz4")  # what rosbag2 adds to the names of compressed files
 
@@ -354,7 +353,7 @@ class _Copier:
             if isinstance(record, Message):
                 break
         compression = tally.compression or ("none" if tally.messages else "zstd")
-        return BagFile(self._target, compression, _CHUNK_SIZE, header.profile, LIBRARY)
+        return BagFile(self._target, compression, CHUNK_SIZE, header.profile, LIBRARY)
 
     def _put(self, file: BagFile, record: McapRecord) -> None:
         if isinstance(record, Message):

@@ -32,7 +32,8 @@ class Soak:
         held: Ticks in which the joints were held.
         is_held: Whether all fingers touch at the end.
         times: When the samples were taken, s.
-        memory: Resident memory of all nodes at these times, bytes.
+        memory: Resident memory of the hand's nodes at these times, bytes.
+        recorder: The same of the recorder, which keeps the index of its bag.
         descriptors: Open files and sockets of all nodes.
         threads: Threads of all nodes.
     """
@@ -43,16 +44,16 @@ class Soak:
     is_held: bool = False
     times: list[float] = field(default_factory=list)
     memory: list[int] = field(default_factory=list)
+    recorder: list[int] = field(default_factory=list)
     descriptors: list[int] = field(default_factory=list)
     threads: list[int] = field(default_factory=list)
 
-    @property
-    def slope(self) -> float:
-        """Growth of the memory after the warm-up, bytes/s, as a straight line fits it."""
+    def slope(self, memory: list[int]) -> float:
+        """Return how fast a memory grows after the warm-up, bytes/s, as a straight line fits it."""
         first = int(_WARM * len(self.times))
         if len(self.times) - first < 2:
             return 0.0
-        return float(np.polyfit(self.times[first:], self.memory[first:], 1)[0])
+        return float(np.polyfit(self.times[first:], memory[first:], 1)[0])
 
     def growth(self, samples: list[int]) -> int:
         """Return by how much something is more at the end than after the warm-up."""
@@ -90,7 +91,7 @@ def soak(
         tempfile.TemporaryDirectory() as folder,
         RunningHand(scenario, Path(folder), "", composed=composed) as hand,
     ):
-        nodes = [psutil.Process(process.pid) for process in hand.processes.values()]
+        nodes = {name: psutil.Process(process.pid) for name, process in hand.processes.items()}
         hand.begin()
         start, pause = time.monotonic(), threading.Event()
         while (now := time.monotonic() - start) < seconds:
@@ -105,11 +106,13 @@ def soak(
     return seen
 
 
-def _sample(seen: Soak, nodes: list[psutil.Process], now: float) -> None:
+def _sample(seen: Soak, nodes: dict[str, psutil.Process], now: float) -> None:
+    resident = {name: node.memory_info().rss for name, node in nodes.items()}
     seen.times.append(now)
-    seen.memory.append(sum(node.memory_info().rss for node in nodes))
-    seen.descriptors.append(sum(node.num_fds() for node in nodes))
-    seen.threads.append(sum(node.num_threads() for node in nodes))
+    seen.recorder.append(resident.pop(names.RECORDER))
+    seen.memory.append(sum(resident.values()))
+    seen.descriptors.append(sum(node.num_fds() for node in nodes.values()))
+    seen.threads.append(sum(node.num_threads() for node in nodes.values()))
 
 
 def results(seen: Soak, where: str) -> list[Result]:
@@ -122,8 +125,13 @@ def results(seen: Soak, where: str) -> list[Result]:
         Result.of(f"{name}: ticks", "", [seen.ticks]),
         Result.of(f"{name}: late commands", "%", [late]),
         Result.of(f"{name}: held ticks", "%", [held]),
-        Result.of(f"{name}: slope of the memory", "KiB/min", [60.0 * seen.slope / 1024.0]),
+        Result.of(f"{name}: slope of the memory", "KiB/min", [_kib_per_min(seen, seen.memory)]),
+        Result.of(f"{name}: slope of the recorder", "KiB/min", [_kib_per_min(seen, seen.recorder)]),
         Result.of(f"{name}: more descriptors", "", [seen.growth(seen.descriptors)], none),
         Result.of(f"{name}: more threads", "", [seen.growth(seen.threads)], none),
         Result.of(f"{name}: drops", "", [float(not seen.is_held)], none),
     ]
+
+
+def _kib_per_min(seen: Soak, memory: list[int]) -> float:
+    return 60.0 * seen.slope(memory) / 1024.0

@@ -35,7 +35,7 @@ class RecorderConfig(Config):
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
     chunk_size: int = param(
-        65536, "size at which a chunk is closed and written", unit="B", ge=1024, le=2**26
+        2**20, "size at which a chunk is closed and written", unit="B", ge=1024, le=2**26
     )
     flush_period: float = param(
         0.05,
