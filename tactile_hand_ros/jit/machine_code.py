@@ -11,17 +11,14 @@ from __future__ import annotations
 import builtins
 import ctypes
 import functools
-import importlib.machinery
-import importlib.util
 import pickle
-import sys
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tactile_hand_ros.jit.extension import load_extension
 
 ENVIRONMENT = "environment:"
 """Prefix of the symbols that stand for the Python objects of a function."""
@@ -158,36 +155,13 @@ def address_of(symbol: str) -> int:
 @functools.cache
 def _helpers() -> dict[str, int]:
     """Return the addresses of the C functions that Numba's code calls."""
-    common = _extension("numba", "_helperlib").c_helpers
-    memory = _extension("numba", "core/runtime/_nrt_python")
+    common = load_extension("numba", "_helperlib").c_helpers
+    memory = load_extension("numba", "core/runtime/_nrt_python")
     memory.memsys_use_cpython_allocator()  # as Numba does, should it be loaded later
     for name in ("cython_blas", "cython_lapack"):  # what those C functions ask for by name
-        full = f"scipy.linalg.{name}"
-        if full not in sys.modules:
-            sys.modules[full] = _extension("scipy", f"linalg/{name}", full)
+        load_extension("scipy", f"linalg/{name}", is_shared=True)
     return {
         **common,
         **{f"numba_{name}": address for name, address in common.items()},
         **{f"NRT_{name}": address for name, address in memory.c_helpers.items()},
     }
-
-
-def _extension(package: str, path: str, name: str = "") -> ModuleType:
-    """Load a C extension of a package without the package.
-
-    Raises:
-        LookupError: If it is not there.
-    """
-    spec = importlib.util.find_spec(package)
-    for folder in (spec and spec.submodule_search_locations) or ():
-        for suffix in importlib.machinery.EXTENSION_SUFFIXES:
-            file = Path(folder) / f"{path}{suffix}"
-            if file.is_file():
-                name = name or file.name.split(".")[0]
-                loader = importlib.machinery.ExtensionFileLoader(name, str(file))
-                found = importlib.util.spec_from_file_location(name, file, loader=loader)
-                assert found is not None
-                module = importlib.util.module_from_spec(found)
-                loader.exec_module(module)
-                return module
-    raise LookupError(f"{package} has no C extension '{path}'")

@@ -8,9 +8,7 @@ import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import osqp
 from numpy.typing import NDArray
-from scipy import sparse
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
@@ -24,18 +22,13 @@ from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.steady import followed, imbalance
-from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
+from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, Sparse, WarmSolver
 from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
-_SOLVED = osqp.SolverStatus.OSQP_SOLVED
-_INFEASIBLE = (
-    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE,
-    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE,
-)
 _MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
 _GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
 _MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
@@ -297,7 +290,7 @@ class ForceOptimizer:
         rows[:6] = 1.0
         rows[6, normals] = 1.0
         rows[7 + np.arange(k), normals] = 1.0
-        matrix = sparse.csc_matrix(rows)
+        matrix = Sparse.of(rows)
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
         self._shaper = None
@@ -306,7 +299,7 @@ class ForceOptimizer:
         lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
         upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
         self._solver = WarmSolver(
-            sparse.diags(2.0 * self._weights, format="csc"),
+            2.0 * self._weights,
             np.zeros(n),
             matrix,
             lower,
@@ -334,12 +327,12 @@ class ForceOptimizer:
             if sharp := self._sharpened(x, y, balance):
                 candidates.append(self._measured(*sharp, balance, info))
             solved = min(candidates, key=lambda forces: np.nan_to_num(forces.residual, nan=np.inf))
-        if info.status_val != _SOLVED:
+        if info.status_val != SOLVED:
             self._set_up()  # where OSQP has ended is a bad start for the next grasp
         return solved if solved.residual < _MAX_RESIDUAL else self._unsolved(solved, info)
 
     def _unsolved(self, best: OptimalForces, info: Any) -> OptimalForces:
-        if info.status_val in _INFEASIBLE:
+        if info.status_val in INFEASIBLE:
             return self._without_answer(
                 Status.UNBALANCED,
                 "no pushing forces at these contacts balance; place a finger on an opposing face",
