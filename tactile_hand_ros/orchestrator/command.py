@@ -10,7 +10,7 @@ import gc
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,9 @@ from tactile_hand_ros.command_line import run_command, say
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.orchestrator.processes import Launcher
 
 _DEFAULT = "paper"
 
@@ -123,18 +126,32 @@ def run(
     )
     signals, ros_arguments = context.obj or (_watching(), [])
     gc.disable()  # nearly all that is loaded stays; the session enables it again
-    from tactile_hand_ros.jit.compiled import run_interpreted  # loads NumPy
+    from tactile_hand_ros.orchestrator.processes import Launcher
 
-    run_interpreted()  # the few steps of the check do not justify loading Numba
+    launcher = Launcher()
     try:
-        # Loading takes a second; a Ctrl-C in that time must not tear an import apart.
-        from tactile_hand_ros.orchestrator.conduct import conduct
-
-        code = conduct(request, signals, ros_arguments)
+        if pacing != "realtime":
+            launcher.preload()  # on another processor than what is loaded here
+        code = _conduct(request, signals, ros_arguments, launcher)
     except Interrupted as interruption:
         say(str(context.find_root().info_name), f"{interruption}, before anything was started.")
         code = signals.exit_code
+    finally:
+        launcher.drop_preloaded()
     raise typer.Exit(code)
+
+
+def _conduct(
+    request: Request, signals: Signals, ros_arguments: Sequence[str], launcher: Launcher
+) -> int:
+    """Load what runs a scenario, and do so."""
+    from tactile_hand_ros.jit.compiled import run_interpreted  # loads NumPy
+
+    run_interpreted()  # the few steps of the check do not justify loading Numba
+    # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.
+    from tactile_hand_ros.orchestrator.conduct import conduct
+
+    return conduct(request, signals, ros_arguments, launcher)
 
 
 def _watching() -> Signals:

@@ -19,7 +19,7 @@ from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.command_line import LastingOutput, os_sentence
 from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.compiled import ensure_compiled
+from tactile_hand_ros.jit.compiled import ensure_compiled, is_complete
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import (
     check_environment,
@@ -43,16 +43,22 @@ class OutputError(TactileHandError):
 _WIDTH = 100  # of tables in logs and pipes
 
 
-def conduct(request: Request, signals: Signals, ros_arguments: Sequence[str]) -> int:
+def conduct(
+    request: Request, signals: Signals, ros_arguments: Sequence[str], launcher: Launcher
+) -> int:
     """Run a scenario as asked, and return the exit code.
 
     Raises:
         TactileHandError: If it was refused; nothing was started.
         Interrupted: If a signal came before anything was started.
     """
-    launcher = Launcher()
     check_environment(os.environ)
     scenario = _checked(request)
+    # In real time, the first use of a page that a fork shares would cost time in a tick.
+    if scenario.plant.pacing == "realtime" or not is_complete():
+        launcher.drop_preloaded()
+    # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
+    ensure_compiled()
     plan = Plan(
         scenario=scenario,
         namespace=full_namespace(request.namespace, ros_arguments),
@@ -80,8 +86,6 @@ def _checked(request: Request) -> Scenario:
     labels = {key: f"--{key.rpartition('.')[2]}" for key in options}
     scenario = load_scenario(request.scenario, changes, labels)
     check_scenario(scenario)
-    # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
-    ensure_compiled()
     return scenario
 
 

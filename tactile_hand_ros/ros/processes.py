@@ -54,6 +54,7 @@ class ChildProcess:
         *,
         env: Mapping[str, str] | None = None,
         cwd: str | os.PathLike[str] | None = None,
+        start: Callable[..., Any] = subprocess.Popen,
     ) -> None:
         """Start it.
 
@@ -63,9 +64,10 @@ class ChildProcess:
             stderr: File for the standard error, or ``subprocess.STDOUT``.
             env: Variables to set or change.
             cwd: Working directory.
+            start: Called like `subprocess.Popen`, with a result that is used like it.
         """
         self.command = [os.fspath(part) for part in command]
-        self._process = subprocess.Popen(
+        self._process = start(
             self.command,
             stdin=subprocess.DEVNULL,
             stdout=stdout,
@@ -78,12 +80,13 @@ class ChildProcess:
     @property
     def pid(self) -> int:
         """The process id, which is the id of its group too."""
-        return self._process.pid
+        return int(self._process.pid)
 
     @property
     def returncode(self) -> int | None:
         """The exit code, None while the process runs."""
-        return self._process.poll()
+        code: int | None = self._process.poll()
+        return code
 
     def send(self, number: int) -> None:
         """Send a signal to the process alone, as ``kill`` does."""
@@ -164,7 +167,7 @@ class CapturedProcess(ChildProcess):
             TimeoutError: With all output so far and where each of its threads stood.
         """
         try:
-            return self._process.wait(timeout)
+            return int(self._process.wait(timeout))
         except subprocess.TimeoutExpired:
             self.send(signal.SIGABRT)
             with suppress(subprocess.TimeoutExpired):
