@@ -45,7 +45,7 @@ INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 help:
 	@echo 'make demo                 the paper'"'"'s experiment across ROS 2 processes, recorded in runs/latest'
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
-	@echo 'make test                 ruff, mypy and the whole test suite'
+	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
@@ -63,7 +63,7 @@ bench: $(VENV)/.bench $(VENV)/.package
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
-# The tests run even when lint complains, so that one run tells everything.
+# The tests run even when lint complains, so that one run shows everything.
 test: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
@@ -96,7 +96,7 @@ audit: $(VENV)/.created
 
 # --- set-up: each stamp is made once and again when what it depends on changes -----------------------
 
-# A virtual environment cannot be moved: build it anew when the tree has been.
+# A virtual environment cannot be moved: build it again when the tree has been.
 ifneq ($(shell cat '$(VENV)/.created' 2>/dev/null),$(PREFIX))
 $(VENV)/.created: FORCE
 endif
