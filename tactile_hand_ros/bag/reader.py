@@ -210,7 +210,7 @@ def _check_present(path: Path) -> None:
         return
     if not any(path.glob("*.mcap")):
         raise BagError(
-            f"The folder {path} is no bag: it has neither {FILE_NAME} nor an .mcap file; "
+            f"The folder {path} is not a bag: it has neither {FILE_NAME} nor an .mcap file; "
             "check the path."
         )
     raise BagError(
@@ -234,7 +234,7 @@ def _broken(path: object, error: Exception) -> BagError:
     file = Path(str(path))
     if file.is_file() and file.suffix not in _BAGS:
         return BagError(
-            f"{path} is no bag; give the folder of a run, a bag folder, or a file that ends in "
+            f"{path} is not a bag; give the folder of a run, a bag folder, or a file that ends in "
             f"{' or '.join(_BAGS)}."
         )
     return BagError(

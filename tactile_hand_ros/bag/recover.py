@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of bags that were cut off: every message that can still be read, in a whole bag."""
+"""Recovery of bags that were cut off: every message that can still be read, in an intact bag."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class RecoveredBag:
 def recover(
     bag: Path | str, out: Path | str | None = None, *, in_place: bool = False
 ) -> RecoveredBag:
-    """Make a whole bag of one that was cut off or damaged, whoever wrote it.
+    """Make an intact bag of one that was cut off or damaged, by any recorder.
 
     Args:
         bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
@@ -124,7 +124,7 @@ def recover(
 
 @contextlib.contextmanager
 def _sentences(bag: Path) -> Iterator[None]:
-    """Tell what the system refuses as an error of the user."""
+    """Report what the system refuses as an error of the user."""
     try:
         yield
     except OSError as error:
@@ -174,7 +174,7 @@ def _names_all(told: Mapping[str, Any], files: Sequence[Path]) -> bool:
 
 
 def repair(folder: Path) -> RecoveredBag:
-    """Make the files in a bag folder whole, and its metadata anew.
+    """Repair the files in a bag folder, and write its metadata again.
 
     At every moment there is a file under each name, the broken or the whole one.
 
@@ -294,7 +294,7 @@ def _has_end(file: Path) -> bool:
 
 @dataclass
 class _Copy:
-    """A file that was written anew, and what it says about the bag."""
+    """A file that was written again, and what it says about the bag."""
 
     tally: Tally
     file: FileMetadata

@@ -95,7 +95,7 @@ def salvage(path: Path, tally: Tally) -> Iterator[McapRecord]:
         tally: Counts what is read and what is left.
 
     Raises:
-        BagError: If it is no MCAP file or cannot be read.
+        BagError: If it is not an MCAP file or cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -118,7 +118,7 @@ class _Salvage:
         magic = file.read(len(MAGIC))
         if not MAGIC.startswith(magic):
             raise BagError(
-                f"The file {path} is no MCAP file: it begins with {magic.hex()}, expected "
+                f"The file {path} is not an MCAP file: it begins with {magic.hex()}, expected "
                 f"{MAGIC.hex()}; only MCAP bags can be recovered."
             )
         while (at := file.tell()) < size:

@@ -90,7 +90,7 @@ def _read(type_name: str, kind: str) -> tuple[str, str]:
     """Return the package of a type and the unchanged text of its file."""
     match = _TYPE_NAME.fullmatch(type_name)
     if not match:
-        raise _DefinitionNotFoundError(f"'{type_name}' is no type name")
+        raise _DefinitionNotFoundError(f"'{type_name}' is not a type name")
     package, folder, name = match[1], match[2] or "msg", match[3]
     try:
         share = Path(get_package_share_directory(package))

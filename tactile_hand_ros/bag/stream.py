@@ -16,7 +16,7 @@ class ChunkStream:
     The MCAP writer collects whole chunks itself, so a buffer would only delay them. It can also be
     cut back to a whole record after a write that failed half-way, which a buffered file cannot.
 
-    The file is locked while it is open, so that nobody takes it for one that was cut off; the lock
+    The file is locked while it is open, so that it is not taken for one that was cut off; the lock
     ends with the process, however that dies.
     """
 

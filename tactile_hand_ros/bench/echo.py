@@ -28,7 +28,7 @@ def connect(node: Node, kind: str, ours: str, theirs: str, answer: bool) -> obje
         node: The node.
         kind: LEAN passes bytes, ORDINARY messages.
         ours: Topic to publish.
-        theirs: Topic to hear.
+        theirs: Topic to subscribe to.
         answer: Whether to answer at once.
 
     Returns:

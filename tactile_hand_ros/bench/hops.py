@@ -108,7 +108,7 @@ def _ros_hops(kind: str, count: int, message: JointState) -> NDArray[np.float64]
                 _PATIENCE,
                 "the echo",
             )
-            # The echo may not have met us yet, and what it does not hear then is gone: ask again.
+            # The echo may not have met us yet, and what it misses is gone: ask again.
             nudge: Timer = node.create_timer(_NUDGE, lambda: nudge.cancel() if times else send())
             executor.add_node(node)
             executor.spin()

@@ -35,7 +35,7 @@ def recover(
         typer.Option("--in-place", help="Repair the folder itself; keeps broken files as *.broken"),
     ] = False,
 ) -> None:
-    """Make a whole bag of one that was cut off, whoever recorded it."""
+    """Repair a bag that was cut off, from any recorder."""
     from tactile_hand_ros.bag import recover as r
 
     if in_place and out is not None:

@@ -93,7 +93,7 @@ def print_table(table: object) -> None:
 
 
 class Progress:
-    """A bar on the terminal while something goes on; nothing when nobody looks."""
+    """A bar on the terminal while something goes on; nothing when the output is not a terminal."""
 
     def __init__(self, title: str, total: int) -> None:
         """Say what goes on and how many steps it has."""
@@ -124,5 +124,5 @@ class Progress:
         self._bar.stop()
 
     def __call__(self, latest: str) -> None:
-        """Advance by one and tell what was done."""
+        """Advance by one and say what was done."""
         self._bar.update(self._task, advance=1, latest=latest)

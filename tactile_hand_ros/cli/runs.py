@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand figures`, `report`, `compare` and `summary`: what a recorded run tells."""
+"""`tactile-hand figures`, `report`, `compare` and `summary`: what a recorded run shows."""
 
 from __future__ import annotations
 

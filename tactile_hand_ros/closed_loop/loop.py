@@ -55,11 +55,11 @@ class ClosedLoop:
         self.controller = Controller(scenario.manipulation_controller)
         self.state = self.plant.state
         self.stamp = 0
-        self._wishes = sorted(scenario.user_forces, key=lambda wish: wish.time)
+        self._requests = sorted(scenario.user_forces, key=lambda request: request.time)
         self._desired: tuple[Array, Array] | None = None
         self._targets = list(scenario.targets)
-        for wish in scenario.targets:
-            self.controller.command(wish.target(), wish.stamp)
+        for target in scenario.targets:
+            self.controller.command(target.target(), target.stamp)
 
     def run(
         self, ticks: int | None = None, progress: Callable[[int], None] | None = None
@@ -114,8 +114,8 @@ class ClosedLoop:
 
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""
-        while self._wishes and self._wishes[0].stamp <= self.stamp:
-            self.regulator.request(self._wishes.pop(0).force)
+        while self._requests and self._requests[0].stamp <= self.stamp:
+            self.regulator.request(self._requests.pop(0).force)
 
     def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
         c = self.optimizer.config

@@ -44,8 +44,8 @@ def check_scenario(scenario: Scenario) -> None:
         raise GraspError(optimal.reason)
     frame = VirtualFrame().orientation(contacts.positions)
     pose = AuxiliaryPose(contacts.centroid, frame)
-    for wish in scenario.targets:
-        check_reach(hand, state.theta, contacts, pose, wish.target())
+    for target in scenario.targets:
+        check_reach(hand, state.theta, contacts, pose, target.target())
     law = scenario.manipulation_controller.law
     if law.name not in LAWS:
         squeeze = scenario.slip_regulator.grasp_force

@@ -206,7 +206,7 @@ def _limit_hold(data: dict[str, Any]) -> None:
     """Let the hold of the joints squeeze up to the regulator's limit, unless it has one of its own.
 
     Args:
-        data: A scenario before validation; what is no mapping in it is left to the validation.
+        data: A scenario before validation; what is not a mapping is left to the validation.
     """
     place: Any = data
     for name, model in (("plant", PlantConfig), ("guard", GuardConfig), ("hold", JointHoldConfig)):

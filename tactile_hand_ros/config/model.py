@@ -180,7 +180,7 @@ def load_yaml(path: str | Path, model: type[C]) -> C:
     """Read a YAML file into a configuration.
 
     Raises:
-        ConfigurationError: If the file cannot be read, is no YAML or does not fit the model.
+        ConfigurationError: If the file cannot be read, is not YAML or does not fit the model.
     """
     return validate(model, read_yaml(path), str(path))
 
@@ -189,7 +189,7 @@ def read_yaml(path: str | Path) -> Any:
     """Read a YAML file as plain data; an empty file is an empty mapping.
 
     Raises:
-        ConfigurationError: If the file cannot be read, is too large, is no YAML or repeats a key.
+        ConfigurationError: If the file cannot be read, is too large, is not YAML or repeats a key.
     """
     return parse_yaml(read_text(path, _LARGEST), str(path))
 
@@ -198,7 +198,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
     """Parse YAML text as plain data; empty text is an empty mapping.
 
     Raises:
-        ConfigurationError: If the text is no YAML or repeats a key.
+        ConfigurationError: If the text is not YAML or repeats a key.
     """
     try:
         data = copy.deepcopy(_parsed(text))
@@ -219,7 +219,7 @@ def parse_changes(changes: Sequence[str], example: str = "plant.rate=250") -> di
         example: A good one, for the error.
 
     Raises:
-        ConfigurationError: If there is no ``=``, or the value is no YAML.
+        ConfigurationError: If there is no ``=``, or the value is not YAML.
     """
     found: dict[str, Any] = {}
     for change in changes:
@@ -250,11 +250,11 @@ class _Loader(yaml.SafeLoader):
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Refuse a key that is no text or appears twice: a value would be lost silently."""
+        """Refuse a key that is not text or appears twice: a value would be lost silently."""
         seen = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                problem = f"a {key.id} is no key, expected a text"
+                problem = f"a {key.id} is not a key, expected text"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             if key.value in seen:
                 problem = f"the key '{key.value}' appears twice"

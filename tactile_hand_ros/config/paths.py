@@ -50,7 +50,7 @@ def _chosen_directory(path: Path) -> Path:
     """Insist on what the user named; a silent fall-back would run with other values."""
     if not path.is_dir():
         raise ConfigurationError(
-            f"{ENVIRONMENT} is '{path}', which is no directory: name one with hands/ and"
+            f"{ENVIRONMENT} is '{path}', which is not a directory: name one with hands/ and"
             " scenarios/, or unset it."
         )
     return path.resolve()

@@ -93,7 +93,7 @@ class Command(NamedTuple):
     Attributes:
         torque: Joint torques, shape (m,), N m.
         mode: Drive, hold, open or disabled.
-        pose: What the hand believes of the object; None when it cannot tell.
+        pose: What the hand believes of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
     """
 

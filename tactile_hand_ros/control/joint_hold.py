@@ -177,8 +177,8 @@ def joint_torque(tips: Fingertips, forces: Array) -> Array:
 def split_forces(forces: Array) -> tuple[Array, Array]:
     """Return the load that tip forces carry, shape (3,), N, and the forces without it, (k, 3).
 
-    The load is their sum, which all tips share alike. Torques on the object are not told from the
-    squeeze: for that one must know where the contacts are, and here only the tips are known.
+    The load is their sum, which all tips share alike. Torques on the object cannot be separated
+    from the squeeze: that needs the contacts, and here only the tips are known.
     """
     load = forces.sum(axis=0)
     return load, forces - load / len(forces)

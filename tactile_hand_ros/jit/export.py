@@ -45,7 +45,7 @@ def export(dispatcher: Any) -> Code:
     functions. One that compiled functions alone call, with literals, may be any of them.
 
     Raises:
-        UnknownCodeError: If it cannot be told which, or for code of an unknown sort.
+        UnknownCodeError: If it is unclear which, or for code of an unknown sort.
     """
     kinds = list(dispatcher.overloads.values())
     if len(kinds) > 1:

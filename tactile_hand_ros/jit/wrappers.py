@@ -24,7 +24,7 @@ from numba.np import numpy_support
 from tactile_hand_ros.jit.machine_code import NDARRAY
 
 binding.add_symbol(NDARRAY, id(np.ndarray))
-# Where CPython and NumPy keep what tells of an array, in bytes from the start of the object.
+# Where CPython and NumPy keep what describes an array, in bytes from the start of the object.
 _TYPE, _DIMENSIONS, _DTYPE, _FLAGS = 8, 24, 56, 64
 _BYTE_ORDER, _NUMBER = 26, 28  # in a dtype
 _CONTIGUOUS = {"C": 0x1, "F": 0x2, "A": 0x0}

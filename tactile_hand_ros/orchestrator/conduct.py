@@ -102,7 +102,7 @@ def full_namespace(given: str, ros_arguments: Sequence[str]) -> str:
         ros_arguments: Command line that may remap ``__ns``.
 
     Raises:
-        ConfigurationError: If it is no ROS namespace.
+        ConfigurationError: If it is not a ROS namespace.
     """
     remapped = [word.partition("__ns:=")[2] for word in ros_arguments if "__ns:=" in word]
     name = "/" + (given or (remapped[-1] if remapped else "")).strip("/")

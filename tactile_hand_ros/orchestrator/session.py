@@ -57,7 +57,7 @@ class StartupError(TactileHandError):
 
 
 class StallError(TactileHandError):
-    """Nobody answers the plant any more."""
+    """The plant gets no more answers."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class Session:
         self._processes.check()
 
     def _await_graph(self, missing: Callable[[], Iterator[Gap]]) -> None:
-        """Wait until everybody is there and has met everybody else.
+        """Wait until all nodes are there and have met each other.
 
         Args:
             missing: Asked again and again; yields what is missing.

@@ -18,7 +18,7 @@ class Interrupted(Exception):
 
 
 class Signals:
-    """Counts SIGINT, SIGTERM and SIGHUP and wakes up whoever waits.
+    """Counts SIGINT, SIGTERM and SIGHUP and wakes up the thread that waits.
 
     Attributes:
         number: The first signal that came, 0 if none.

@@ -66,20 +66,20 @@ class Steering:
         Raises:
             SteeringError: If a listener does not acknowledge them.
         """
-        for wish in targets:
-            target = wish.target()
-            turn = quaternion_from_rotation(target.orientation)
-            self._poses.publish(PoseCodec().encode(target.position, turn, wish.stamp))
-            self._deliver(self._poses, f"the desired pose for t = {wish.time} s", timeout)
+        for target in targets:
+            pose = target.target()
+            turn = quaternion_from_rotation(pose.orientation)
+            self._poses.publish(PoseCodec().encode(pose.position, turn, target.stamp))
+            self._deliver(self._poses, f"the desired pose for t = {target.time} s", timeout)
 
-    def squeeze(self, wish: UserForceConfig, timeout: float = 5.0) -> None:
+    def squeeze(self, request: UserForceConfig, timeout: float = 5.0) -> None:
         """Send a squeeze that the user asks for and wait until it arrived.
 
         Raises:
             SteeringError: If a listener does not acknowledge it.
         """
-        self._squeezes.publish(Float64(data=float(wish.force)))
-        self._deliver(self._squeezes, f"the squeeze for t = {wish.time} s", timeout)
+        self._squeezes.publish(Float64(data=float(request.force)))
+        self._deliver(self._squeezes, f"the squeeze for t = {request.time} s", timeout)
 
     def _deliver(self, publisher: Publisher, what: str, timeout: float) -> None:
         end = time.monotonic() + timeout
@@ -87,8 +87,8 @@ class Steering:
             self._check()
             if time.monotonic() > end:
                 raise SteeringError(
-                    f"{what} was not received by everybody within {timeout:g} s; look at the logs "
-                    "of the nodes"
+                    f"{what} was not received by all subscribers within {timeout:g} s; look at "
+                    "the logs of the nodes"
                 )
 
     def run(self, on: bool, timeout: float = 5.0, check: bool = True) -> None:
@@ -123,15 +123,15 @@ class UserForces:
     """
 
     def __init__(
-        self, wishes: Sequence[UserForceConfig], send: Callable[[UserForceConfig], None]
+        self, requests: Sequence[UserForceConfig], send: Callable[[UserForceConfig], None]
     ) -> None:
         """Say what is asked for and how it is sent."""
-        self._waiting = sorted(wishes, key=lambda wish: wish.time)
+        self._waiting = sorted(requests, key=lambda request: request.time)
         self._send = send
 
     def step(self, stamp: int) -> None:
         """Send what is due at a tick [ns]: the newest, which replaces those before it."""
-        due = [wish for wish in self._waiting if wish.stamp <= stamp]
+        due = [each for each in self._waiting if each.stamp <= stamp]
         self._waiting = self._waiting[len(due) :]
         if due:
             self._send(due[-1])

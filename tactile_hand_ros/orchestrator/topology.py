@@ -24,7 +24,7 @@ class Link:
 def links(scenario: Scenario) -> list[Link]:
     """Return the topics between the nodes of a scenario.
 
-    Optimizer and controller listen to forces only where they are told to make use of them, and the
+    Optimizer and controller listen to forces only where they are configured to use them, and the
     sensor to joints only where it reports contacts by a wrong model of the hand.
     """
     fingers = load_hand_config(scenario.hand).finger_names

@@ -104,7 +104,7 @@ class Bar:
         self._progress.stop()
 
     def show(self, look: Look, rate: float, fault: str) -> None:
-        """Draw anew."""
+        """Draw again."""
         of = "" if self._duration is None else f" / {self._duration:g}"
         self._progress.update(
             self._task,

@@ -60,7 +60,7 @@ class Wiring:
     """Compares the ROS graph with what the run needs.
 
     That a publisher and a subscription exist is not enough: each must have met the other, which
-    only the two nodes know. They tell it in their diagnostics.
+    only the two nodes know. They report it in their diagnostics.
 
     What was found once is not looked for again: a question to the graph costs the nodes that are
     starting at that moment.

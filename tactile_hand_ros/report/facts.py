@@ -78,7 +78,7 @@ def _pose_tiles(run: Run) -> list[dict[str, Any]]:
 
 
 def _slip_tiles(run: Run) -> list[dict[str, Any]]:
-    """Return how far a contact slid and how often, where the simulation tells, else the alarms."""
+    """Return how far a contact slid and how often, where a simulation knows, else the alarms."""
     m = run.metrics
     note = f"{m.slip_alarm_count} detected"
     if m.slip_count is None:
@@ -131,7 +131,7 @@ def all_tables(run: Run) -> list[dict[str, Any]]:
         versions.append(["seed", str(run.scenario.seed)])
     lost = lost_messages(run)
     recording = tables.bag_rows(run.bag_metrics)
-    recording.insert(1, ["messages lost", "not told" if lost is None else str(lost)])
+    recording.insert(1, ["messages lost", "not recorded" if lost is None else str(lost)])
     found = [
         {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
         {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},

@@ -25,7 +25,7 @@ def hand(run: Run) -> tuple[dict[str, Any] | None, str]:
     except TactileHandError as error:
         return None, f"The hand cannot be drawn: {error}."
     if tree is None:
-        return None, "The bag tells neither the hand's URDF nor its scenario; links are not drawn."
+        return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
     return tree, ""
 
 
@@ -54,7 +54,7 @@ def _tips(run: Run) -> dict[str, tuple[str, float]]:
 
 
 def solid(run: Run) -> dict[str, Any] | None:
-    """Return corners in m, faces and edges of the object; None where nobody knows its shape."""
+    """Return corners in m, faces and edges of the object; None where its shape is unknown."""
     plant = loose_scenario(run).get("plant")
     if not isinstance(plant, dict) or "object" not in plant:
         return None

@@ -27,7 +27,7 @@ def differing(runs: Sequence[Run]) -> list[list[str]]:
 def labels(runs: Sequence[Run]) -> list[str]:
     """Return what to call each run: its scenario, with settings where another has the same name.
 
-    Runs that do not differ in any setting are told apart by their folders.
+    Runs that do not differ in any setting are named by their folders.
     """
     names = [facts.name(run) for run in runs]
     if len(set(names)) == len(names):

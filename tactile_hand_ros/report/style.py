@@ -119,7 +119,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def _shrink(file: Path) -> None:
-    """Store a picture with 256 colours, which no eye tells from more in a drawing."""
+    """Store a picture with 256 colours, which no eye can see in a drawing."""
     image = optional("PIL.Image", "Drawing")
     with image.open(file) as picture:
         small = picture.convert("RGB").quantize(256, dither=image.Dither.NONE)

@@ -36,7 +36,7 @@ def hand_tree(
         ``tips`` with ``link`` (index), ``finger`` (name, empty if unknown) and ``radius``.
 
     Raises:
-        HandModelError: If the text is no URDF.
+        HandModelError: If the text is not a URDF.
     """
     try:
         root = ElementTree.fromstring(description)

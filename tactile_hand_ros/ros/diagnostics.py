@@ -189,7 +189,7 @@ def _latest(entries: dict[str, _Rejections], now: float) -> tuple[str, _Rejectio
 class Mostly:
     """Whether something held at most of the ticks since the last question.
 
-    Noise makes a condition blink; a report once a second should tell what lasts.
+    Noise makes a condition blink; a report once a second should show what lasts.
     """
 
     def __init__(self) -> None:

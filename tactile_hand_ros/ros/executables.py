@@ -73,7 +73,7 @@ def child_environment() -> dict[str, str]:
 
 
 def _runs(path: Path) -> bool:
-    """Tell whether a path is a file with its run bit set."""
+    """Return whether a path is a file with its run bit set."""
     return path.is_file() and os.access(path, os.X_OK)
 
 

@@ -178,7 +178,7 @@ class WaitSetExecutor(SurvivingExecutor):
         self._direct = direct_delivery(self._context)
 
     def wake(self) -> None:
-        """Wait anew because an entity was created or destroyed; rclpy calls this."""
+        """Wait again because an entity was created or destroyed; rclpy calls this."""
         self._stale = True
         super().wake()
 

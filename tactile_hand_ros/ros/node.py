@@ -44,7 +44,7 @@ PEERS_PERIOD = 0.1
 """Time between two looks at who is connected, while peers come and go [s]."""
 
 CALM_PERIOD = 1.0
-"""The same when nobody has come or gone for `CALM_AFTER` [s]."""
+"""The same when no peer has come or gone for `CALM_AFTER` [s]."""
 
 CALM_AFTER = 5.0
 """Time after which the graph counts as calm [s]."""
@@ -164,7 +164,7 @@ class TactileNode(Node, Generic[C]):
         return self._guard.wrap(source, callback)
 
     def after_reading(self, guarded: Callable[[], None]) -> None:
-        """Call back once when all that has arrived is read; at once where nobody can tell.
+        """Call back once when all that has arrived is read; at once where that is not known.
 
         Args:
             guarded: The callback, made once by `guarded`.

@@ -251,7 +251,7 @@ def ros_type(field: FieldInfo) -> Parameter.Type:
     item = element_type(annotation)
     scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS.get(item)
     if scalar is None:
-        raise TypeError(f"{annotation} is no type that a ROS parameter can have")
+        raise TypeError(f"{annotation} is not a type that a ROS parameter can have")
     return _ARRAYS[scalar] if is_sequence(annotation) else scalar
 
 
@@ -259,7 +259,7 @@ def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
     """Convert the value of a ROS parameter to what the field takes.
 
     Raises:
-        ConfigurationError: If a list item that must be a YAML mapping is no YAML.
+        ConfigurationError: If a list item that must be a YAML mapping is not YAML.
     """
     if not is_sequence(field.annotation):
         # ROS types are strict, a configuration is not: 1 is as good as 1.0.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How often to look at what changes seldom but must be noticed soon, such as the ROS graph.
 
-rclpy does not tell of changes of the graph, so one has to look. A graph that has been calm for a
+rclpy does not report changes of the graph, so one has to look. A graph that has been calm for a
 while mostly stays so: then looking rarely is enough, and an idle node costs next to nothing.
 """
 

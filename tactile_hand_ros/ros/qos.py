@@ -16,7 +16,7 @@ TICK_DEPTH = 100
 
 PUBLISHED_DEPTH = 3000
 """Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
-In lockstep everybody waits for everybody else, but nobody waits for the recorder."""
+In lockstep all nodes wait for each other, but none waits for the recorder."""
 
 
 def tick_qos() -> QoSProfile:

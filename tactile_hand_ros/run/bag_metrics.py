@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only a bag can tell: whether it is complete, and how fast the processes were."""
+"""What only a bag shows: whether it is complete, and how fast the processes were."""
 
 from __future__ import annotations
 

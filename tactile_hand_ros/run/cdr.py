@@ -174,7 +174,7 @@ def _layout(type_name: str, message: bytes) -> Layout:
         cursor = _Cursor(message)
         PARSERS[type_name](cursor)
     except ValueError as error:
-        raise BagError(f"A message is no valid {type_name}: {error}; record it again.") from None
+        raise BagError(f"A message is not a valid {type_name}: {error}; record it again.") from None
     return cursor.layout
 
 

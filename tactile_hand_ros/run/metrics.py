@@ -26,7 +26,7 @@ START_S = 0.02
 
 @dataclass(frozen=True)
 class Metrics:
-    """Results of a run; NaN where the record does not tell, mappings go by finger.
+    """Results of a run; NaN where the record does not show them, mappings go by finger.
 
     Final values are those of the last tick, so they are NaN when the grasp was lost by then.
 

@@ -52,7 +52,7 @@ def read_asked(bag: Path, topic: str, states: Series, stop: int | None = None) -
 
 
 def releases(requests: Sequence[Asked]) -> list[float]:
-    """Return when the hand was told to open, s, without what a later grasp has ended."""
+    """Return when the hand was asked to open, s, without what a later grasp has ended."""
     found: list[float] = []
     for each in requests:
         if each.key == OPENING[0]:

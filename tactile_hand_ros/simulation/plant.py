@@ -3,7 +3,7 @@
 
 One step follows Moreau's midpoint rule (Moreau 1988): the geometry is taken half a step ahead,
 the velocities after the step obey the contact laws there, and positions move with the mean of the
-velocities before and after. The contact point p_c = p_f + r n is found anew at each step, so that
+velocities before and after. The contact point p_c = p_f + r n is computed at each step, so that
 it moves over both bodies as the fingertip rolls; the acceleration form of (6) is never needed.
 """
 

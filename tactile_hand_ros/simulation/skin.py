@@ -133,7 +133,7 @@ class TactileSensor:
         self._numbers = row_of(config)
 
     def reset(self) -> None:
-        """Start anew, with the same seed."""
+        """Start again, with the same seed."""
         c, k = self.config, len(self._radii)
         self._random = np.random.default_rng(c.seed)
         self._sample = -1

@@ -263,7 +263,7 @@ class _Grasp(NamedTuple):
     Attributes:
         load: Smoothed load per unit of squeeze, shape (k, 3).
         ready_for: The same with the reserve, and for less squeeze, shape (k, 3).
-        before: f* from which that of this tick goes on, shape (3k,); None where it begins anew.
+        before: f* from which that of this tick goes on, shape (3k,); None where it starts over.
         elapsed: Time since then, s.
     """
 
@@ -291,7 +291,7 @@ def _grasps(
     for i in np.flatnonzero(usable):
         config, elapsed, before = configs[rows[i]], 0.0, None
         per_squeeze = load[i] / squeeze[i]
-        # The filters begin anew after ticks without a grasp.
+        # The filters start over after ticks without a grasp.
         if last == i - 1 and last >= 0 and losses[rows[i]] == losses[rows[last]]:
             elapsed = 1e-9 * float(record.stamps[rows[i]] - record.stamps[rows[last]])
             share = 1.0 - np.exp(-elapsed / config.load_time)

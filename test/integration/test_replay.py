@@ -243,7 +243,7 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
         (["--start-offset=100", "--loop"], "expected 0 to 0.995"),
         (["--start-offset=nan"], "offset"),
         (["--start-offset=inf"], "expected 0 to 0.995"),
-        (["--namespace=1x"], "is no namespace"),
+        (["--namespace=1x"], "is not a namespace"),
     ):
         process = replay(*arguments)
         assert process.wait() == 2

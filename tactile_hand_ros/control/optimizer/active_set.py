@@ -47,7 +47,7 @@ def solve_exactly(
         if not _solve_equalities(balance, weights, least, held, x, y):
             if not held.any():
                 break
-            held[:] = False  # so many active bounds leave nothing free; begin anew without
+            held[:] = False  # so many active bounds leave nothing free; start without
             continue
         settled = True
         pull = _ROUNDING * max(1.0, np.abs(y).max())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimization (13) inside friction cones: reshape the squeeze where squeezing more is no help.
+"""The optimization (13) inside friction cones: reshape the squeeze where more of it does not help.
 
 A contact slips however hard one squeezes when f* itself leaves its cone. Here f* is found such that
 the whole force of each contact, squeeze and load, stays inside:

@@ -186,7 +186,7 @@ class ForceOptimizer:
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
-        """Take other weights or limits; the problem is set up anew.
+        """Take other weights or limits; the problem is set up again.
 
         Raises:
             ConfigurationError: If they do not fit; nothing is changed then.

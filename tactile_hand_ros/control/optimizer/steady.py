@@ -3,7 +3,7 @@
 
 Inside active cones a small change of the felt contacts or of the load changes the optimum up to
 thirty times as much. Noise of the skin would so shake the squeeze at every tick, as sliding shakes
-a contact: the slip detector could not tell one from the other. So f* goes only a share of the way
+a contact: the slip detector could not distinguish the two. So f* goes only a share of the way
 to each new optimum, the one that its time constant gives for the time since the last tick, and as
 far as it takes to be inside the cones of the friction that was learned, which are a little wider
 than those of the optimization.

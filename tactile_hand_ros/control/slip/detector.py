@@ -96,9 +96,9 @@ class SlipDetector:
 
         L = ((1 - 1/rho) r^2 / s^2 - ln rho) / 2,
 
-    starts again from zero whenever the sum is negative, and tells slip above a threshold h. While a
-    contact sticks the time between false alarms grows as exp(h). A single sample never counts for
-    more than h / 4: a push on the object shows in one sample, sliding in many.
+    starts again from zero whenever the sum is negative, and reports slip above a threshold h.
+    While a contact sticks the time between false alarms grows as exp(h). A single sample never
+    counts for more than h / 4: a push on the object shows in one sample, sliding in many.
 
     Samples need not come evenly: with q the time since the last one per time between the two before
     it, r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)), and white noise of variance v makes it
@@ -142,7 +142,7 @@ class SlipDetector:
 
     @property
     def agrees(self) -> NDArray[np.bool_]:
-        """Whether the newest sample of each contact told of slip rather than stick, shape (k,)."""
+        """Whether the newest sample of each contact shows slip rather than stick, shape (k,)."""
         return self._memory["agrees"].copy()
 
     @property
@@ -200,7 +200,7 @@ def _detect(
     x, n, z = force
     last = m["last"]
     m["since"] += dt
-    # A sensor that is slower than the loop repeats its sample, which tells nothing.
+    # A sensor that is slower than the loop repeats its sample, which adds nothing.
     new = not (x == last[0] and n == last[1] and z == last[2])
     bend, gain = _bend(m, x, n, z) if new else ((0.0, 0.0, 0.0), 0.0)
     m["fresh"] = gain > 0.0
@@ -232,7 +232,7 @@ def _detect(
 def _bend(m: Row, x: float, n: float, z: float) -> tuple[Vector, float]:
     """Return the second difference of the force and what it makes of white noise.
 
-    It is NaN until there are three samples. The second is 0 where the difference tells nothing: the
+    It is NaN until there are three samples. The second is 0 where the difference shows nothing: the
     last two samples, or the two before, are too far apart.
     """
     last, change, before = m["last"], m["change"], m["spacing"]

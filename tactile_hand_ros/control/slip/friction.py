@@ -79,7 +79,7 @@ class FrictionEstimator:
     A slip is read from its own samples only: those since the detector's sum left zero, which is
     Page's estimate of when it began. A contact that slides shows mu, one that the squeeze has
     caught shows less, so that the largest few ratios count. How much they count depends on how well
-    they show: a contact that is hardly pressed tells next to nothing. An estimate grows the more
+    they show: a contact that is barely pressed shows next to nothing. An estimate grows the more
     slowly, the better slips have shown it, so that a false alarm is soon forgotten and a surface
     that slipped twice at the same ratio is not.
     """
@@ -129,7 +129,7 @@ class FrictionEstimator:
             state: What the detector says of the contacts, `Grip`, shape (k,).
             evidence: Its evidence for slip; zero: nothing slips; shape (k,).
             dt: Time since the last tick, s.
-            agrees: Whether the newest samples tell of slip; one of a contact that the squeeze has
+            agrees: Whether the newest samples show slip; one of a contact that the squeeze has
                 caught says nothing of friction; shape (k,).
             fresh: Whether the forces are new samples; from one that is repeated nothing is learned
                 twice; shape (k,).
@@ -140,7 +140,7 @@ class FrictionEstimator:
     def share(self) -> None:
         """Lower estimates to what better known contacts with the same object have shown.
 
-        A finger that hardly presses cannot learn from its own slips. Never the other way round:
+        A finger that barely presses cannot learn from its own slips. Never the other way round:
         too low an estimate costs force, too high a one the object. Nor does an estimate grow faster
         than a lower one that is better known.
         """
@@ -303,7 +303,7 @@ def _information(confidence: float) -> float:
 
 @compiled
 def _share(memory: Rows) -> None:
-    """Let each contact of a memory hear what the others have shown."""
+    """Let each contact of a memory learn what the others have shown."""
     for i in range(len(memory)):
         m = memory[i]
         m["caution"] = 0.0

@@ -12,7 +12,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.slip.need import NeedConfig
 
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
-_CALM = 0.05  # s without slip after which the next one is another, met from the squeeze of then
+_CALM = 0.05  # s without slip after which the next is a new one, met from the present squeeze
 
 
 class ReflexConfig(Config):
@@ -77,7 +77,7 @@ class Reflex:
         Args:
             needed: Squeeze that load and friction ask for, N; not finite while unknown.
             slips: Whether a slip goes on.
-            slides: Whether the newest samples tell so too; with a contact lost also whether one
+            slides: Whether the newest samples show it too; with a contact lost also whether one
                 that is left carries all that its friction is trusted with.
             touching: Which contacts touch, shape (k,).
             limit: Largest squeeze, N.

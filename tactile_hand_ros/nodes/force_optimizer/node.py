@@ -112,7 +112,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._report.report()
 
     def on_restart(self) -> None:
-        """Begin anew with the ticks."""
+        """Start over with the ticks."""
         self._optimizer.reset()
         self._cone_watch.reset()
         self._accepted.begin(self.config)

@@ -91,7 +91,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     the fingers until all touch and hold that, or open them.
 
     Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
-    was started with `law.observer.time` 0 refuses another value: it does not hear any forces.
+    was started with `law.observer.time` 0 refuses another value: it does not subscribe to forces.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -150,7 +150,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if config.law.observer.time > 0.0 and not self._feels:
             raise ConfigurationError(
                 f"law.observer.time = {config.law.observer.time}: the controller was started with "
-                "0 and does not listen to forces; start it anew with this value",
+                "0 and does not listen to forces; restart it with this value",
                 place="law.observer.time",
             )
 
@@ -160,7 +160,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._accepted.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Tell the user why a command was refused."""
+        """Publish why a command was refused."""
         self._accepted.rejected(source, reason)
 
     def on_report(self) -> None:
@@ -244,7 +244,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._command_publisher.publish(self._sent)
 
     def on_restart(self) -> None:
-        """Begin anew with the ticks; poses that came together with the first one are for it."""
+        """Start over with the ticks; poses that came together with the first one are for it."""
         self._controller.reset()
         self._report.reset()
         self._begin()

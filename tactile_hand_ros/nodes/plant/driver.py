@@ -81,7 +81,7 @@ class PlantDriver:
     def begin(self) -> None:
         """Publish the present tick and wait for its command; in real time go on if there was one.
 
-        What changes the mode is told at once, not when the next diagnostics are due.
+        A change of mode is reported at once, not when the next diagnostics are due.
         """
         self._run.release()
         self._topics.tell_hold(self._run.guard.holding)
@@ -184,7 +184,7 @@ class PlantDriver:
         self._tell_hold()
 
     def _tell_hold(self) -> None:
-        """Tell at once when the joints begin or cease to be held; in diagnostics now and then."""
+        """Publish at once when the joints begin or cease to be held; in diagnostics less often."""
         self._topics.tell_hold(self._run.guard.holding)
         reason = self._run.guard.reason
         if reason == self._told:
@@ -212,7 +212,7 @@ class PlantDriver:
         self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
-        """Tell at once."""
+        """Publish at once."""
         self._diagnostics.fault("state", text, level)
         self._node.publish_diagnostics()
 

@@ -21,7 +21,7 @@ class Pace:
     """Says at each call of a timer with the period of a tick how many ticks have come due.
 
     Attributes:
-        missed: Ticks that came due together with a later one, so that nobody saw them.
+        missed: Ticks that came due together with a later one, so that no node saw them.
         behind_ns: How late the first of the ticks was that came due last [ns].
         lost_ns: Wall time that was given up because the machine could not follow [ns].
         jitter: How far from its time each tick came.

@@ -22,7 +22,7 @@ _LASTING = 0.5
 class SenderWatch:
     """Compares the answers to each tick: one sender gives one answer, and repeats it to the bit.
 
-    The number of publishers on a topic cannot tell: a sender that was killed counts until the
+    The number of publishers on a topic does not show it: a sender that was killed counts until the
     middleware gives it up, ten seconds later, and its successor must be let in before. Time is that
     of the wall clock: the plant makes the stamps, which `ros.ticks.one_sender` goes by, itself.
 

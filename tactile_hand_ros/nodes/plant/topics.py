@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the plant says at each tick: joints to everybody, the truth to those who may know it."""
+"""What the plant says at each tick: joints for all, the ground truth for those who may know it."""
 
 from __future__ import annotations
 

@@ -121,9 +121,9 @@ class RawTopic:
         return count
 
     def adapt(self, publishers: Sequence[TopicEndpointInfo], sink: Sink) -> None:
-        """Subscribe anew if the publishers changed so that the present subscription misses some.
+        """Subscribe again if the publishers changed so that the present subscription misses some.
 
-        A latched topic is subscribed anew only before its first message: later its publishers'
+        A latched topic is subscribed again only before its first message: later its publishers'
         histories would arrive a second time.
         """
         self.publishers = len(publishers)
@@ -148,7 +148,7 @@ class RawTopic:
         self._count_publishers(self._node.get_publishers_info_by_topic(self.name))
 
     def _count_publishers(self, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Tell apart publishers that may be older than the subscription and those that are not.
+        """Separate publishers that may be older than the subscription and those that are not.
 
         Of a latched topic a late subscription gets the last messages only, by design.
         """

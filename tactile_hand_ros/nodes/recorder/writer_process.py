@@ -26,7 +26,7 @@ sys.path = [path for path in sys.path if path]
 from {bag_process.__name__} import main
 sys.exit(main())
 """
-_PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to everybody
+_PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to any user
 _MOST_WAITING = 64 << 20
 """Bytes that wait here while the pipe is full; what comes then is lost, and counted."""
 
@@ -46,7 +46,7 @@ class WriterProcess:
     """
 
     def __init__(self) -> None:
-        """Start the process; `begin` tells it what to write."""
+        """Start the process; `begin` says what to write."""
         answers, replies = os.pipe()
         self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, str(replies)],

@@ -248,8 +248,8 @@ def _check_namespace(namespace: str) -> None:
         validate_namespace(namespace or "/")
     except InvalidNamespaceException:
         raise BagError(
-            f"'{namespace}' is no namespace, expected letters, digits and underscores that begin "
-            "with no digit, as /left."
+            f"'{namespace}' is not a namespace, expected letters, digits and underscores that do "
+            "not begin with a digit, as /left."
         ) from None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 
 class Timeline:
-    """Tells when something of the bag is due; starts paused.
+    """Knows when something of the bag is due; starts paused.
 
     Times of the bag are in ns, times on the wall in s of any steady clock.
     """

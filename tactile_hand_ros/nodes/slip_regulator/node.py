@@ -123,7 +123,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._accepted.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Tell the user why a command was refused."""
+        """Publish why a command was refused."""
         self._accepted.rejected(source, reason)
 
     def on_report(self) -> None:
@@ -131,7 +131,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._report.report(self._regulator)
 
     def on_restart(self) -> None:
-        """Begin anew with the ticks."""
+        """Start over with the ticks."""
         self._regulator.reset()
         self._report.reset()
         self._accepted.begin(self.config)

@@ -38,7 +38,7 @@ class RegulatorReport:
         self.reset()
 
     def reset(self) -> None:
-        """Start counting anew."""
+        """Start counting at zero."""
         self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._limited, self._hopeless, self._most_needed = Mostly(), Mostly(), 0.0

@@ -3,8 +3,8 @@
 
 Safe state: without true contacts, forces and sliding it says nothing, and the controller holds the
 hand. Input that cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its
-tick stays without an answer. Nothing of what it publishes tells slip: that shows in the vibration
-of the forces only. When it dies, whoever waits for touch notices by the silence.
+tick stays without an answer. Nothing that it publishes states slip: it shows in the vibration
+of the forces only. When it dies, nodes that wait for touch notice the silence.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
 
     Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration and dropout are
-    live. When the stamps jump back, noise starts anew from its seed.
+    live. When the stamps jump back, noise starts again from its seed.
     """
 
     def __init__(self, **kwargs: Any) -> None:

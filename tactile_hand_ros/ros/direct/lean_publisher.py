@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A publisher whose serialized messages cost nothing while nobody has subscribed."""
+"""A publisher whose serialized messages cost nothing without subscribers."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class DirectPublisher(LeanPublisher):
         self._kept: deque[bytes] = deque(maxlen=history_depth(self.qos_profile))
 
     def publish(self, msg: Any) -> None:
-        """Send a message, which may be serialized, to whoever has subscribed."""
+        """Send a message, which may be serialized, to all subscribers."""
         super().publish(msg)
         if self._is_read_here:
             self._hand_over(msg if type(msg) is bytes else serialized(msg))

@@ -63,7 +63,7 @@ def stamp_to_ns(stamp: Time) -> int:
     """Return a message stamp as integer nanoseconds.
 
     Raises:
-        MessageError: If it is no time that a message can carry.
+        MessageError: If it is not a time that a message can carry.
     """
     return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
 

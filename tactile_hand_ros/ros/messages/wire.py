@@ -172,7 +172,7 @@ class CdrTemplate:
         """Return stamp [ns] and blocks, None if a number or anything but the numbers is unusual.
 
         Raises:
-            MessageError: If the stamp is no time.
+            MessageError: If the stamp is not a time.
         """
         if not self._fits(data):
             return None
@@ -392,7 +392,7 @@ def stamp_of(data: bytes) -> int:
     """Return the stamp [ns] of a serialized message that begins with a header.
 
     Raises:
-        MessageError: If there is none, or it is no time.
+        MessageError: If there is none, or it is not a time.
     """
     if len(data) < _AFTER_STAMP:
         raise MessageError(f"{len(data)} bytes, expected a message that begins with a stamp.")

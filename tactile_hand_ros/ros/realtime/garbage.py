@@ -61,7 +61,7 @@ class GarbageRest:
 
 
 class CollectionClock:
-    """How long the collector of this process has worked in all, whoever called it.
+    """How long the collector of this process has worked in all, for any caller.
 
     Attributes:
         seconds: The sum [s].

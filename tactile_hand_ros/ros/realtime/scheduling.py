@@ -62,12 +62,12 @@ class Scheduling:
         """Set it for all threads and those that they will start; remember what was refused."""
         _refusals.clear()
         if self.priority:
-            wish = f"{PRIORITY} {self.priority}"
-            _ask(wish, self._set_policy, "run as root, or allow rtprio in limits.conf")
+            what = f"{PRIORITY} {self.priority}"
+            _ask(what, self._set_policy, "run as root, or allow rtprio in limits.conf")
         if self.cpus:
-            wish = f"{CPUS} {format_cpus(self.cpus)}"
+            what = f"{CPUS} {format_cpus(self.cpus)}"
             here = format_cpus(range(os.cpu_count() or 1))
-            _ask(wish, self._set_cpus, f"this machine has the processors {here}")
+            _ask(what, self._set_cpus, f"this machine has the processors {here}")
 
     def prepare(self, context: Context) -> None:
         """Prepare for real time, if that is asked for, when all nodes have been made.
@@ -93,9 +93,9 @@ class Scheduling:
 
 
 def use_batch_scheduling() -> None:
-    """Ask for SCHED_BATCH: the same share of the time, but nobody is interrupted for this process.
+    """Ask for SCHED_BATCH: the same share of the time, but no interruption of other processes.
 
-    For one that nobody waits for. Where the kernel has no such policy nothing changes.
+    For one that no other waits for. Where the kernel has no such policy nothing changes.
     """
     with contextlib.suppress(AttributeError, OSError):
         for thread in _threads():
@@ -134,7 +134,7 @@ def parse_priority(text: str) -> int:
     """Read a priority.
 
     Raises:
-        ConfigurationError: If it is no whole number from 0 to 99.
+        ConfigurationError: If it is not an integer from 0 to 99.
     """
     if not text.isdecimal() or int(text) > _HIGHEST:
         raise ConfigurationError(
@@ -148,7 +148,7 @@ def parse_cpus(text: str) -> tuple[int, ...]:
     """Read a list of processors such as ``0,2-3``.
 
     Raises:
-        ConfigurationError: If it is no such list.
+        ConfigurationError: If it is not such a list.
     """
     found: set[int] = set()
     for part in text.split(","):
@@ -183,9 +183,9 @@ def _threads() -> list[int]:
     return [int(name) for name in os.listdir("/proc/self/task")]
 
 
-def _ask(wish: str, request: Callable[[], None], advice: str) -> None:
+def _ask(what: str, request: Callable[[], None], advice: str) -> None:
     try:
         request()
     except (OSError, ValueError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
-        _refusals.append(f"{wish} was refused ({reason}): {advice}")
+        _refusals.append(f"{what} was refused ({reason}): {advice}")

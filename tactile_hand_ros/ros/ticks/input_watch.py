@@ -15,7 +15,7 @@ class InputWatch:
     lockstep they stand still while a tick waits for its inputs: then all nodes wait for the one
     that stalls, and no result depends on how fast the machine is. The pacing need not be known: in
     real time and on a real hand the stamps go on, and silence is noticed. By the wall clock,
-    because one stamp that lies ahead is no time that has passed.
+    because one stamp that lies ahead does not mean that time has passed.
 
     Attributes:
         blind: Whether the inputs are missing.

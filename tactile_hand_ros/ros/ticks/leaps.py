@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells stamps that go on from one that leaps ahead of all others."""
+"""Separates stamps that go on from one that leaps ahead of all others."""
 
 from __future__ import annotations
 

@@ -47,8 +47,8 @@ class StampMatcher:
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
     given up when a newer one is complete. A set that leaps ahead is given only when a second one
     confirms it; see `Leaps`. A complete set at stamp 0, or more than
-    ``restart_after_ns`` before the last one, means that the senders have begun anew: everything
-    else is forgotten then. A single old message means nothing, whoever sent it.
+    ``restart_after_ns`` before the last one, means that the senders have started over: everything
+    else is forgotten then. A single old message means nothing.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class StampMatcher:
                 is asked for again.
             memory: Incomplete stamps that are kept; the first to come are the first to go.
             restart_after_ns: Jump back in time that means a restart [ns].
-            on_restart: Called when the senders have begun anew, before their first set is given.
+            on_restart: Called when the senders have started over, before their first set is given.
         """
         self.keys = tuple(keys)
         self._index = {key: index for index, key in enumerate(self.keys)}

@@ -188,7 +188,7 @@ class FaultyLoop:
             loop.controller.command(Target(here, np.eye(3)))
 
     def restart(self) -> None:
-        """Begin anew with a block that was killed."""
+        """Start over with a block that was killed."""
         cell, loop = self._run.cell, self.loop
         if cell.fault != "off":
             return

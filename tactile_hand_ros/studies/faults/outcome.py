@@ -62,7 +62,7 @@ class Outcome:
 
     @property
     def key(self) -> str:
-        """What tells the run from all others of a campaign."""
+        """What distinguishes the run from all others of a campaign."""
         return Run(self.cell, self.seed).key
 
     def data(self) -> dict[str, Any]:

@@ -97,7 +97,7 @@ class Run(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Return what tells the run from all others of a campaign."""
+        """Return what distinguishes the run from all others of a campaign."""
         return f"{'/'.join(self.cell)}/{self.seed}"
 
 

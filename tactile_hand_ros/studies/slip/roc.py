@@ -42,7 +42,7 @@ class Point:
 
     Attributes:
         noise: Standard deviation of each force component, N.
-        threshold: Evidence from which it tells slip.
+        threshold: Evidence from which it reports slip.
         false_alarms: Alarms of all contacts while nothing slid.
         minutes: Time in which nothing slid.
         slips: Number of slips.

@@ -62,7 +62,7 @@ class Trial:
         """Make a run and return what was asked of it."""
         _compile_once()
         scenario = self.scenario(point)
-        take_law(scenario.manipulation_controller.law)  # named by whoever asked for the sweep
+        take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         record = ClosedLoop(scenario).run()
         found = metrics(record, scenario)
         asked = measures(self.metrics)

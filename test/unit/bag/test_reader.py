@@ -109,7 +109,7 @@ def test_missing_bag(tmp_path: Path) -> None:
 
 def test_folder_that_is_no_bag(tmp_path: Path) -> None:
     """No metadata and no data: recovering would not help."""
-    with pytest.raises(BagError, match="is no bag"):
+    with pytest.raises(BagError, match="is not a bag"):
         summarize(tmp_path)
 
 
@@ -140,7 +140,7 @@ def test_damaged_metadata(bag: Path, text: str) -> None:
 def test_unknown_kind_of_file(tmp_path: Path) -> None:
     """A file of another format."""
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(BagError, match=r"notes.txt is no bag; give the folder of a run"):
+    with pytest.raises(BagError, match=r"notes.txt is not a bag; give the folder of a run"):
         summarize(tmp_path / "notes.txt")
 
 

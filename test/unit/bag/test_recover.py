@@ -269,7 +269,7 @@ def test_refusals(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     for match, arguments in (
         ("does not exist", (tmp_path / "nowhere",)),
-        ("is no MCAP file", (tmp_path / "text.mcap", tmp_path / "new")),
+        ("is not an MCAP file", (tmp_path / "text.mcap", tmp_path / "new")),
         ("holds no .mcap file", (tmp_path / "empty",)),
         ("exists already", (tmp_path / "run", tmp_path / "taken")),
     ):
