@@ -160,11 +160,15 @@ class Controller:
         self._law.configure(config.law)
 
     def reset(self) -> None:
-        """Forget grasp, targets and integral."""
+        """Forget everything, also that the fingers are open: time or hand are new."""
+        self._regrasp.finish()
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget grasp, targets and integral; open or closing fingers go on with that."""
         self._law.reset()
         self._reference.reset()
         self._hold.release()
-        self._regrasp.finish()
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         self._grasp_force = self._more = 0.0
         self._checked = 0
@@ -236,6 +240,9 @@ class Controller:
         Raises:
             GraspError: If there has been no grasp yet.
         """
+        if self._regrasp.active:
+            self._regrasp.open()
+            return
         if self._grasp is None:
             raise GraspError("there is no grasp to let go of; let all fingers touch first")
         self._regrasp.leave(self._grasp[0], self._grasp[1])

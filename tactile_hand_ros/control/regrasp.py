@@ -51,11 +51,14 @@ class Regrasp:
 
     def leave(self, theta: Array, contacts: Contacts) -> None:
         """Begin to open from a posture with the given contacts, and stay open afterwards."""
-        if self._normals is None:
-            self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
-            self._tips = self._hand.fingertips(theta).positions
-            self._depth = np.zeros(self._hand.fingers)
-            self._posture = theta.copy()
+        self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
+        self._tips = self._hand.fingertips(theta).positions
+        self._depth = np.zeros(self._hand.fingers)
+        self._posture = theta.copy()
+        self._closing = False
+
+    def open(self) -> None:
+        """Begin to open again, along the normals of the grasp that was left."""
         self._closing = False
 
     def close(self) -> None:

@@ -328,7 +328,7 @@ class ShadowLoop:
 def _apply(controller: Controller, request: Request) -> None:
     """Repeat a service call."""
     if request.service == "reset":
-        controller.reset()
+        controller.forget()
     elif request.service == "enable":
         controller.enabled = request.value
     elif request.service == names.JOINT_HOLD:

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
+from visualization_msgs.msg import MarkerArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
@@ -20,6 +23,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
@@ -256,8 +260,26 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     assert bag == run.bag
 
 
+@contextmanager
+def viewer(graph: Graph) -> Iterator[Callable[[], dict[str, Any]]]:
+    """Start a viewer beside a hand; provide its newest markers by their namespace and number."""
+    arrived: list[MarkerArray] = []
+    topic = graph.full("markers")
+    graph.node.create_subscription(MarkerArray, topic, arrived.append, qos.user_qos())
+    words = ("--ros-args", "-r", f"__ns:={graph.namespace}")
+    with start_executable("viewer", *words) as process:
+        for name in (names.JOINT_STATES, names.ACCEPTED_POSE, names.OBJECT_POSE, names.CONTACTS):
+            graph.wait(lambda n=name: graph.hears("viewer", n), f"the viewer on {name}")
+        yield lambda: {f"{m.ns} {m.id}": m for m in arrived[-1].markers} if arrived else {}
+        process.send(signal.SIGINT)
+        assert process.wait() == 0, process.stderr
+
+
 def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> None:
-    """Another layout, target and rate; each ends where its own function calls end."""
+    """Another layout, target and rate; each ends where its own function calls end.
+
+    A viewer shows the left hand in frames of its own; another process receives what it draws.
+    """
     (tmp_path / "left").mkdir()
     (tmp_path / "right").mkdir()
     left = short(duration=0.3)
@@ -266,6 +288,7 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> No
         isolated_domain() as domain,
         Graph(left, domain, tmp_path / "left", "/left") as one,
         Graph(right, domain, tmp_path / "right", "/right") as other,
+        viewer(one) as shown,
     ):
         for graph in (one, other):
             graph.begin(P_D)
@@ -276,6 +299,13 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> No
             np.testing.assert_array_equal(joints.position, expected.theta[-1])
             assert graph.node.count_publishers(graph.full("clock")) == 1
         assert one.node.count_publishers("/clock") == 0
+        wanted = {"object 0", "goal 0"} | {
+            f"{ns} {i}" for ns in ("contacts", "forces") for i in range(3)
+        }
+        one.wait(lambda: wanted <= set(shown()), "the markers of the left hand")
+        assert {marker.header.frame_id for marker in shown().values()} == {"left/palm"}
+        at, where = shown()["object 0"].pose.position, one.position()
+        np.testing.assert_allclose([at.x, at.y, at.z], where)
 
 
 def test_real_time_runs_at_the_pace_of_the_wall_clock(tmp_path: Path) -> None:

@@ -86,9 +86,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
     latest when the first of them comes.
 
-    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, as a jump back of
-    the stamps does; by std_srvs/SetBool: `~/enable`, the law or mere damping, and `~/grasp`, close
-    the fingers until all touch and hold that, or open them.
+    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, while open or
+    closing fingers stay so; a jump back of the stamps forgets that too. By std_srvs/SetBool:
+    `~/enable`, the law or mere damping, and `~/grasp`, close the fingers until all touch and hold
+    that, or open them.
 
     Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
     was started with `law.observer.time` 0 refuses another value: it does not subscribe to forces.
@@ -171,7 +172,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _on_reset(self) -> None:
         self._fresh.clear()
-        self.on_restart()
+        self._controller.forget()
+        self._start_over()
 
     def _on_desired(self, data: bytes) -> None:
         message = read_message(data, PoseStamped)
@@ -246,6 +248,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def on_restart(self) -> None:
         """Start over with the ticks; poses that came together with the first one are for it."""
         self._controller.reset()
+        self._start_over()
+
+    def _start_over(self) -> None:
         self._report.reset()
         self._begin()
         for target, stamp in self._fresh:

@@ -84,12 +84,18 @@ def contact_frames(fingers: list[str], positions: Array, quaternions: Array) -> 
     return [frame for frame in frames if frame.is_known]
 
 
-def transforms(frames: list[Frame], stamp_ns: int) -> list[TransformStamped]:
-    """Return the transforms from the palm to frames, with a stamp."""
+def frame_prefix(namespace: str) -> str:
+    """Return what the frames of a hand begin with, so that two hands can share `/tf`."""
+    return f"{namespace.strip('/')}/" if namespace.strip("/") else ""
+
+
+def transforms(frames: list[Frame], stamp_ns: int, prefix: str = "") -> list[TransformStamped]:
+    """Return the transforms from the palm to frames, with a stamp and prefixed names."""
     made = []
     for frame in frames:
-        message = TransformStamped(child_frame_id=frame.name)
-        message.header.frame_id, message.header.stamp = names.PALM_FRAME, stamp_from_ns(stamp_ns)
+        message = TransformStamped(child_frame_id=prefix + frame.name)
+        message.header.frame_id = prefix + names.PALM_FRAME
+        message.header.stamp = stamp_from_ns(stamp_ns)
         move, turn = message.transform.translation, message.transform.rotation
         move.x, move.y, move.z = map(float, frame.position)
         turn.x, turn.y, turn.z, turn.w = map(float, frame.quaternion)

@@ -42,6 +42,7 @@ class Scene:
         forces: Forces on the object in the contact frames, shape (k, 3), N.
         friction: Learned friction, shape (k,).
         goal: The desired pose, None before the first.
+        prefix: What the names of the hand's frames begin with.
     """
 
     corners: Array
@@ -50,6 +51,7 @@ class Scene:
     forces: Array
     friction: Array
     goal: Frame | None
+    prefix: str = ""
 
 
 def markers(scene: Scene) -> MarkerArray:
@@ -63,6 +65,8 @@ def markers(scene: Scene) -> MarkerArray:
             made += _contact(i, contact, scene.forces[i] * _LONGEST / strongest, scene.friction[i])
     if scene.goal is not None and scene.goal.is_known:
         made.append(_placed(_axes(), scene.goal))
+    for marker in made:
+        marker.header.frame_id = scene.prefix + names.PALM_FRAME  # no stamp: where it is now
     return MarkerArray(markers=made)
 
 
@@ -111,7 +115,6 @@ def _marker(
     namespace: str, number: int, action: int, kind: int = 0, color: Color = _OBJECT
 ) -> Marker:
     marker = Marker(ns=namespace, id=number, action=action, type=kind)
-    marker.header.frame_id = names.PALM_FRAME  # without a stamp: where it is now
     marker.pose.orientation.w = 1.0
     red, green, blue, alpha = map(float, color)
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)

@@ -31,6 +31,7 @@ from tactile_hand_ros.nodes.viewer.frames import (
     OBJECT_FRAME,
     Frame,
     LinkFrames,
+    frame_prefix,
     transforms,
 )
 from tactile_hand_ros.nodes.viewer.markers import Scene, markers
@@ -72,9 +73,10 @@ class ViewerNode(TactileNode[ViewerConfig]):
     Subscriptions, of which the newest message counts: `joint_states`, `tactile/contacts`,
     `tactile/<finger>/wrench`, `grip_state`, `accepted/desired_pose`, `ground_truth/object_pose`.
 
-    Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while someone
-    subscribes), `/tf` and `/tf_static` (tf2_msgs/TFMessage, where it is installed: from `palm` to
-    links, contacts and object).
+    Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while there is a
+    subscriber), `/tf` and `/tf_static` (tf2_msgs/TFMessage, where it is installed: from `palm` to
+    links, contacts and object). In a namespace the names of these frames begin with it, as
+    `left/palm`: all hands share `/tf`.
 
     Parameters: the fields of `ViewerConfig`; a plant's parameter file fits as well.
     """
@@ -89,7 +91,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         hand = Hand.load(self.config.hand, self.config.layout)
         self._fingers, self._links = hand.finger_names, LinkFrames(hand.description)
         self._corners = _triangles(self.config.object)
-        self._goal: Frame | None = None
+        self._prefix = frame_prefix(self.get_namespace())
         self._taken: dict[str, Any] = {}
         listened = {
             names.JOINT_STATES: JointState,
@@ -114,7 +116,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
             self.diagnostics.value("tf", "tf2_msgs is not installed")
             return None
         self._static = self.create_publisher(TFMessage, "/tf_static", qos.latched_qos())
-        self._static.publish(TFMessage(transforms=transforms(self._links.fixed(), 0)))
+        self._static.publish(self._transforms(self._links.fixed(), 0))
         return self.create_publisher(TFMessage, "/tf", qos.user_qos())
 
     def show(self) -> None:
@@ -127,12 +129,16 @@ class ViewerNode(TactileNode[ViewerConfig]):
             stamp = stamp_to_ns(self._taken[names.JOINT_STATES].header.stamp)
             seen = [*self._links.moving(self._theta()), *(c for c in contacts if c.is_known)]
             known = [where] if where is not None and where.is_known else []
-            self._tf.publish(TFMessage(transforms=transforms([*seen, *known], stamp)))
+            self._tf.publish(self._transforms([*seen, *known], stamp))
         if self._markers.get_subscription_count():
             goal = self._pose(names.ACCEPTED_POSE, "goal")
-            scene = Scene(self._corners, where, contacts, self._forces(), self._friction(), goal)
+            felt = self._forces(), self._friction()
+            scene = Scene(self._corners, where, contacts, *felt, goal, self._prefix)
             self._markers.publish(markers(scene))
         self.diagnostics.tick()
+
+    def _transforms(self, frames: list[Frame], stamp_ns: int) -> Any:
+        return TFMessage(transforms=transforms(frames, stamp_ns, self._prefix))
 
     def _take(self, topic: str, subscription: Subscription) -> None:
         data = take_latest(subscription)

@@ -479,6 +479,34 @@ def test_reset_forgets_everything(interrupt):
         np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
 
 
+@pytest.mark.parametrize("closing", [False, True])
+def test_open_fingers_stay_open_and_closing_ones_go_on_when_the_grasp_is_forgotten(closing):
+    """A real hand that forgot this could neither open nor close any more."""
+    bench, fresh = strained(let_go), Bench(**EVERYTHING)
+    if closing:
+        bench.controller.grasp()
+    bench.controller.forget()
+    assert bench.controller.target is None
+    assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
+    fresh.stamp = bench.stamp
+    given = {"contacts": bench.elsewhere(0.0, 0.01, 0.02, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
+    if not closing:
+        assert bench.step(**given).mode is Mode.OPEN
+        bench.controller.grasp()
+        fresh.stamp = bench.stamp
+    for _ in range(3):
+        answer, expected = bench.step(**given), fresh.step(**given)
+        assert answer.mode is Mode.DRIVE
+        np.testing.assert_array_equal(answer.torque, expected.torque)
+
+
+def test_closing_fingers_open_again_also_when_the_grasp_is_forgotten():
+    bench = strained(let_go_and_take_again)
+    bench.controller.forget()
+    bench.controller.release()
+    assert bench.step(5).mode is Mode.OPEN and bench.controller.is_open
+
+
 def test_reset_forgets_a_hold_with_its_posture_and_squeeze():
     bench = strained(miss)
     bench.controller.reset()

@@ -4,21 +4,36 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from visualization_msgs.msg import Marker
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.viewer.frames import Frame, LinkFrames, contact_frames, transforms
+from tactile_hand_ros.nodes.viewer.frames import (
+    Frame,
+    LinkFrames,
+    contact_frames,
+    frame_prefix,
+    transforms,
+)
 from tactile_hand_ros.nodes.viewer.markers import Scene, markers
+from tactile_hand_ros.ros.messages.types import message_class
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
+ROOT = Path(__file__).resolve().parents[4]
+VIEWS = config_directory() / "views"
+RVIZ_TOPICS = {"MarkerArray": "Topic", "RobotModel": "Description Topic"}
 LAYOUTS = ("three_faces", "pinch")
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -79,14 +94,54 @@ def test_markers_show_what_is_known_and_remove_the_rest() -> None:
     assert [m.ns for m in markers(nothing).markers] == ["all"]
 
 
-def test_the_views_name_topics_that_exist() -> None:
-    views = config_directory() / "views"
-    rviz = yaml.safe_load((views / "tactile_hand.rviz").read_text("utf-8"))
-    shown = {each["Class"]: each for each in rviz["Visualization Manager"]["Displays"]}
-    assert shown["rviz_default_plugins/MarkerArray"]["Topic"]["Value"] == "/markers"
-    description = shown["rviz_default_plugins/RobotModel"]["Description Topic"]
-    assert description["Value"] == "/robot_description"
-    assert description["Durability Policy"] == "Transient Local"
-    assert rviz["Visualization Manager"]["Global Options"]["Fixed Frame"] == "palm"
-    layout = json.loads((views / "foxglove.json").read_text("utf-8"))
-    assert {"/markers", "/robot_description"} <= set(json.dumps(layout).split('"'))
+@pytest.mark.parametrize(
+    ("namespace", "prefix"), [("/", ""), ("/left", "left/"), ("/left/arm", "left/arm/")]
+)
+def test_frames_of_two_hands_differ_by_the_namespace(namespace: str, prefix: str) -> None:
+    """All hands share /tf."""
+    assert frame_prefix(namespace) == prefix
+    where = Frame("object", np.zeros(3), STRAIGHT)
+    (made,) = transforms([where], 0, frame_prefix(namespace))
+    assert (made.header.frame_id, made.child_frame_id) == (f"{prefix}palm", f"{prefix}object")
+    nothing = np.full((0, 3), np.nan)
+    scene = Scene(np.eye(3), where, [], nothing, np.array([]), where, frame_prefix(namespace))
+    assert {m.header.frame_id for m in markers(scene).markers} == {f"{prefix}palm"}
+
+
+def topics_and_types() -> dict[str, Any]:
+    """Return the message class of each topic in docs/topics.md."""
+    text = (ROOT / "docs" / "topics.md").read_text("utf-8").split("## Services")[0]
+    rows = re.findall(r"^\| `([\w/]+)` \| (\w+)/(\w+) \|", text, re.M)
+    return {f"/{topic}": message_class(f"{package}/msg/{kind}") for topic, package, kind in rows}
+
+
+def test_the_rviz_view_names_topics_that_exist() -> None:
+    rviz = yaml.safe_load((VIEWS / "tactile_hand.rviz").read_text("utf-8"))["Visualization Manager"]
+    shown = {each["Class"].removeprefix("rviz_default_plugins/"): each for each in rviz["Displays"]}
+    given = {kind: shown[kind][key]["Value"] for kind, key in RVIZ_TOPICS.items()}
+    known = topics_and_types()
+    assert known[given["MarkerArray"]] is MarkerArray and known[given["RobotModel"]] is String
+    assert shown["RobotModel"]["Description Topic"]["Durability Policy"] == "Transient Local"
+    assert rviz["Global Options"]["Fixed Frame"] == names.PALM_FRAME
+
+
+def test_the_foxglove_layout_names_panels_topics_and_fields_that_exist() -> None:
+    layout = json.loads((VIEWS / "foxglove.json").read_text("utf-8"))
+    known, panels = topics_and_types(), layout["configById"]
+
+    def leaves(part: Any) -> list[str]:
+        return [part] if isinstance(part, str) else leaves(part["first"]) + leaves(part["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(panels)
+    scene = panels["3D!hand"]
+    assert scene["followTf"] == names.PALM_FRAME
+    drawn = [*scene["topics"], *(layer["topic"] for layer in scene["layers"].values())]
+    assert {known[topic] for topic in drawn} == {MarkerArray, String}
+    plotted = [line["value"] for panel in panels.values() for line in panel.get("paths", [])]
+    assert len(plotted) == 3
+    for path in plotted:
+        topic, *fields = path.split(".")
+        value = known[topic]()
+        for field in fields:
+            value = getattr(value, field)
+        assert isinstance(value, float), path
