@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,6 +28,7 @@ from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.direct.lean_publisher import LeanPublisher
 from tactile_hand_ros.ros.direct.publisher import DirectPublisher
 from tactile_hand_ros.ros.direct.rosout import RosoutLogger
+from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
@@ -108,6 +109,13 @@ class TactileNode(Node, Generic[C]):
     def config(self) -> C:
         """The configuration in force."""
         return self._config_parameters.config
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Subscriptions for an executor: without those whose messages are taken directly."""
+        for subscription in super().subscriptions:
+            if not isinstance(subscription.callback_group, DirectTakeGroup):
+                yield subscription
 
     def check_config(self, config: C) -> None:
         """Refuse a change of parameters that the model alone cannot judge, before it is made.

@@ -270,6 +270,8 @@ def viewer(graph: Graph) -> Iterator[Callable[[], dict[str, Any]]]:
     with start_executable("viewer", *words) as process:
         for name in (names.JOINT_STATES, names.ACCEPTED_POSE, names.OBJECT_POSE, names.CONTACTS):
             graph.wait(lambda n=name: graph.hears("viewer", n), f"the viewer on {name}")
+        goals = f"publications {graph.full(names.ACCEPTED_POSE)}"
+        graph.wait(lambda: graph.says("manipulation_controller", goals, "1"), "both ends to match")
         yield lambda: {f"{m.ns} {m.id}": m for m in arrived[-1].markers} if arrived else {}
         process.send(signal.SIGINT)
         assert process.wait() == 0, process.stderr

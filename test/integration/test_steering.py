@@ -75,7 +75,7 @@ def test_commands_steer_and_refusals_are_answered(
     assert main(["squeeze", "12", *wait]) == 0
     assert main(["squeeze", "1000", *wait]) == 2
     assert "is outside" in capsys.readouterr().err
-    for command in ("reset", "release", "grasp"):
+    for command in ("release", "grasp", "reset"):
         assert main([command, *wait]) == 0
     assert main(["move", "0.0", "0.0436", "0.4108", *wait]) == 0
     hand.send(signal.SIGINT)

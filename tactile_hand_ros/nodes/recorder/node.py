@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.signals import uninstall_signal_handlers
-from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros.errors import BagError, counted
@@ -20,7 +19,6 @@ from tactile_hand_ros.nodes.recorder.recording import Recording
 from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
-from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.node import TactileNode, set_period
 from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
 from tactile_hand_ros.ros.realtime.scheduling import use_batch_scheduling
@@ -76,13 +74,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._visits = self.create_timer(self.config.drain_period, self._step, clock=steady)
         if self.config.snapshot_duration > 0.0:
             self.create_service(Trigger, "~/snapshot", self._on_snapshot)
-
-    @property
-    def subscriptions(self) -> Iterator[Subscription]:
-        """Subscriptions for an executor: without those whose messages are taken directly."""
-        for subscription in super().subscriptions:
-            if not isinstance(subscription.callback_group, DirectTakeGroup):
-                yield subscription
 
     def close(self) -> None:
         """Write what is still on its way, then index and metadata.
