@@ -79,6 +79,7 @@ mutate: $(VENV)/.mutate $(VENV)/.package
 	@PYTHONPATH=test nice $(PY) -m mutation $(ARGS)
 
 docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/figures
 	@$(PY) docs/draw_pages.py
 	@$(PY) docs/draw_architecture.py
 

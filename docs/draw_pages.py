@@ -3,7 +3,8 @@
 
 A fenced block whose first line is a comment with a path is a file of the example. In a block of
 kind ``console``, a line that begins with ``$ tactile-hand run`` is run, by function calls, which
-give the same numbers as the processes; what follows it up to the next command is the result. With
+give the same numbers as the processes; what follows it up to the next command is the result. The
+table between the marks ``drawn: claims`` is taken from the reproduction of the paper. With
 ``--check`` nothing is written, and the exit code is 1 when a page does not say what happens.
 """
 
@@ -24,15 +25,19 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, Scenario, load_scenario, resolved
 from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.report.tables import milli
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.verdict import headline, judged
 
 DOCS = Path(__file__).resolve().parent
-PAGES = ("first-hour.md", "scenarios.md")
+PAGES = (DOCS.parent / "README.md", DOCS / "first-hour.md", DOCS / "scenarios.md")
 FIGURES = DOCS / "figures"
+CLAIMS = ("Fig. 3b", "Fig. 3c", "Fig. 3d", "(13c)", "(13b)", "Fig. 4", "Theorem 1")
+"""Rows of the reproduction that stand in the README, by the beginning of their source."""
 COMMAND = "$ tactile-hand run "
 
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
+_CLAIMS = re.compile(r"(?<=<!-- drawn: claims -->\n).*?(?=<!-- end -->)", re.S)
 _FILE = re.compile(r"# ([\w./-]+\.(?:yaml|py))\b")
 
 Watch = Callable[[str, Scenario, Record], None]
@@ -45,8 +50,19 @@ def redrawn(text: str, watch: Watch = lambda *_: None) -> str:
         text: The page.
         watch: Called for each run with the words of its command, its scenario and its record.
     """
+    text = _CLAIMS.sub(lambda _: claims(), text)
     with _workshop():
         return _BLOCK.sub(lambda found: _block(found, watch), text)
+
+
+def claims() -> str:
+    """Return the paper's claims beside what was measured, in the first layout, as a table."""
+    text = (FIGURES / "reproduction.md").read_text(encoding="utf-8").split("## Layout")[1]
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in re.findall(r"^\|.*\|$", text, re.M)]
+    found = {row[0].strip(): row[1:] for row in rows if len(row) == 4}
+    chosen = [next(row for source, row in found.items() if source.startswith(c)) for c in CLAIMS]
+    head = ["| the paper | measured | |", "|---|---|---|"]
+    return "\n".join(head + [f"|{'|'.join(row)}|" for row in chosen]) + "\n"
 
 
 @contextmanager
@@ -107,7 +123,7 @@ def _run(words: str, watch: Watch) -> list[str]:
 
 def _milli(value: float, unit: str) -> str:
     """Return two digits: more may differ from one processor to the next."""
-    return f"{1e3 * value:.2g} m{unit}"
+    return milli(float(f"{value:.2g}"), unit)
 
 
 def draw(words: str, scenario: Scenario, record: Record) -> None:
@@ -164,12 +180,11 @@ def main() -> int:
         if not check:
             draw(*run)
 
-    for name in PAGES:
-        page = DOCS / name
+    for page in PAGES:
         before = page.read_text(encoding="utf-8")
         after = redrawn(before, watch)
         if after != before:
-            stale.append(name)
+            stale.append(page.name)
             if not check:
                 page.write_text(after, encoding="utf-8")
     if not check:

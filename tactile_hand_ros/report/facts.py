@@ -62,7 +62,7 @@ def tiles(run: Run) -> list[dict[str, Any]]:
 
 def _dropped(time: float) -> dict[str, Any]:
     return {
-        **_tile("object dropped", time, "s", "fewer than two fingers touch it from then on"),
+        **_tile("object dropped", time, "s", "fewer than two fingers touch it"),
         "passed": False,
     }
 
@@ -101,8 +101,10 @@ def _limited(label: str, value: float, unit: str, run: Run) -> dict[str, Any]:
 
 
 def _milli(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
-    small = 0.0 if abs(value) < 1e-9 else value
-    return _tile(label, 1e3 * small, f"m{unit}", note)
+    shown, space, name = tables.milli(float(f"{value:.3g}"), unit).rpartition(" ")
+    if not space:
+        return _tile(label, math.nan, "", note)
+    return {"label": label, "value": shown, "unit": name, "note": note}
 
 
 def _recorded(messages: int, lost: int | None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _NOTHING = 1e-9  # m or rad: rounding, no motion
+_LEAST = 1e-6  # m or rad: of less, the size does not matter
 Rows = Sequence[Sequence[str]]
 
 
@@ -169,10 +170,12 @@ def number(value: float, unit: str = "") -> str:
 
 
 def milli(value: float | None, unit: str) -> str:
-    """Return a length [m] or angle [rad] in thousandths; what is too small to matter as zero."""
+    """Return a length [m] or angle [rad] in thousandths, without digits that do not matter."""
     if value is None or math.isnan(value):
         return "unknown"
-    return f"0 m{unit}" if abs(value) < _NOTHING else number(1e3 * value, f"m{unit}")
+    if abs(value) < _NOTHING:
+        return f"0 m{unit}"
+    return f"< 0.001 m{unit}" if abs(value) < _LEAST else number(1e3 * value, f"m{unit}")
 
 
 def _with_error(value: float, error: float) -> str:

@@ -22,6 +22,11 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.page import write_comparison, write_report
 from tactile_hand_ros.run.run import Run
 
+FARTHEST = """return Math.max(...report.scenes.flatMap((scene) =>
+    [...scene.solid.corners(), ...scene.badges.map((badge) => badge.group.position.clone())]
+        .map((point) => point.project(scene.view.camera))
+        .flatMap(({x, y}) => [Math.abs(x), Math.abs(y)])))"""
+"""How far out corners of the objects and badges are, in half heights or widths of the picture."""
 PICTURE = "const s = report.scene; s.draw(); return s.renderer.domElement.toDataURL()"
 
 TIPS = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements.slice(12, 15))"
@@ -258,6 +263,8 @@ def test_a_comparison_overlays_runs(page: Page, run: Run, tmp_path: Path) -> Non
     heads = page.driver.find_elements(By.CSS_SELECTOR, "thead th")
     assert [head.text for head in heads[:3]] == ["", "1 pull", "2 paper"]
     assert page.js("return report.scenes.length") == 2
+    page.wait(lambda: page.js("return report.scenes.every((scene) => scene.frames > 0)"))
+    assert page.js(FARTHEST) < 1.0, "the object or the number of a finger is cut off"
     assert min(page.js("return report.scenes.map((scene) => scene.colours())")) > 200
     assert "plant.object.friction" in page.js(
         "return document.querySelector('.settings').textContent"

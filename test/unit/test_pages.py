@@ -66,8 +66,9 @@ def test_the_first_hour_is_as_it_says(
     assert (tmp_path / "comparison.html").is_file()
 
 
-def test_the_example_of_the_scenarios_reaches_its_goal() -> None:
-    text = (ROOT / "docs" / "scenarios.md").read_text("utf-8")
+@pytest.mark.parametrize("page", ["README.md", "docs/scenarios.md"])
+def test_the_results_in_a_page_are_those_of_its_runs(page: str) -> None:
+    text = (ROOT / page).read_text("utf-8")
     assert tool.redrawn(text) == text, "run `make docs-figures`"
     assert "\ngoal reached\n" in text
 

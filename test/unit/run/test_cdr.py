@@ -93,7 +93,7 @@ def test_arrays_of_poses_may_change_their_length() -> None:
 @pytest.mark.parametrize("size", [0, 3, 8, 15, 30, -1])
 def test_truncated_message(size: int) -> None:
     message = cdr(recorded.joints(1, ["a", "b"], position=[1.0, 2.0]))
-    with pytest.raises(BagError, match="no valid sensor_msgs/msg/JointState"):
+    with pytest.raises(BagError, match="not a valid sensor_msgs/msg/JointState"):
         list(tables(JOINTS, [message[:size]]))
 
 

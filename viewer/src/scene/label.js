@@ -9,6 +9,7 @@ export class Badge {
   constructor(text, color, size) {
     this.text = text;
     this.color = color;
+    this.size = size;
     this.canvas = document.createElement("canvas");
     this.canvas.width = this.canvas.height = SIZE;
     this.texture = new THREE.CanvasTexture(this.canvas);

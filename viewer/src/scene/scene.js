@@ -100,15 +100,17 @@ export class Scene {
       found.push(...(this.hand?.points() ?? []));
       for (const tip of this.hand?.tips ?? []) found.push(...around(tip.node.getWorldPosition(new THREE.Vector3()), tip.radius));
       // Of an object that no finger touches any more, the picture shows only how it leaves.
-      const held = rowOf(columns.contact_positions, row).some(Number.isFinite);
-      const wanted = ["auxiliary_position", "contact_positions", "desired_position"];
-      for (const name of held ? ["object_position", ...wanted] : wanted) {
+      if (this.solid && rowOf(columns.contact_positions, row).some(Number.isFinite)) {
+        if (place(this.solid.group, columns.object_position, columns.object_quaternion, row, true)) found.push(...this.solid.corners());
+      }
+      for (const name of ["auxiliary_position", "contact_positions", "desired_position"]) {
         const values = rowOf(columns[name], row);
         for (let k = 0; k < values.length; k += 3) {
           if (Number.isFinite(values[k])) found.push(...around(new THREE.Vector3(...values.subarray(k, k + 3)), 0.3 * this.size));
         }
       }
     }
+    for (const badge of this.badges) found.push(...around(badge.group.position, 0.5 * badge.size));
     if (!found.length) found.push(...around(new THREE.Vector3(), 1)); // nothing is known
     return found;
   }

@@ -8,6 +8,7 @@ import { segments } from "./lines.js";
 export class Solid {
   constructor(shape) {
     this.group = new THREE.Group();
+    this.vertices = shape.vertices;
     const faces = faceGeometry(shape);
     const look = { transparent: true, depthWrite: false };
     this.back = new THREE.MeshLambertMaterial({ ...look, opacity: 0.22, side: THREE.BackSide });
@@ -18,6 +19,12 @@ export class Solid {
     meshes[1].renderOrder = 5;
     this.edges.renderOrder = 2;
     this.group.add(...meshes, this.edges);
+  }
+
+  /** Return where the corners are now. */
+  corners() {
+    this.group.updateMatrix();
+    return this.vertices.map((vertex) => new THREE.Vector3(...vertex).applyMatrix4(this.group.matrix));
   }
 
   paint(theme) {
