@@ -158,8 +158,10 @@ class TestColcon:
             f"import {PACKAGE};"
             f"print(prefix('{PACKAGE}'), config_directory(), {PACKAGE}.__file__, sep='\\n')"
         )
-        command = f'. install/setup.sh && python3 -c "{code}"'
-        prefix, config, module = run("sh", "-c", command, cwd=workspace).splitlines()
+        command = f"install/{PACKAGE}/lib/{PACKAGE}/tactile-hand"
+        words = f'. install/setup.sh && python3 -c "{code}" && {command} --version'
+        prefix, config, module, version = run("sh", "-c", words, cwd=workspace).splitlines()
+        assert version.startswith("tactile-hand ")
         install = workspace / "install" / PACKAGE
         assert Path(prefix) == install
         assert Path(config) == install / "share" / PACKAGE / "config"

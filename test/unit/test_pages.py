@@ -8,17 +8,21 @@ import importlib.util
 import re
 import shlex
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from support.recorded import write_record
 
 from tactile_hand_ros.cli.app import app
 from tactile_hand_ros.cli.app import main as tactile_hand
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, resolved
+from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.config.paths import config_directory
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -71,6 +75,64 @@ def test_the_results_in_a_page_are_those_of_its_runs(page: str) -> None:
     text = (ROOT / page).read_text("utf-8")
     assert tool.redrawn(text) == text, "run `make docs-figures`"
     assert "\ngoal reached\n" in text
+
+
+class NoMoreTicks(Exception):
+    """Ends the loop of the driver on the page."""
+
+
+@pytest.fixture
+def real_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return docs/real_hand.md, with its YAML and a URDF of those names in the present folder."""
+    page = (ROOT / "docs" / "real_hand.md").read_text("utf-8")
+    description = (config_directory() / "hands" / "paper.urdf").read_text("utf-8")
+    for number, name in enumerate(("thumb", "index", "middle"), start=1):
+        description = description.replace(f"finger_{number}", name)
+    (tmp_path / "my_hand.urdf").write_text(description)
+    (tmp_path / "my_hand.yaml").write_text(fenced(page, "yaml"))
+    monkeypatch.chdir(tmp_path)
+    return page
+
+
+def fenced(page: str, kind: str) -> str:
+    """Return the first block of a kind."""
+    found = re.search(rf"^```{kind}\n(.*?)^```$", page, re.M | re.S)
+    assert found
+    return found.group(1)
+
+
+def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) -> None:
+    [option] = re.findall(r'--set (hand=\S+) …"', real_hand)
+    wide = 0.2604 + 2.0 * (0.06 - 0.008)  # m; its tips are smaller than those of the paper
+    changes = parse_changes([option, f"plant.object.size=[{wide}, {wide}, {wide}]", "duration=0.1"])
+    record = ClosedLoop(load_scenario("paper", changes)).run()
+    assert record.finger_names == ["thumb", "index", "middle"]
+    assert np.isfinite(record.true_positions).all()
+
+
+def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
+    """Its code as it stands, for ten ticks without a command."""
+    ticks = iter(range(10))
+    applied: list[Any] = []
+    told: list[str] = []
+
+    def read_joints() -> tuple[Any, Any]:
+        if next(ticks, None) is None:
+            raise NoMoreTicks
+        return np.full(9, 0.1), np.full(9, 0.2)
+
+    driver = {
+        "read_joints": read_joints,
+        "now_ns": lambda: 2_000_000 * len(applied),
+        "publish_joint_states": lambda *_: None,
+        "motors": SimpleNamespace(apply=applied.append),
+        "publish_joint_hold": lambda _: None,
+        "report": told.append,
+    }
+    with pytest.raises(NoMoreTicks):
+        exec(fenced(real_hand, "python"), driver)
+    assert len(applied) == 10 and all(np.isfinite(torque).all() for torque in applied)
+    assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")
 
 
 def test_a_promise_that_is_not_kept_is_found() -> None:
