@@ -58,6 +58,9 @@ class HandConfig(Config):
     fingers: list[FingerConfig] = param(
         ..., "fingers in the order of all arrays", min_length=3, max_length=_MOST_FINGERS
     )
+    any_inertia: bool = param(
+        False, "accept links with an inertia that no body has, as in the paper's Table I"
+    )
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(
         default_factory=dict, description="placements of fixed joints, by layout and joint"

@@ -73,7 +73,9 @@ class Hand:
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
-        self.description = describe(config.folder / config.urdf, config.layout(layout))
+        self.description = describe(
+            config.folder / config.urdf, config.layout(layout), config.any_inertia
+        )
         self._model = _model(self.description, config)
         if link_lengths != 1.0:
             _stretch(self._model, link_lengths)

@@ -16,6 +16,7 @@ from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
 _MOST_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
+_PRINTED = 0.01  # of the largest moment: the digits that a URDF leaves out
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _OF_LINKS = {"inertial/origin": ("xyz", "rpy"), "inertial/mass": ("value",)}
 _OF_JOINTS = {
@@ -25,14 +26,19 @@ _OF_JOINTS = {
 }
 
 
-def describe(path: Path, layout: Mapping[str, MountConfig]) -> str:
+def describe(path: Path, layout: Mapping[str, MountConfig], any_inertia: bool = False) -> str:
     """Return the text of a URDF with the fixed joints of a layout moved.
+
+    Args:
+        path: The file.
+        layout: Placements of fixed joints.
+        any_inertia: Whether to accept links with an inertia that no body has.
 
     Raises:
         HandModelError: If the file is not a URDF of which a hand can be built, or lacks a joint.
     """
     root = _parsed(path)
-    _check(root, path.name)
+    _check(root, path.name, any_inertia)
     _move(root, layout, path.name)
     try:
         return ElementTree.tostring(root, encoding="unicode")
@@ -54,7 +60,7 @@ def _parsed(path: Path) -> Element:
         raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
 
 
-def _check(root: Element, name: str) -> None:
+def _check(root: Element, name: str, any_inertia: bool) -> None:
     links = root.findall("link")
     if len(links) > _MOST_LINKS:
         raise HandModelError(f"'{name}' has {len(links)} links; at most {_MOST_LINKS} are read")
@@ -74,20 +80,28 @@ def _check(root: Element, name: str) -> None:
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
             if attribute == "value" and value < 0.0:
                 raise _wrong(link, name, f"{tag} is {value:g}", "a mass >= 0 kg")
-        if (inertia := link.find("inertial/inertia")) is not None:
-            _check_inertia(link, inertia, name)
+        if link.find("inertial/inertia") is not None:
+            _check_inertia(link, name, any_inertia)
 
 
-def _check_inertia(link: Element, inertia: Element, name: str) -> None:
-    """Refuse what no distribution of mass has; the triangle inequality is left to others."""
+def _check_inertia(link: Element, name: str, any_inertia: bool) -> None:
+    """Refuse principal moments that no distribution of mass has."""
     found = _numbers(link, {"inertial/inertia": _INERTIA}, name)
     given = {attribute: value for _, attribute, value in found}
     xx, yy, zz, xy, xz, yz = (given.get(key, 0.0) for key in _INERTIA)
     moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    text = ", ".join(f"{moment:.3g}" for moment in moments)
+    wrong = f"inertial/inertia has the principal moments {text}"
     if moments[0] < -1e-9 * np.abs(moments).max():
-        text = ", ".join(f"{moment:.3g}" for moment in moments)
-        wrong = f"inertial/inertia has the principal moments {text}"
         raise _wrong(link, name, wrong, "none below 0 kg m^2")
+    if not any_inertia and moments[2] > moments[0] + moments[1] + _PRINTED * moments[2]:
+        raise _wrong(
+            link,
+            name,
+            wrong,
+            "none above the sum of the other two",
+            "correct the URDF, or keep it with 'any_inertia: true' in the hand's YAML",
+        )
 
 
 def _numbers(

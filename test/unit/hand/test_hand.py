@@ -180,6 +180,7 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.urdf", "<mass value=", '<mass value="nan" x=', r"'f1_.*mass value has 'nan'"),
         ("hand.urdf", "<mass value=", '<mass value="-1" x=', r"'f1_.*mass is -1, expected .*>= 0"),
         ("hand.urdf", " ixx=", ' ixx="-1" x=', r"'f1_.*principal moments -1"),
+        ("hand.urdf", " ixx=", ' ixx="1" x=', r"'f1_.*moments 0.002, 0.0025, 1, .*sum of.*any_iner"),
         ("hand.urdf", "<axis xyz=", '<axis xyz="inf 0 0" x=', r"'f1_joint_1'.*axis xyz has 'inf'"),
         (
             "hand.urdf",
@@ -193,6 +194,21 @@ def edited(tmp_path, old, new, file="hand.urdf"):
 def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
     with pytest.raises(HandModelError, match=message):
         Hand.load(edited(tmp_path, old, new, file))
+
+
+def test_the_digits_that_a_urdf_leaves_out_break_no_law(tmp_path):
+    """Of a plate, one moment is the sum of the others."""
+    for moment in ("0.00451", "0.00454"):
+        Hand.load(edited(tmp_path, " ixx=", f' ixx="{moment}" x='))
+    with pytest.raises(HandModelError, match="none above the sum of the other two"):
+        Hand.load(edited(tmp_path, " ixx=", ' ixx="0.00456" x='))
+
+
+def test_an_inertia_that_no_body_has_is_kept_where_the_hand_says_so(tmp_path):
+    path = edited(tmp_path, " ixx=", ' ixx="1" x=')
+    text = (tmp_path / "hand.yaml").read_text()
+    (tmp_path / "hand.yaml").write_text(text + "any_inertia: true\n")
+    assert Hand.load(path).joints == 9
 
 
 def test_angles_that_look_like_degrees_are_questioned(tmp_path):
