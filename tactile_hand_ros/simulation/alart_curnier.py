@@ -14,6 +14,7 @@ from tactile_hand_ros.simulation.elimination import eliminate
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-10  # of the residual
+_ROUNDING = 1e-9  # of the impulse that stops a contact: an open one would seem to touch
 _EXACT = 1e-14
 _MAX_STEPS = 40
 _MAX_HALVINGS = 8
@@ -65,6 +66,19 @@ def residual(laws: Laws, p: Array) -> float:
     out = np.empty(len(p))
     violation(laws, p, 1.0, out)
     return float(np.abs(out).max())
+
+
+@compiled
+def into_cones(laws: Laws, p: Array) -> float:
+    """Bring p exactly into the cones, where it is but for rounding, and return its residual."""
+    for i in range(len(laws.friction)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        if not p[n] > _ROUNDING * laws.size[n]:
+            p[x] = p[n] = p[z] = 0.0
+        limit, length = laws.friction[i] * p[n], np.hypot(p[x], p[z])
+        if length > limit:
+            p[x], p[z] = p[x] * (limit / length), p[z] * (limit / length)
+    return residual(laws, p)
 
 
 @compiled

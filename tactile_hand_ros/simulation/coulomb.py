@@ -26,11 +26,11 @@ from tactile_hand_ros.simulation.alart_curnier import (
     TOLERANCE,
     Laws,
     contact_laws,
+    into_cones,
     newton,
     residual,
 )
 from tactile_hand_ros.simulation.central_path import follow_path
-from tactile_hand_ros.simulation.contact_modes import impulses_of_modes
 
 Array = NDArray[np.float64]
 
@@ -41,10 +41,9 @@ RELAXED = 1
 UNSOLVED = 2
 """Outcome: no impulses were found that obey the laws; those applied take energy and add none."""
 
-_ROUNDING = 1e-9  # of the impulse that stops a contact: an open one would seem to touch
-_MOST_COMBINATIONS = 3**6  # of modes; beyond six contacts not all of them are tried
 _STIFFNESSES = (1.0, 0.1, 10.0)
-_PATHS = ((1.0, 0.01), (1.0, 1.0), (0.01, 0.001), (0.01, 0.0))  # their rounding and padding
+_PATHS = ((0.1, 0.01), (3.0, 0.001), (0.3, 0.01), (0.01, 0.001))  # their rounding and padding
+_MOST_SYSTEMS = 1000  # of a path with six contacts or fewer; more contacts have fewer
 
 
 class ContactImpulses(NamedTuple):
@@ -92,66 +91,50 @@ def solve_contacts(
             return _answer(delassus, free, stuck, 0.0, EXACT)
     laws = contact_laws(delassus, offset, friction)
     best, _ = newton(laws, guess.copy().reshape(-1), 1.0)
-    left = _tidy(laws, best)
-    leaves = closing.min() < 0.0
+    left = into_cones(laws, best)
     if not left < TOLERANCE:
-        best, left = _search(laws, best, left, regular or not leaves)
+        best, left = _search(laws, best, left)
     if left < TOLERANCE:
         return _answer(delassus, free, best, left, EXACT)
-    if leaves:
+    if closing.min() < 0.0:
         kept = free.copy()
         for i in range(len(friction)):
             kept[3 * i + 1] += max(closing[i], 0.0)
         relaxed = contact_laws(delassus, kept, friction)
-        other, remains = _search(relaxed, best, np.inf, True)
+        other, remains = _search(relaxed, best, np.inf)
         if remains < TOLERANCE:
             return _answer(delassus, free, other, residual(laws, other), RELAXED)
     return _answer(delassus, free, _without_gain(laws, best), left, UNSOLVED)
 
 
 @compiled
-def _search(laws: Laws, best: Array, left: float, thorough: bool) -> tuple[Array, float]:
-    """Start Newton's method from zero, from the ends of central paths and from modes.
+def _search(laws: Laws, best: Array, left: float) -> tuple[Array, float]:
+    """Start Newton's method from zero and from the points of central paths.
 
     Args:
         laws: The laws.
         best: Impulses known so far, shape (3c,), N s.
         left: Their residual.
-        thorough: Whether to try every combination of modes in the end.
 
     Returns:
         The impulses with the least residual that were found, shape (3c,), N s, and the residual.
     """
-    c = len(laws.friction)
-    combinations = min(3**c, _MOST_COMBINATIONS) if thorough else 0
-    for trial in range(-1 - len(_PATHS), combinations):
-        if trial >= 0:
-            start = impulses_of_modes(laws, trial)
-        elif trial == -1 - len(_PATHS):
-            start = np.zeros(3 * c)
-        else:
-            start = follow_path(laws, _PATHS[trial][0], _PATHS[trial][1])
-        for i in range(1 if trial >= 0 else len(_STIFFNESSES)):
-            p, _ = newton(laws, start, _STIFFNESSES[i])
-            found = _tidy(laws, p)
-            if found < left:
-                best, left = p, found
-            if left < TOLERANCE:
-                return best, left
+    n = len(laws.offset)
+    for stiffness in _STIFFNESSES:
+        p, _ = newton(laws, np.zeros(n), stiffness)
+        found = into_cones(laws, p)
+        if found < left:
+            best, left = p, found
+        if left < TOLERANCE:
+            return best, left
+    most = int(_MOST_SYSTEMS * min(1.0, (18.0 / n) ** 2))
+    for rounding, padding in _PATHS:
+        p, found, jammed = follow_path(laws, rounding, padding, most)
+        if found < left:
+            best, left = p, found
+        if left < TOLERANCE or jammed:
+            break
     return best, left
-
-
-@compiled
-def _tidy(laws: Laws, p: Array) -> float:
-    """Bring p exactly into the cones, where it is but for rounding, and return its residual."""
-    for i in range(len(laws.friction)):
-        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
-        if not p[n] > _ROUNDING * laws.size[n]:
-            p[x] = p[n] = p[z] = 0.0
-        limit, length = laws.friction[i] * p[n], np.hypot(p[x], p[z])
-        if length > limit:
-            p[x], p[z] = p[x] * (limit / length), p[z] * (limit / length)
-    return residual(laws, p)
 
 
 @compiled

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thin plates, whose normals hardly balance: what a linear program can balance, (13) must solve.
+
+More of them, 4,000 unless a number is given: PYTHONPATH=test python <this file> [number]
+"""
+
+import sys
+from collections import Counter
+
+import numpy as np
+from scipy.optimize import linprog
+from support.grasps import balance_in_frames, contacts_at
+
+from tactile_hand_ros.control.grasp import collinearity_margin
+from tactile_hand_ros.control.optimizer.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    Status,
+)
+
+
+def random_plate(random):
+    """Return a grasp of three to five fingers on the two sides of a plate, hardly tilted."""
+    k = int(random.integers(3, 6))
+    while True:
+        points = random.uniform(-0.1, 0.1, (k, 3)) * [1.0, 1.0, 10.0 ** random.uniform(-3.0, 0.0)]
+        if collinearity_margin(points) > 0.01:
+            break
+    normals = np.outer(random.choice([-1.0, 1.0], k), [0.0, 0.0, 1.0])
+    normals += 10.0 ** random.uniform(-3.0, -0.5) * random.standard_normal((k, 3))
+    return contacts_at(points, normals)
+
+
+def least_forces(contacts):
+    """Return the least largest |force| that balances with a squeeze of 1, infinite for none."""
+    balance = balance_in_frames(contacts)
+    balance[3:] /= np.abs(contacts.positions - contacts.positions.mean(axis=0)).max()
+    k = len(contacts.positions)
+    bounds = [(-1.0, 1.0), (0.0, 1.0), (-1.0, 1.0)] * k
+    squeeze = np.tile([0.0, 1.0, 0.0], k)
+    found = linprog(-squeeze, A_eq=balance, b_eq=np.zeros(6), bounds=bounds)
+    assert found.status == 0
+    return 1.0 / -found.fun if found.fun < -1e-9 else np.inf
+
+
+def outcomes(number, solver="exact"):
+    """Count, by whether plates balance, how (13) ends; between 1e3 and 1e9 N of 1 N neither."""
+    random, counts, optimizers = np.random.default_rng(3), Counter(), {}
+    while sum(counts[True, status] for status in Status) < number:
+        grasp = random_plate(random)
+        least = least_forces(grasp)
+        if not 30.0 < least < 1e3 and least < np.inf:
+            continue
+        k = len(grasp.positions)
+        chosen = optimizers.setdefault(k, ForceOptimizer(ForceOptimizerConfig(solver=solver), k))
+        found = chosen.solve(grasp)
+        counts[least < np.inf, found.status] += 1
+        assert not found.ok or found.residual < 1e-8
+    return counts
+
+
+def test_what_balances_is_solved_and_nothing_else():
+    for solver in ("exact", "osqp"):
+        assert set(outcomes(60, solver)) == {(True, Status.SOLVED), (False, Status.UNBALANCED)}
+
+
+if __name__ == "__main__":
+    for method in ("exact", "osqp"):
+        ends = outcomes(int(sys.argv[1]) if len(sys.argv) > 1 else 4000, method)
+        for (balances, status), count in ends.items():
+            print(f"{method}: {count} that {'' if balances else 'do not '}balance: {status.value}")
