@@ -97,7 +97,8 @@ def follow_path(
         following = direction
         if near:
             following = _tangent(slope, row, v)
-            near = following @ _weighed(direction, v) > _STRAIGHT or length < 100.0 * _SHORTEST
+            cosine: float = following @ _weighed(direction, v)
+            near = cosine > _STRAIGHT or length < 100.0 * _SHORTEST
         if not near:
             length *= 0.4
             continue
