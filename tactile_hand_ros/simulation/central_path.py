@@ -97,7 +97,7 @@ def follow_path(
         following = direction
         if near:
             following = _tangent(slope, row, v)
-            cosine: float = following @ _weighed(direction, v)
+            cosine = float(following @ _weighed(direction, v))
             near = cosine > _STRAIGHT or length < 100.0 * _SHORTEST
         if not near:
             length *= 0.4
