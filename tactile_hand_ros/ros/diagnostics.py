@@ -12,6 +12,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from tactile_hand_ros.errors import counted
+from tactile_hand_ros.ros.histogram import percentiles
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
@@ -175,9 +176,8 @@ class Diagnostics:
         count = min(self._latency_count, _WINDOW)
         if not count:
             return {}
-        marks = np.percentile(self._latencies[:count], (50.0, 99.0, 100.0)) * 1e6
-        names = ("latency_p50_us", "latency_p99_us", "latency_max_us")
-        return {name: f"{mark:.0f}" for name, mark in zip(names, marks, strict=True)}
+        marks = percentiles(self._latencies[:count])
+        return {f"latency_{name}_us": f"{1e6 * mark:.0f}" for name, mark in marks.items()}
 
 
 def _latest(entries: dict[str, _Rejections], now: float) -> tuple[str, _Rejections] | None:

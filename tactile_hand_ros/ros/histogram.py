@@ -16,6 +16,8 @@ _LEAST = 1e-6  # s; all that is shorter counts as this
 _DECADES = 7
 _PER_DECADE = 24
 _BINS = _DECADES * _PER_DECADE
+_MIDDLES = _LEAST * 10.0 ** ((np.arange(_BINS) + 0.5) / _PER_DECADE)
+_NAMES = [f"{1e6 * middle:.4g}" for middle in _MIDDLES.tolist()]
 
 
 class Histogram:
@@ -42,9 +44,22 @@ class Histogram:
 
     def text(self) -> str:
         """Return it as one line, ``middle of a bin in us:count`` separated by blanks."""
-        middles = 1e6 * _middles()
-        pairs = zip(middles, self._counts, strict=True)
-        return " ".join(f"{middle:.4g}:{count}" for middle, count in pairs if count)
+        filled = [(name, count) for name, count in zip(_NAMES, self._counts, strict=True) if count]
+        return " ".join(f"{name}:{count}" for name, count in filled)
+
+
+def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum as ``p50``, ``p99`` and ``max``.
+
+    The nearest of the values. `numpy.percentile`, which interpolates, takes four times as long.
+
+    Args:
+        values: At least one.
+    """
+    last = len(values) - 1
+    ranks = {"p50": last // 2, "p99": round(0.99 * last), "max": last}
+    ordered = np.partition(values, sorted(set(ranks.values())))
+    return {name: float(ordered[rank]) for name, rank in ranks.items()}
 
 
 def parse_histogram(text: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -59,7 +74,3 @@ def parse_histogram(text: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     pairs = [pair.split(":") for pair in text.split()]
     middles = np.array([1e-6 * float(middle) for middle, _ in pairs])
     return middles, np.array([int(count) for _, count in pairs], dtype=np.int64)
-
-
-def _middles() -> NDArray[np.float64]:
-    return np.asarray(_LEAST * 10.0 ** ((np.arange(_BINS) + 0.5) / _PER_DECADE))

@@ -305,11 +305,15 @@ class TactileNode(Node, Generic[C]):
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node, between two ticks; the timer calls it, a node may too."""
+        self._between_ticks.run(self._report)
+
+    def _report(self) -> None:
+        """Gather what there is to say; it is said after the next tick, for each takes its time."""
+        self.on_report()
+        report_scheduling(self.diagnostics)
         self._between_ticks.run(self._publish_status)
 
     def _publish_status(self) -> None:
-        self.on_report()
-        report_scheduling(self.diagnostics)
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactile_hand_ros.ros.histogram import Histogram
+from tactile_hand_ros.ros.histogram import Histogram, percentiles
 
 _WINDOW = 4096
 """Latest delays of which percentiles are reported."""
@@ -84,9 +84,8 @@ class Pace:
         put("lost_s", 1e-9 * self.lost_ns)
         count = min(self._delay_count, _WINDOW)
         if count:
-            late = 1e6 * np.percentile(np.abs(self._delays[:count]), (50.0, 99.0, 100.0))
-            for name, value in zip(("p50", "p99", "max"), late, strict=True):
-                put(f"jitter_{name}_us", f"{value:.0f}")
+            for name, late in percentiles(np.abs(self._delays[:count])).items():
+                put(f"jitter_{name}_us", f"{1e6 * late:.0f}")
             put("jitter_histogram_us", self.jitter.text())
         if self.ages.count:
             put("age_histogram_us", self.ages.text())

@@ -71,7 +71,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             direct.when_published(shared.meet)
             direct.when_at_rest(self._on_rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self._visits = self.create_timer(self.config.drain_period, self._step, clock=steady)
+        self._visits = self.create_timer(self.config.drain_period, self._on_visit, clock=steady)
         if self.config.snapshot_duration > 0.0:
             self.create_service(Trigger, "~/snapshot", self._on_snapshot)
 
@@ -100,6 +100,9 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self.diagnostics.value(key, count)
         if count:
             self.diagnostics.fault(key, f"{count} {text}", WARN)
+
+    def _on_visit(self) -> None:
+        self._between.run(self._step)
 
     def _step(self) -> None:
         if self._is_over():

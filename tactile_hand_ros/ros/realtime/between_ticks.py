@@ -94,11 +94,12 @@ class BetweenTicks:
         return self._waits and self._clock() - self._last < _PAUSE
 
     def _do(self, work: Callable[[], None]) -> None:
-        began = self._clock()
+        began, recorded = self._clock(), self.spent[RECORDER]
         try:
             work()
         finally:
-            self.spent[DIAGNOSTICS] += self._clock() - began
+            recording = self.spent[RECORDER] - recorded
+            self.spent[DIAGNOSTICS] += self._clock() - began - recording
         self.garbage.tidy(is_idle=not self._is_ticking())
 
 
