@@ -305,9 +305,9 @@ class TactileNode(Node, Generic[C]):
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node, between two ticks; the timer calls it, a node may too."""
-        self._between_ticks.run(self._report)
+        self._between_ticks.run(self._gather_status)
 
-    def _report(self) -> None:
+    def _gather_status(self) -> None:
         """Gather what there is to say; it is said after the next tick, for each takes its time."""
         self.on_report()
         report_scheduling(self.diagnostics)
