@@ -74,8 +74,8 @@ def slip(
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.studies.engine.backends import Local
     from tactile_hand_ros.studies.slip import figures as study_figures
-    from tactile_hand_ros.studies.slip import roc_figure
     from tactile_hand_ros.studies.slip import roc as slip_roc
+    from tactile_hand_ros.studies.slip import roc_figure
     from tactile_hand_ros.studies.slip import study as slip_study
     from tactile_hand_ros.studies.slip import tables as s
 
@@ -103,7 +103,7 @@ def slip(
 
 def loads(
     out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("study"),
-    runs: Annotated[int, typer.Option(help="Number of random loads for each reserve.", min=1)] = 200,
+    runs: Annotated[int, typer.Option(help="Number of loads for each reserve.", min=1)] = 300,
     jobs: JobsOption = -1,
     seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
     floor: Annotated[

@@ -153,7 +153,7 @@ class Pyramids:
     @property
     def sides(self) -> int:
         """Number of sides."""
-        return self.bounds.shape[1]
+        return int(self.bounds.shape[1])
 
     @classmethod
     def about(cls, friction: Array, load: Array, sides: int, penalty: float) -> Pyramids:

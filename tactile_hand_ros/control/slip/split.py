@@ -98,9 +98,8 @@ class ConeWatchConfig(Protocol):
 class ConeWatch:
     """Follows what the contacts carry, slowly enough that noise does not shake f*.
 
-    It remembers the worst of the recent past for each side of the friction pyramids. f* is made for
-    that: a shape that follows a swinging load is always too late for it, and a squeeze that is ready
-    for one phase of the load is wasted in a shape for another.
+    It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
+    for that: a shape that follows a swinging load is always too late for it.
     """
 
     def __init__(self, config: ConeWatchConfig, contacts: int) -> None:

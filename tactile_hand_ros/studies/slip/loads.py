@@ -171,6 +171,7 @@ def run_load(
 ) -> LoadOutcome:
     """Let a load act on a relaxed grasp and measure what it did; see `scenario_of`."""
     scenario = scenario_of(case, floor, share, **changes)
+    least = _least(case, (1.0, -1.0) if case.kind == "sine" else (1.0,))
     record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slid = record.true_slid
@@ -180,7 +181,7 @@ def run_load(
         share=share,
         squeeze=float(record.grasp_force[event]),
         need=_least(case, ()),
-        survivable=_least(case, (1.0, -1.0) if case.kind == "sine" else (1.0,)) <= scenario.slip_regulator.maximum,
+        survivable=least <= scenario.slip_regulator.maximum,
         lost=not bool(np.isfinite(record.true_positions[-1]).all()),
         slip=float(np.nanmax(slid[-1] - slid[event])),
     )
