@@ -49,6 +49,7 @@ for _command in (
 app.command(context_settings={"ignore_unknown_options": True})(steer.move)
 app.add_typer(study_app, name="study", no_args_is_help=True)
 study_app.command()(measure.slip)
+study_app.command()(measure.loads)
 study_app.command()(measure.faults)
 study_app.command()(sweep.robustness)
 

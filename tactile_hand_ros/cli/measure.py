@@ -67,9 +67,6 @@ def slip(
     roc: Annotated[
         bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
     ] = False,
-    loads: Annotated[
-        int, typer.Option(help="Number of random loads for each floor of the reserve.", min=0)
-    ] = 0,
     formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what squeeze."""
@@ -77,9 +74,8 @@ def slip(
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.studies.engine.backends import Local
     from tactile_hand_ros.studies.slip import figures as study_figures
-    from tactile_hand_ros.studies.slip import loads as slip_loads
-    from tactile_hand_ros.studies.slip import loads_report, roc_figure
     from tactile_hand_ros.studies.slip import roc as slip_roc
+    from tactile_hand_ros.studies.slip import roc_figure
     from tactile_hand_ros.studies.slip import study as slip_study
     from tactile_hand_ros.studies.slip import tables as s
 
@@ -94,12 +90,6 @@ def slip(
             points = slip_roc.run_roc(seed=seed, backend=Local(jobs), progress=advance)
         drawn["study_roc"] = roc_figure.roc_figure(points)
     files = s.write(result, out)
-    if loads:
-        with Progress("loading", loads * len(slip_loads.FLOORS)) as advance:
-            hit = slip_loads.run_loads(loads, seed, backend=Local(jobs), progress=advance)
-        drawn["study_loads"] = loads_report.loads_figure(hit)
-        files += loads_report.write(hit, out)
-        print_table(tables.rich_table("loads", loads_report.COLUMNS, loads_report.rows(hit)))
     if points:
         files += slip_roc.write(points, out)
     for name, figure in drawn.items():
@@ -108,6 +98,37 @@ def slip(
     print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
     if points:
         print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
+    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+
+
+def loads(
+    out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("study"),
+    runs: Annotated[int, typer.Option(help="Number of loads for each reserve.", min=1)] = 300,
+    jobs: JobsOption = -1,
+    seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
+    floor: Annotated[
+        list[float] | None,
+        typer.Option(help="Floor of the reserve [N]; may be repeated. A grid by default.", min=0.0),
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Let random loads hit a relaxed grasp: comfort against safety over the reserve."""
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.studies.engine.backends import Local
+    from tactile_hand_ros.studies.slip import loads as slip_loads
+    from tactile_hand_ros.studies.slip import loads_report as report
+
+    figure_formats(formats)
+    check_writable(out if out.exists() else out.absolute().parent)
+    reserves = slip_loads.RESERVES
+    if floor:
+        reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
+    with Progress("loading", runs * len(reserves)) as advance:
+        found = slip_loads.run_loads(runs, seed, reserves, Local(jobs), advance)
+    files = report.write(found, out)
+    files += save(report.loads_figure(found), out, "study_loads", figure_formats(formats))
+    print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
     print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
 
 

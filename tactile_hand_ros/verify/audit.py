@@ -244,11 +244,11 @@ def _audit_cones(
         friction = record.friction[rows[i]]
         equal, goal = problem.equal[i], plain[i]
         usable = config.cone_share * friction
-        inside = optimum.Pyramids(usable, grasp.ready_for, _SIDES, _PENALTY)
+        inside = optimum.Pyramids(usable, grasp.wanted, _PENALTY)
         if inside.excess(goal) > 0.0:
             goal = optimum.solve_inside(equal, problem.weights, problem.minimum, inside)
         if grasp.before is not None and config.shape_time > 0.0:
-            learned = optimum.Pyramids(friction, grasp.load, _SIDES, _PENALTY)
+            learned = optimum.Pyramids.about(friction, grasp.load, _SIDES, _PENALTY)
             share = 1.0 - np.exp(-grasp.elapsed / config.shape_time)
             goal = optimum.follow(grasp.before, goal, equal, learned, share)
         at.append(i)
@@ -262,13 +262,14 @@ class _Grasp(NamedTuple):
 
     Attributes:
         load: Smoothed load per unit of squeeze, shape (k, 3).
-        ready_for: The same with the reserve, and for less squeeze, shape (k, 3).
+        wanted: How far the worst load of the recent past reaches beyond each side of the pyramids,
+            with the reserve, and for less squeeze, shape (k, sides).
         before: f* from which that of this tick goes on, shape (3k,); None where it starts over.
         elapsed: Time since then, s.
     """
 
     load: Array
-    ready_for: Array
+    wanted: Array
     before: Array | None
     elapsed: float
 
@@ -288,6 +289,7 @@ def _grasps(
     losses = np.cumsum(_sensed(inputs) & ~_grasped(record))
     found: list[_Grasp | None] = [None] * len(rows)
     smooth, largest, last = load[:0], np.zeros(load.shape[1]), -1
+    worst: Array | None = None
     for i in np.flatnonzero(usable):
         config, elapsed, before = configs[rows[i]], 0.0, None
         per_squeeze = load[i] / squeeze[i]
@@ -299,24 +301,36 @@ def _grasps(
             previous = record.optimal_forces[rows[last]].ravel()
             if config is configs[rows[last]] and np.isfinite(previous).all():
                 before = previous
+        else:
+            worst = None
         smooth, last = per_squeeze, int(i)
         keep = np.exp(-elapsed / config.reserve.memory)
         largest = np.maximum(keep * largest, np.linalg.norm(load[i], axis=1))
-        if np.isfinite(friction[i]).all():
-            ready_for = _ready_for(config, per_squeeze, squeeze[i], largest, friction[i])
-            found[i] = _Grasp(per_squeeze, ready_for, before, elapsed)
+        if not np.isfinite(friction[i]).all():
+            continue
+        usable_friction = config.cone_share * friction[i]
+        pyramids = optimum.Pyramids.about(
+            usable_friction, squeeze[i] * per_squeeze, _SIDES, _PENALTY
+        )
+        now = pyramids.bounds
+        if worst is not None:
+            fade = np.exp(-elapsed / config.load_memory)
+            now = np.maximum(now, now + fade * (worst - now))
+        worst = now
+        wanted = _with_reserve(config, worst, largest, usable_friction)
+        wanted = wanted / (config.squeeze_share * squeeze[i])
+        found[i] = _Grasp(per_squeeze, wanted, before, elapsed)
     return found
 
 
-def _ready_for(
-    config: ForceOptimizerConfig, load: Array, squeeze: float, largest: Array, friction: Array
+def _with_reserve(
+    config: ForceOptimizerConfig, worst: Array, largest: Array, friction: Array
 ) -> Array:
-    """Return the load per unit of squeeze for which f* is made, shape (k, 3)."""
+    """Return how far loads reach beyond the pyramids with the reserve, shape (k, sides), N."""
     reserve = config.reserve
-    radii = np.maximum(reserve.floor / len(load), reserve.share * largest)
-    normal = np.array([0.0, 1.0, 0.0])
-    slack = radii * np.hypot(1.0, 1.0 / (config.cone_share * friction)) / squeeze
-    return np.asarray((load - slack[:, None] * normal) / config.squeeze_share)
+    radii = np.maximum(reserve.floor / len(worst), reserve.share * largest)
+    slope = np.cos(np.pi / _SIDES) * friction
+    return np.asarray(worst + (slope * radii * np.hypot(1.0, 1.0 / friction))[:, None])
 
 
 def _loads(positions: Array, rotations: Array, forces: Array) -> tuple[Array, Array]:

@@ -142,15 +142,28 @@ class Pyramids:
 
     Attributes:
         friction: mu of each contact, shape (k,).
-        load: Load per unit of squeeze in contact frames, shape (k, 3).
-        sides: Number of sides.
+        bounds: How far f* must stay inside each side, shape (k, sides).
         penalty: Cost of leaving them, per largest weight.
     """
 
     friction: Array
-    load: Array
-    sides: int
+    bounds: Array
     penalty: float
+
+    @property
+    def sides(self) -> int:
+        """Number of sides."""
+        return int(self.bounds.shape[1])
+
+    @classmethod
+    def about(cls, friction: Array, load: Array, sides: int, penalty: float) -> Pyramids:
+        """Return the pyramids that hold f* and a load per unit of squeeze, shape (k, 3)."""
+        free = cls(friction, np.zeros((len(friction), sides)), penalty)
+        return cls(friction, free.beyond(load), penalty)
+
+    def beyond(self, forces: Array) -> Array:
+        """Return how far forces, shape (k, 3), reach beyond each side, shape (k, sides)."""
+        return (self.rows()[0] @ forces.ravel()).reshape(-1, self.sides)
 
     def rows(self) -> tuple[Array, Array]:
         """Return A and b of A f <= b + t, shapes (k sides, 3k) and (k sides,)."""
@@ -161,7 +174,7 @@ class Pyramids:
         for i in range(k):
             rows[i, :, i] = np.array([np.cos(angles), -slope[i] + 0.0 * angles, np.sin(angles)]).T
         flat = rows.reshape(k * self.sides, 3 * k)
-        return flat, -flat @ self.load.ravel()
+        return flat, -self.bounds.ravel()
 
     def excess(self, forces: Array) -> float:
         """Return how far f*, shape (3k,), is outside; negative inside."""

@@ -64,7 +64,7 @@ class ConeOptimizer:
             balance: G~^T for forces in contact frames, shape (3k, 6).
             cones: Usable friction and load of the contacts.
         """
-        numbers = balance, cones.usable_friction, cones.wanted_load
+        numbers = balance, cones.usable_friction, cones.goal
         if self._exact:
             forces, missing, systems = _exact_answer(self._fixed, *numbers, self._held)
             if systems and missing < _GOOD_VIOLATION:
@@ -127,24 +127,30 @@ def _fixed_rows(k: int) -> Array:
 
 @compiled
 def _exact_answer(
-    fixed: Problem, balance: Array, friction: Array, load: Array, held: NDArray[np.bool_]
+    fixed: Problem, balance: Array, friction: Array, beyond: Array, held: NDArray[np.bool_]
 ) -> tuple[Array, float, int]:
     """Return f*, the largest violation of its conditions and the number of systems, 0 for none."""
-    problem = _with_numbers(fixed, balance, friction, load)
+    problem = _with_numbers(fixed, balance, friction, beyond)
     x, multipliers, systems = solve_problem(problem, held)
     return x[:-1].copy().reshape(-1, 3), violation(problem, x, multipliers), systems
 
 
 @compiled
-def _with_numbers(fixed: Problem, balance: Array, friction: Array, load: Array) -> Problem:
-    """Return the problem with its balance, shape (3k, 6), friction, (k,), and load, (k, 3)."""
+def _with_numbers(fixed: Problem, balance: Array, friction: Array, beyond: Array) -> Problem:
+    """Return the problem with its numbers.
+
+    Args:
+        fixed: What stays.
+        balance: G~^T, shape (3k, 6).
+        friction: Usable mu, shape (k,).
+        beyond: How far the load reaches beyond each side of the pyramids, shape (k, SIDES).
+    """
     equal, rows, bounds = fixed.equal.copy(), fixed.rows.copy(), fixed.bounds.copy()
     n, k = balance.shape[0], len(friction)
     equal[:6, :n] = balance.T
     for i in range(k):
-        slope, (x, normal, z) = INSIDE * friction[i], load[i]
         for j in range(SIDES):
             row = k + 1 + SIDES * i + j
-            rows[row, 3 * i + 1] = -slope
-            bounds[row] = slope * normal - (DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z)
+            rows[row, 3 * i + 1] = -INSIDE * friction[i]
+            bounds[row] = -beyond[i, j]
     return Problem(fixed.weights, fixed.price, equal, fixed.right, rows, bounds)

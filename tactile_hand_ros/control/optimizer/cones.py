@@ -36,26 +36,26 @@ class Cones:
         usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
         load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
         elapsed: Time since the cones before these, s; 0 where there were none.
-        ready_for: The same as f* is made for: with a reserve, and for less squeeze than there is;
-            None for the load itself.
+        wanted: What f* is made for, as `reaches` gives it: the recent past and a reserve, and less
+            squeeze than there is; None for the load itself; shape (k, SIDES).
     """
 
     usable_friction: Array
     load: Array
     elapsed: float = 0.0
-    ready_for: Array | None = None
+    wanted: Array | None = None
 
     @property
-    def wanted_load(self) -> Array:
-        """What f* is made for, shape (k, 3)."""
-        return self.load if self.ready_for is None else self.ready_for
+    def goal(self) -> Array:
+        """What f* is made for, as `reaches` gives it, shape (k, SIDES)."""
+        return reaches(self.load, self.usable_friction) if self.wanted is None else self.wanted
 
     def holds(self, forces: Array) -> bool:
-        """Return whether forces f* with the reserve lie in the pyramids of the optimization.
+        """Return whether forces f* under all that is wanted lie in the pyramids.
 
         The pyramids rather than the cones, so that f* does not jump where they begin to matter.
         """
-        return inside_pyramids(forces, self.wanted_load, self.usable_friction)
+        return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
 
     def margin(self, forces: Array) -> float:
         """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
@@ -73,12 +73,15 @@ def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
 
 
 @compiled
-def inside_pyramids(forces: Array, load: Array, usable_friction: Array) -> bool:
-    """Return whether forces and load, both in contact frames, lie in the friction pyramids."""
+def reaches(forces: Array, usable_friction: Array) -> Array:
+    """Return how far forces reach beyond each side of the friction pyramids, shape (k, SIDES).
+
+    That of a sum is the sum of those of its parts. Not positive means inside.
+    """
+    beyond = np.empty((len(forces), SIDES))
     for i in range(len(forces)):
-        x, n, z = forces[i] + load[i]
-        bound = INSIDE * usable_friction[i] * n
+        x, n, z = forces[i]
         for j in range(SIDES):
-            if not DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z <= bound:
-                return False
-    return True
+            tangential = DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z
+            beyond[i, j] = tangential - INSIDE * usable_friction[i] * n
+    return beyond

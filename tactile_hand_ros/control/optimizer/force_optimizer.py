@@ -66,9 +66,17 @@ class ForceOptimizerConfig(Config):
         ge=0.0,
         le=10.0,
     )
+    load_memory: float = param(
+        1.0,
+        "time constant with which f* forgets the loads of the recent past",
+        unit="s",
+        live=True,
+        gt=0.0,
+        le=100.0,
+    )
     reserve: ReserveConfig = ReserveConfig()
     squeeze_share: float = param(
-        0.7,
+        0.75,
         "share of the present squeeze with which f* should do, so that it can be lowered",
         live=True,
         gt=0.0,

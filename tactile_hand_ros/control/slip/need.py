@@ -77,20 +77,24 @@ class Need:
         """Forget load and shape; what the recent past has shown stays."""
         self._memory["load"] = np.nan
 
-    def step(self, parts: Split, usable_friction: Array, dt: float) -> tuple[float, float]:
+    def step(
+        self, parts: Split, friction: Array, dt: float, margin: float = 0.0
+    ) -> tuple[float, float]:
         """Return the least squeeze that keeps every contact inside its cone, and with a reserve, N.
 
         Args:
             parts: Measured forces as load and squeeze; the squeeze must push.
-            usable_friction: mu to hold with at each contact, shape (k,).
+            friction: mu of each contact as learned, shape (k,).
             dt: Time since the last tick, s.
+            margin: Share by which mu may be smaller than learned; for the loads that are felt, not
+                for those of the reserve: both hardly come at once.
 
         Returns:
             The first is infinite when no squeeze of the present shape can hold. The second is the
             first for a contact that no squeeze of this shape gives the reserve.
         """
         radii = self._reserve.step(parts.load, dt)
-        return _needed(self._memory, self._config, *parts, usable_friction, radii, dt)
+        return _needed(self._memory, self._config, *parts, friction, margin, radii, dt)
 
 
 @compiled
@@ -100,7 +104,8 @@ def _needed(
     load: Array,
     squeeze: Array,
     grasp_force: float,
-    usable_friction: Array,
+    friction: Array,
+    margin: float,
     radii: Array,
     dt: float,
 ) -> tuple[float, float]:
@@ -115,11 +120,11 @@ def _needed(
         else:
             _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
         x, n, z = m["shape"]
-        mu, (a, b, d) = usable_friction[i], _foreseen(m, c, dt)
-        alone = required_squeeze((a, b, d), (x, n, z), mu)
+        mu, (a, b, d) = friction[i], _foreseen(m, c, dt)
+        alone = required_squeeze((a, b, d), (x, n, z), mu / (1.0 + margin))
         more = required_squeeze((a, b - shift(radii[i], mu), d), (x, n, z), mu)
         needed = max(needed, alone)
-        ready = max(ready, more if math.isfinite(more) else alone)
+        ready = max(ready, alone, more if math.isfinite(more) else 0.0)
     return needed, ready
 
 

@@ -243,4 +243,4 @@ class SlipRegulator:
         if parts is None or parts.grasp_force <= 0.0:
             self._need.lose()
             return math.nan, math.nan
-        return self._need.step(parts, self._usable_friction(), dt)
+        return self._need.step(parts, self.learned_friction, dt, self.config.reflex.margin)

@@ -15,7 +15,7 @@ from tactile_hand_ros.control.grasp import (
     net_wrench,
     spread_wrench,
 )
-from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, reaches
 from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig, shift
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.jit.compiled import compiled
@@ -90,9 +90,17 @@ class ConeWatchConfig(Protocol):
     def reserve(self) -> ReserveConfig:
         """Loads that f* should be ready for."""
 
+    @property
+    def load_memory(self) -> float:
+        """Time constant with which the loads of the recent past are forgotten, s."""
+
 
 class ConeWatch:
-    """Follows what the contacts carry, slowly enough that noise does not shake f*."""
+    """Follows what the contacts carry, slowly enough that noise does not shake f*.
+
+    It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
+    for that: a shape that follows a swinging load is always too late for it.
+    """
 
     def __init__(self, config: ConeWatchConfig, contacts: int) -> None:
         """Follow the load of k contacts."""
@@ -108,6 +116,7 @@ class ConeWatch:
     def reset(self) -> None:
         """Forget everything."""
         self._load: Array | None = None
+        self._worst: Array | None = None
         self._reserve.reset()
         self._stamp = 0
 
@@ -127,7 +136,7 @@ class ConeWatch:
         """
         parts = _grasp(contacts, forces)
         if parts is None:
-            self._load = None  # the past that the reserve follows stays
+            self._load = self._worst = None  # the past that the reserve follows stays
             return None
         elapsed, share, c = 0.0, 1.0, self._config
         if self._load is not None:
@@ -135,11 +144,14 @@ class ConeWatch:
             share = 1.0 - math.exp(-elapsed / c.load_time)
         before = parts.load if self._load is None else self._load
         radii = self._reserve.step(parts.load, elapsed)
-        load, ready_for = _per_squeeze(
-            before, parts.load, parts.grasp_force, share, radii, usable_friction, c.squeeze_share
-        )
-        self._load, self._stamp = load, stamp
-        return Cones(usable_friction, load, elapsed, ready_for)
+        load = _per_squeeze(before, parts.load, parts.grasp_force, share)
+        worst = reaches(parts.grasp_force * load, usable_friction)
+        if self._worst is not None:
+            keep = math.exp(-elapsed / c.load_memory)
+            worst = np.maximum(worst, worst + keep * (self._worst - worst))
+        self._load, self._worst, self._stamp = load, worst, stamp
+        wanted = _wanted(worst, radii, usable_friction, c.squeeze_share * parts.grasp_force)
+        return Cones(usable_friction, load, elapsed, wanted)
 
 
 def _grasp(contacts: Contacts, forces: Array) -> Split | None:
@@ -151,35 +163,39 @@ def _grasp(contacts: Contacts, forces: Array) -> Split | None:
 
 
 @compiled
-def _per_squeeze(
-    before: Array,
-    load: Array,
-    grasp_force: float,
-    share: float,
-    radii: Array,
-    friction: Array,
-    squeeze_share: float,
-) -> tuple[Array, Array]:
-    """Return the load per unit of squeeze, and what f* is to be ready for, shapes (k, 3).
+def _per_squeeze(before: Array, load: Array, grasp_force: float, share: float) -> Array:
+    """Return the load per unit of squeeze, smoothed, shape (k, 3).
 
     Args:
-        before: The former at the last tick, shape (k, 3).
+        before: The same at the last tick, shape (k, 3).
         load: What the contacts carry, shape (k, 3), N.
         grasp_force: The squeeze, N.
         share: Share of the way to the present load.
-        radii: Radii of the loads that may come, shape (k,), N.
-        friction: Usable mu, shape (k,).
-        squeeze_share: Share of the squeeze with which f* should do.
     """
-    now, ready_for = np.empty_like(load), np.empty_like(load)
+    now = np.empty_like(load)
     for i in range(len(load)):
         for axis in range(3):
             felt, last = load[i, axis] / grasp_force, before[i, axis]
             now[i, axis] = felt if share == 1.0 else last + share * (felt - last)
-            ready_for[i, axis] = now[i, axis] / squeeze_share
-        reserve = shift(radii[i], friction[i]) / grasp_force
-        ready_for[i, 1] = (now[i, 1] - reserve) / squeeze_share
-    return now, ready_for
+    return now
+
+
+@compiled
+def _wanted(worst: Array, radii: Array, friction: Array, squeeze: float) -> Array:
+    """Return what f* is to be ready for, per unit of squeeze, shape (k, SIDES); see `reaches`.
+
+    Args:
+        worst: How far loads of the recent past reach beyond the pyramids, shape (k, SIDES), N.
+        radii: Radii of further loads that may come, shape (k,), N.
+        friction: Usable mu, shape (k,).
+        squeeze: The squeeze with which f* should do, N.
+    """
+    wanted = np.empty_like(worst)
+    for i in range(len(worst)):
+        reserve = INSIDE * friction[i] * shift(radii[i], friction[i])
+        for j in range(worst.shape[1]):
+            wanted[i, j] = (worst[i, j] + reserve) / squeeze
+    return wanted
 
 
 @compiled

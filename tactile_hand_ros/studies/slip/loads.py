@@ -31,12 +31,16 @@ Array = NDArray[np.float64]
 
 KINDS = ("step", "pulse", "ramp", "sine")
 LAYOUTS = ("three_faces", "pinch")
-FLOORS = (0.0, 1.0, 2.0, 3.0, 5.0)
-"""Floors of the reserve that are compared, N."""
+DEFAULT = (3.0, 0.2)
+"""Floor, N, and share of the reserve that a hand keeps by default."""
+
+RESERVES = tuple((floor, share) for floor in (0.0, 1.0, 2.0, 3.0, 5.0) for share in (0.1, 0.2, 0.4))
+"""Floors, N, and shares of the reserve that are compared."""
 
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
 _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
+_RESERVED = ("slip_regulator.reflex.need", "force_optimizer")  # who keep a reserve
 _RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
 
 
@@ -72,7 +76,9 @@ class LoadOutcome:
     Attributes:
         case: The load.
         floor: Floor of the reserve, N.
+        share: Share of the largest recent load that it is at least.
         squeeze: k_f before the load came, N.
+        need: Least squeeze that held then, N.
         survivable: Whether a grasp inside the crush limit can carry it.
         lost: Whether a contact was gone at the end.
         slip: Largest distance that a contact slid because of it, m.
@@ -80,7 +86,9 @@ class LoadOutcome:
 
     case: LoadCase
     floor: float
+    share: float
     squeeze: float
+    need: float
     survivable: bool
     lost: bool
     slip: float
@@ -121,12 +129,15 @@ def _start(layout: str) -> tuple[Contacts, Array]:
     return plant.state.contacts, plant.state.position
 
 
-def scenario_of(case: LoadCase, floor: float, **changes: Any) -> Scenario:
-    """Return the scenario of a load, with a floor of the reserve in N.
+def scenario_of(
+    case: LoadCase, floor: float, share: float = DEFAULT[1], **changes: Any
+) -> Scenario:
+    """Return the scenario of a load, with a reserve.
 
     Args:
         case: The load.
         floor: Floor of the reserve, N.
+        share: Share of the largest recent load that the reserve is at least.
         changes: Values by dotted key with two underscores for a dot.
     """
     centroid = _start(case.layout)[0].centroid.tolist()
@@ -148,24 +159,29 @@ def scenario_of(case: LoadCase, floor: float, **changes: Any) -> Scenario:
         "plant.object.friction": case.friction,
         "plant.disturbances": [load],
         "slip_regulator.friction.prior": case.friction,
-        "slip_regulator.reflex.need.reserve.floor": floor,
-        "force_optimizer.reserve.floor": floor,
+        **{f"{place}.reserve.floor": floor for place in _RESERVED},
+        **{f"{place}.reserve.share": share for place in _RESERVED},
         **{key.replace("__", "."): value for key, value in changes.items()},
     }
     return load_scenario("gravity", values)
 
 
-def run_load(case: LoadCase, floor: float, **changes: Any) -> LoadOutcome:
+def run_load(
+    case: LoadCase, floor: float, share: float = DEFAULT[1], **changes: Any
+) -> LoadOutcome:
     """Let a load act on a relaxed grasp and measure what it did; see `scenario_of`."""
-    scenario = scenario_of(case, floor, **changes)
+    scenario = scenario_of(case, floor, share, **changes)
+    least = _least(case, (1.0, -1.0) if case.kind == "sine" else (1.0,))
     record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slid = record.true_slid
     return LoadOutcome(
         case=case,
         floor=floor,
+        share=share,
         squeeze=float(record.grasp_force[event]),
-        survivable=_least(case) <= scenario.slip_regulator.maximum,
+        need=_least(case, ()),
+        survivable=least <= scenario.slip_regulator.maximum,
         lost=not bool(np.isfinite(record.true_positions[-1]).all()),
         slip=float(np.nanmax(slid[-1] - slid[event])),
     )
@@ -186,35 +202,35 @@ def relaxed_run(scenario: Scenario, event: int) -> Record:
     return record
 
 
-def _least(case: LoadCase) -> float:
-    """Return the least squeeze against the load at its largest, both ways where it swings, N."""
+def _least(case: LoadCase, shares: Sequence[float]) -> float:
+    """Return the least squeeze against the weight and some shares of the load besides, N."""
     contacts, position = _start(case.layout)
     weight = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
     load = np.array([*case.force, *case.torque])
-    swings = (1.0, -1.0) if case.kind == "sine" else (1.0,)
-    return max(least_against(contacts, position, weight + s * load, case.friction) for s in swings)
+    wrenches = [weight + share * load for share in (0.0, *shares)]
+    return max(least_against(contacts, position, w, case.friction) for w in wrenches)
 
 
 def run_loads(
     runs: int,
     seed: int,
-    floors: Sequence[float] = FLOORS,
+    reserves: Sequence[tuple[float, float]] = RESERVES,
     backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[LoadOutcome]:
-    """Let the same random loads act on grasps with each floor of the reserve.
+    """Let the same random loads act on grasps with each reserve.
 
     Args:
         runs: Number of loads.
         seed: The same seed gives the same numbers, on any number of cores.
-        floors: Floors of the reserve, N.
+        reserves: Floors, N, and shares of the reserve.
         backend: Where; all cores of this machine by default.
         progress: Called whenever a run is done.
 
     Raises:
         MissingLibraryError: If joblib is not installed.
     """
-    tasks = tuple((case, floor) for case in sample_loads(runs, seed) for floor in floors)
+    tasks = tuple((case, *reserve) for case in sample_loads(runs, seed) for reserve in reserves)
     space = Space({"task": Choice(tasks)})
     study = engine.Study(space, "grid", _run, functools.partial(_sorted, progress))
     found: list[LoadOutcome] = carry_out(study, backend)
@@ -230,34 +246,42 @@ def _sorted(progress: Callable[[str], None], results: Iterable[engine.Result]) -
     for outcome in engine.results_of(results):
         found.append(outcome)
         progress(f"load {outcome.case.index}, floor {outcome.floor:g} N")
-    return sorted(found, key=lambda outcome: (outcome.floor, outcome.case.index))
+    return sorted(found, key=lambda outcome: (outcome.floor, outcome.share, outcome.case.index))
 
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Comfort and safety with one floor of the reserve, over the loads that can be survived.
+    """Comfort and safety with one reserve, over the loads that can be survived.
 
     Attributes:
         floor: Floor of the reserve, N.
+        share: Its share of the largest recent load.
         runs: Number of loads.
         squeeze: Mean squeeze before the load, N.
+        need: Mean of the least squeeze that held then, N.
         lost: Number of objects that were lost.
         slid: Number of those that slid farther than `SLIDE`, or were lost.
     """
 
     floor: float
+    share: float
     runs: int
     squeeze: float
+    need: float
     lost: int
     slid: int
 
 
 def trade_offs(outcomes: Sequence[LoadOutcome]) -> list[TradeOff]:
-    """Return comfort and safety for each floor."""
+    """Return comfort and safety for each reserve."""
     curve = []
-    for floor in sorted({o.floor for o in outcomes}):
-        some = [o for o in outcomes if o.floor == floor and o.survivable]
+    for floor, share in sorted({(o.floor, o.share) for o in outcomes}):
+        some = [o for o in outcomes if (o.floor, o.share) == (floor, share) and o.survivable]
         slid = sum(o.lost or o.slip > SLIDE or math.isnan(o.slip) for o in some)
-        squeeze = float(np.mean([o.squeeze for o in some])) if some else math.nan
-        curve.append(TradeOff(floor, len(some), squeeze, sum(o.lost for o in some), slid))
+        squeeze, need = (
+            float(np.mean([getattr(o, name) for o in some])) if some else math.nan
+            for name in ("squeeze", "need")
+        )
+        lost = sum(o.lost for o in some)
+        curve.append(TradeOff(floor, share, len(some), squeeze, need, lost, slid))
     return curve

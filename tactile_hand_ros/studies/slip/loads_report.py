@@ -13,12 +13,13 @@ from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.studies.slip.loads import LoadOutcome, TradeOff, trade_offs
-from tactile_hand_ros.studies.statistics import share
+from tactile_hand_ros.studies.statistics import share_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = ("floor of the reserve", "loads", "squeeze before", "lost", "slid over 5 mm")
+LABELS = {"slid": "slid over 5 mm", "lost": "lost"}
+COLUMNS = ("floor", "share", "loads", "squeeze before", "over need", "lost", "slid over 5 mm")
 
 
 def rows(outcomes: Sequence[LoadOutcome]) -> list[list[str]]:
@@ -27,28 +28,33 @@ def rows(outcomes: Sequence[LoadOutcome]) -> list[list[str]]:
 
 
 def _row(point: TradeOff) -> list[str]:
-    counts = [_text(point.lost, point.runs), _text(point.slid, point.runs)]
-    return [f"{point.floor:g} N", str(point.runs), f"{point.squeeze:.1f} N", *counts]
+    reserve = [f"{point.floor:g} N", f"{100 * point.share:g} %", str(point.runs)]
+    squeeze = [f"{point.squeeze:.1f} N", f"{point.squeeze / point.need:.1f}"]
+    return reserve + squeeze + [_text(point.lost, point.runs), _text(point.slid, point.runs)]
 
 
 def _text(count: int, runs: int) -> str:
-    value, low, high = share([i < count for i in range(runs)])
+    value, low, high = share_of(count, runs)
     return f"{100 * value:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def loads_figure(outcomes: Sequence[LoadOutcome]) -> Figure:
-    """Draw what is lost and what slides against the squeeze before the load."""
+    """Draw what slides and what is lost against the squeeze before the load, per least squeeze."""
     curve = trade_offs(outcomes)
-    squeezes = [point.squeeze for point in curve]
     with look():
         figure = new_figure(PAGE, 2.6)
         axes = figure.subplots()
-        for i, name in enumerate(("slid", "lost")):
-            shares = [100.0 * getattr(point, name) / max(point.runs, 1) for point in curve]
-            axes.plot(squeezes, shares, "o-", color=finger_color(i), markersize=3.5, label=name)
-        for point in curve:
-            axes.annotate(f"{point.floor:g} N", (point.squeeze, 0.0), fontsize=7)
-        axes.set_xlabel("mean squeeze before the load [N], by floor of the reserve")
+        for share, marker in zip(sorted({point.share for point in curve}), "svo^", strict=False):
+            some = [point for point in curve if point.share == share]
+            over = [point.squeeze / point.need for point in some]
+            for i, name in enumerate(("slid", "lost")):
+                shares = [100.0 * getattr(point, name) / max(point.runs, 1) for point in some]
+                label = f"{LABELS[name]}, share {100 * share:g} %"
+                axes.plot(over, shares, f"{marker}-", color=finger_color(i), ms=3.5, label=label)
+        for point in some:
+            place = point.squeeze / point.need, 100.0 * point.slid / max(point.runs, 1)
+            axes.annotate(f" {point.floor:g} N", place, fontsize=7, va="bottom")
+        axes.set_xlabel("mean squeeze before the load per least squeeze, by floor of the reserve")
         axes.set_ylabel("share of the loads [%]")
         axes.legend()
     return figure

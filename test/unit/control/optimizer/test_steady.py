@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.grasps import three_faces
 
-from tactile_hand_ros.control.optimizer.cones import Cones, inside_pyramids
+from tactile_hand_ros.control.optimizer.cones import Cones, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -44,8 +44,8 @@ def test_it_goes_as_far_as_the_learned_cones_ask():
     """Friction has fallen: the old f* would slip."""
     start, end, friction = optimum(0.5), optimum(0.05), np.full(3, 0.07)
     found, _ = followed(start, end, BALANCE, NO_LOAD, friction, 0.0)
-    assert not inside_pyramids(start, NO_LOAD, friction)
-    assert inside_pyramids(found, NO_LOAD, friction + 1e-9)
+    assert reaches(start, friction).max() > 0.0
+    assert reaches(found, friction).max() < 1e-9
     back, _ = followed(start, end, BALANCE, NO_LOAD, friction + 0.01, 0.0)
     assert np.linalg.norm(back - start) < np.linalg.norm(found - start)
 

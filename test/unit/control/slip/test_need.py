@@ -153,3 +153,13 @@ def test_the_reserve_follows_the_largest_load_of_the_recent_past():
     shift = np.sqrt(1.0 + 1.0 / 0.25) / 0.475
     assert later == pytest.approx(0.3 * shift, rel=1e-6)
     assert soon == pytest.approx(5.0 * np.exp(-0.1) * 0.3 * shift, rel=1e-6)
+
+
+def test_the_margin_is_for_loads_that_are_felt_and_not_for_those_of_the_reserve():
+    friction, load = 1.2 * MU, 3.0 * WEIGHT
+    need = Need(NeedConfig(reserve=ReserveConfig(floor=0.03, share=0.0)), 3)
+    needed, ready = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)
+    assert needed == ready == pytest.approx(follow(fresh(), load, 1)[-1])
+    need = Need(NeedConfig(reserve=ReserveConfig(floor=3.0, share=0.0)), 3)
+    with_margin = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)[1]
+    assert with_margin == need.step(felt(load, 6.0 * SHAPE), friction, 0.0)[1] > needed

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.optimizer.cones import reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.control.slip.split import ConeWatch, required_squeeze, split
@@ -71,7 +72,23 @@ def test_f_is_made_for_less_squeeze_than_there_is_and_for_a_reserve():
     cones = cone_watch(reserve=reserve).step(0, GRASP, FORCES, MU)
     expected = per_squeeze(GRASP, FORCES)
     expected[:, 1] -= 0.2 * np.sqrt(1.0 + 1.0 / MU**2) / split(GRASP, FORCES).grasp_force
-    np.testing.assert_allclose(cones.wanted_load, expected / 0.7, atol=1e-12)
+    np.testing.assert_allclose(cones.goal, reaches(expected / 0.7, MU), atol=1e-12)
+
+
+def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
+    """Two loads by turns, then the first alone: for each side the larger one, which fades."""
+    none = ReserveConfig(floor=0.0, share=0.0)
+    watch = cone_watch(reserve=none, load_memory=1.0)
+    one, two = watch.step(0, GRASP, FORCES, MU), watch.step(1000 * MS, GRASP, HEAVY, MU)
+    three = watch.step(1001 * MS, GRASP, FORCES, MU)
+    squeeze = [split(GRASP, forces).grasp_force for forces in (FORCES, HEAVY, FORCES)]
+    felt = [k * reaches(c.load, MU) for k, c in zip(squeeze, (one, two, three), strict=True)]
+    found = [0.7 * k * c.goal for k, c in zip(squeeze, (one, two, three), strict=True)]
+    faded = felt[1] + math.exp(-1.0) * (felt[0] - felt[1])
+    np.testing.assert_allclose(found[1], np.maximum(felt[1], faded), atol=1e-12)
+    faded = felt[2] + math.exp(-0.001) * (found[1] - felt[2])
+    np.testing.assert_allclose(found[2], np.maximum(felt[2], faded), atol=1e-12)
+    assert (found[2] > felt[2] + 0.1).any()
 
 
 def test_the_load_is_followed_by_the_time_that_has_passed():

@@ -29,11 +29,12 @@ def test_a_pulse_that_nothing_has_announced_slides_without_a_reserve_and_not_wit
 
 
 def test_the_curve_counts_only_what_can_be_survived():
-    kept = LoadOutcome(PULSE, 0.0, 2.0, True, False, 1e-3)
-    slid = LoadOutcome(PULSE, 0.0, 4.0, True, False, 6e-3)
-    lost = LoadOutcome(PULSE, 0.0, 6.0, True, True, 0.0)
-    hopeless = LoadOutcome(PULSE, 0.0, 9.0, False, True, 0.0)
-    [point] = trade_offs([kept, slid, lost, hopeless])
-    assert (point.runs, point.squeeze, point.lost, point.slid) == (3, 4.0, 1, 2)
-    [row] = rows([kept, slid, lost, hopeless])
-    assert row[:3] == ["0 N", "3", "4.0 N"] and row[3].startswith("33.3 %")
+    kept = LoadOutcome(PULSE, 0.0, 0.1, 2.0, 1.0, True, False, 1e-3)
+    slid = LoadOutcome(PULSE, 0.0, 0.1, 4.0, 1.0, True, False, 6e-3)
+    lost = LoadOutcome(PULSE, 0.0, 0.1, 6.0, 1.0, True, True, 0.0)
+    hopeless = LoadOutcome(PULSE, 0.0, 0.1, 9.0, 1.0, False, True, 0.0)
+    other = LoadOutcome(PULSE, 0.0, 0.2, 9.0, 1.0, True, False, 0.0)
+    [point, _] = trade_offs([kept, slid, lost, hopeless, other])
+    assert (point.runs, point.squeeze, point.need, point.lost, point.slid) == (3, 4.0, 1.0, 1, 2)
+    [row, _] = rows([kept, slid, lost, hopeless, other])
+    assert row[:5] == ["0 N", "10 %", "3", "4.0 N", "4.0"] and row[5].startswith("33.3 %")
