@@ -23,6 +23,7 @@ from tactile_hand_ros.errors import ConfigurationError
 
 C = TypeVar("C", bound="Config")
 _SEQUENCES = (list, tuple)
+_MOST_LISTED = 30  # names in a sentence
 _LARGEST = 2**17  # bytes of a YAML file; its parser reads some 50 kB a second
 
 
@@ -361,10 +362,12 @@ def _unknown_key(location: tuple[int | str, ...], model: type[BaseModel]) -> str
 
 
 def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
-    """Return a suffix that ends the sentence with the nearest valid name and all valid names."""
+    """Return a suffix that ends the sentence with the nearest valid name and, if few, with all."""
     names = sorted(valid)
     near = difflib.get_close_matches(wrong, names, n=1)
     hint = f", did you mean '{near[0]}'?" if near else "."
+    if len(names) > _MOST_LISTED:
+        return f"{hint} `tactile-hand show paper` lists all {len(names)}."
     return f"{hint} Valid are: {', '.join(names)}." if names else hint
 
 
