@@ -274,6 +274,6 @@ def test_a_type_without_ros_counterpart_is_refused_early(declare):
 
     node, _ = declare()
     other = rclpy.create_node("odd", context=node.context)
-    with pytest.raises(TypeError, match="no type that a ROS parameter can have"):
+    with pytest.raises(TypeError, match="not a type that a ROS parameter can have"):
         ConfigParameters(other, Odd)
     other.destroy_node()
