@@ -45,8 +45,8 @@ def realtime_figure(runs: Sequence[RealtimeRun]) -> Figure:
             some = [run for run in runs if run.case.rate == rate]
             _draw_rate(panels[0, column], panels[1, column], some)
             above, below = ascii_lowercase[column], ascii_lowercase[len(rates) + column]
-            label_panel(panels[0, column], above, f"jitter of the ticks, {rate:g} Hz")
-            label_panel(panels[1, column], below, f"age of the data, {rate:g} Hz")
+            label_panel(panels[0, column], above, f"jitter, {rate:g} Hz")
+            label_panel(panels[1, column], below, f"age, {rate:g} Hz")
             panels[1, column].set_xlabel("ms")
             for axes in panels[:, column]:
                 axes.axvline(_MS / rate, color=FAINT, linewidth=0.8)
