@@ -40,7 +40,7 @@ _LARGEST = 1 << 17  # bytes of a request
 _NUMBER = struct.Struct("<i")  # of a process
 _ADOPT = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
 _LOST = 255
-"""Exit code of a child whose true one nobody can know."""
+"""Exit code of a child whose true one cannot be known."""
 
 
 class Preloaded:
@@ -177,7 +177,7 @@ class _Job(NamedTuple):
 
 def main() -> None:
     """Load, then fork until the other end of the socket is closed."""
-    # Whoever ends a run interrupts all of its processes. This one waits for the end of the others,
+    # A Ctrl-C goes to all processes of a run. This one waits for the end of the others,
     # and what is sent to a child before it has a handler must not be lost.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     gc.disable()
