@@ -86,7 +86,7 @@ def test_it_shows_its_own_command_line_and_takes_signals(
     assert line[2].startswith("xxx")
     process.send_signal(signal.SIGINT)
     assert end_of(process) == -signal.SIGINT
-    process.send_signal(signal.SIGINT)  # to nobody
+    process.send_signal(signal.SIGINT)  # it has ended: nothing happens
 
 
 def test_an_interrupt_that_comes_at_once_is_not_lost(preloaded: Preloaded, tmp_path: Path) -> None:

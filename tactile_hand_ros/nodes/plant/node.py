@@ -8,8 +8,8 @@ the wall clock. It also holds them while two senders of `joint_command` answer t
 differently and when a joint is faster than its limit. Commands with unknown joints, missing joints
 or NaN count as silence. The squeeze is kept and raised with the load, the joints come to rest, and
 the level in `/diagnostics` is ERROR. Time stands still at the first tick until the first command.
-Where the simulation diverges, time stands still too, with an ERROR, until `~/reset`
-and `~/run`. Without a plant there are no ticks, and no node answers.
+Where the simulation diverges, time stands still too, with an ERROR, until `~/reset` and `~/run`.
+Without a plant there are no ticks, and no node answers.
 """
 
 from __future__ import annotations
