@@ -44,7 +44,7 @@ STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RE
 STALL = 15.0
 """Time without an answered tick after which a run is given up [s]."""
 
-_LOOK = 0.02  # s between two looks at the newest command
+_LOOK = 0.02  # s between two looks at what the nodes have said
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
@@ -232,11 +232,11 @@ class Session:
 
     def _conduct(self, node: Node, view: View) -> None:
         steering = Steering(node, self._check)
-        monitor = Monitor(node, closely=not self.plan.record)
+        asking = UserForces(self.plan.scenario.user_forces, steering.squeeze)
+        monitor = Monitor(node, closely=not self.plan.record or asking.is_due_later)
         wiring = Wiring(node, self.plan.scenario, recorded=self.plan.record)
         self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
         steering.command(self.plan.scenario.targets)
-        asking = UserForces(self.plan.scenario.user_forces, steering.squeeze)
         asking.step(0)
         self.outcome.done("targets_sent")
         steering.run(True)

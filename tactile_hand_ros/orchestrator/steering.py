@@ -129,6 +129,11 @@ class UserForces:
         self._waiting = sorted(requests, key=lambda request: request.time)
         self._send = send
 
+    @property
+    def is_due_later(self) -> bool:
+        """Whether something is left to be sent after the start."""
+        return any(each.stamp > 0 for each in self._waiting)
+
     def step(self, stamp: int) -> None:
         """Send what is due at a tick [ns]: the newest, which replaces those before it."""
         due = [each for each in self._waiting if each.stamp <= stamp]

@@ -136,19 +136,21 @@ def make_view(console: Console, duration: float | None, *, quiet: bool) -> View:
 
 
 class Rate:
-    """Ticks per second of wall-clock time since the last question."""
+    """Ticks per second of wall-clock time between the last two stamps that differ."""
 
     def __init__(self, tick: int) -> None:
         """Take the length of a tick [ns]."""
         self._tick = tick
         self._stamp: int | None = None
-        self._time = 0.0
+        self._time = self._rate = 0.0
 
     def __call__(self, stamp: int) -> float:
-        """Return the rate since the last call, 0 at the first."""
+        """Return the rate at a stamp [ns], 0 before the second."""
         now = time.monotonic()
         before, since = self._stamp, now - self._time
+        if stamp == before:
+            return self._rate
         self._stamp, self._time = stamp, now
-        if before is None or since <= 0.0:
-            return 0.0
-        return (stamp - before) / self._tick / since
+        if before is not None and since > 0.0:
+            self._rate = (stamp - before) / self._tick / since
+        return self._rate

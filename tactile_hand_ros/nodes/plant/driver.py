@@ -51,6 +51,7 @@ class PlantDriver:
         self._is_lockstep = c.pacing == "lockstep"
         self._is_on, self._is_finished = c.autostart, False
         self._resent = self._too_old = 0
+        self._newest_answer = -1
         self._senders = SenderWatch()
         self._told, self._told_at = "", -math.inf
         self._modes = ModeLog(node.get_logger().info)
@@ -107,11 +108,13 @@ class PlantDriver:
         """Go back to the start."""
         self._run.reset()
         self._is_finished = False
+        self._newest_answer = -1
         self.begin()
 
     def command(self, stamp: int, torque: Array) -> None:
         """Take the torque that answers a tick; what comes too late or unasked changes nothing."""
         run = self._run
+        self._note_answer(stamp)
         if not self._is_on or self._is_finished or not 0 <= stamp <= run.stamp:
             return
         if self._senders.note(stamp, torque):
@@ -139,6 +142,18 @@ class PlantDriver:
         self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
         if self._is_lockstep:
             self._advance(1)
+
+    def _note_answer(self, stamp: int) -> None:
+        """Say at once that the first tick has been answered, or the last before time stood still.
+
+        The orchestrator waits for both. Commands themselves would cost it a packet a tick.
+        """
+        before, now = self._newest_answer, self._run.stamp
+        if before < stamp <= now:
+            self._newest_answer = stamp
+            stands = self._is_finished or not self._is_on
+            if before < 0 or (stands and stamp == now):
+                self._node.publish_diagnostics()
 
     def _is_too_old(self, stamp: int) -> bool:
         """Return whether the guard would refuse a command by its age; in lockstep time waits."""
@@ -265,6 +280,7 @@ class PlantDriver:
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)
+        put("answered_ns", self._newest_answer)
         put("resent_ticks", self._resent)
         guard = self._run.guard
         put("held_ticks", guard.held)

@@ -90,7 +90,16 @@ def test_facts_are_readable_whatever_is_missing() -> None:
 def test_rate_begins_at_zero() -> None:
     rate = Rate(2_000_000)
     assert rate(0) == 0.0
-    assert rate(2_000_000_000) > 0.0
+    found = rate(2_000_000_000)
+    assert found > 0.0
+
+
+def test_rate_stays_until_another_stamp_is_known() -> None:
+    rate = Rate(2_000_000)
+    rate(0)
+    found = rate(2_000_000_000)
+    assert rate(2_000_000_000) == found
+    assert 0.0 < rate(2_002_000_000) != found
 
 
 def test_hint_names_the_topic_in_the_namespace() -> None:
