@@ -11,6 +11,7 @@ import psutil
 
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.runs import GraphRun, run_graph
+from tactile_hand_ros.bench.wire import rate
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.ros.domains import isolated_domain
@@ -22,20 +23,25 @@ _TIMEOUT = 600.0  # s
 
 
 def measure_graph(work: Workload) -> list[Result]:
-    """Run the scenario in lockstep in six processes and in two, turn by turn."""
+    """Run the scenario in lockstep in six processes and in one, and its messages, turn by turn."""
     seconds = float(work.record.times[-1])
-    five, single, speeds = [], [], []
+    six, single, speeds, shares = [], [], [], []
     for _ in range(work.repeats):
-        five.append(run_graph(seconds, load=True))
-        speeds.append(five[-1].summary["recording"]["messages"] / five[-1].load_time)
+        six.append(run_graph(seconds, load=True))
+        speeds.append(six[-1].summary["recording"]["messages"] / six[-1].load_time)
         single.append(run_graph(seconds, "--composed"))
-    soon = Goal("median", at_most=3.0)
-    separate = _results(five, "five processes", Goal("median", at_least=1000.0), soon)
-    composed = _results(single, "composed", Goal("median", at_least=2500.0), soon)
+        limit = rate(NODES, len(work.record), recorded=True)
+        shares.append(six[-1].summary["recording"]["ticks_per_second"] / limit)
+    separate = _results(six, "six processes", start=Goal("median", at_most=2.0))
+    many = Goal("median", at_least=2500.0)
+    composed = _results(single, "composed", many, start=Goal("median", at_most=1.2))
     pairs = zip(composed, separate, strict=True)
     return [
         *separate,
         *(one.against(other) if other.median else one for one, other in pairs),
+        Result.of(
+            "six processes, share of the wire's limit", "", shares, Goal("median", at_least=0.8)
+        ),
         Result.of("bag loading, to arrays", "messages/s", speeds),
     ]
 
@@ -69,7 +75,7 @@ def measure_idle(work: Workload) -> list[Result]:
     ]
 
 
-def _results(runs: Sequence[GraphRun], where: str, rate: Goal, start: Goal) -> list[Result]:
+def _results(runs: Sequence[GraphRun], where: str, *many: Goal, start: Goal) -> list[Result]:
     def over(place: str, key: str) -> list[float]:
         return [run.summary[place][key] for run in runs]
 
@@ -77,7 +83,7 @@ def _results(runs: Sequence[GraphRun], where: str, rate: Goal, start: Goal) -> l
     none = Goal("largest", at_most=0.0)
     ages = 1e6 * np.concatenate([run.ages for run in runs])
     return [
-        Result.of(f"lockstep, {where}", "ticks/s", over(record, "ticks_per_second"), rate),
+        Result.of(f"lockstep, {where}", "ticks/s", over(record, "ticks_per_second"), *many),
         Result.of(f"tick to command, {where}", "us", ages),
         Result.of(
             f"start to first tick, {where}",

@@ -47,12 +47,12 @@ _PATIENCE = 60.0  # s
 
 
 def measure_wire(work: Workload) -> list[Result]:
-    """Pass ticks round, in five processes and in one, with the recorder and without."""
+    """Pass ticks round, in processes of their own and in one, with the recorder and without."""
     ticks = min(2000, 4 * len(work.record))
     apart, together = tuple(NODES), (",".join(NODES),)
     rates: dict[str, list[float]] = {}
     for _ in range(work.repeats):
-        for where, processes in (("five processes", apart), ("one process", together)):
+        for where, processes in (("six processes", apart), ("one process", together)):
             for recorded in (True, False):
                 name = f"messages alone, {where}, {'with' if recorded else 'without'} recorder"
                 rates.setdefault(name, []).append(rate(processes, ticks, recorded=recorded))

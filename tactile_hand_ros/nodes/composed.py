@@ -4,10 +4,10 @@
 With ``--record`` the recorder shares the process, too: it notes the bytes that the nodes hand to
 each other, and a small process of its own packs them and writes them to the disk.
 
-Topics, parameters, services and results are those of five processes, to the bit. The nodes hand
+Topics, parameters, services and results are those of separate processes, to the bit. The nodes hand
 their messages to each other (`ros.direct`), and DDS gets a copy only while another process listens.
 What is lost is isolation: they all die together, and the drivers of a real hand must then hold the
-joints. With cores to spare, five processes are the safer choice.
+joints. With cores to spare, separate processes are the safer choice.
 """
 
 from __future__ import annotations
