@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.joint_hold import JointHold, JointHoldConfig, JointTerms
+from tactile_hand_ros.control.joint_hold import (
+    LEAST_SQUEEZE,
+    JointHold,
+    JointHoldConfig,
+    JointTerms,
+    split_forces,
+    tip_forces,
+)
 from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
@@ -27,9 +34,12 @@ NOT_FINITE = "the command is not finite"
 TOO_FAST = "a joint is too fast"
 BLIND = "the joint states are not finite"
 STUCK = "the command does not change although the joints move"
+PULLS = "the command pulls the fingers off what they press"
 UNSTEADY = "commands have failed again and again; waiting until they are steady"
 
-_STUCK_MOTION = 0.01  # rad that a joint may move while all torques stay the same to the bit
+_STUCK_MOTION = 0.002  # rad that a joint may move while all torques stay the same to the bit
+_JUMP = 0.02  # N m, change of a torque within a tick
+_PULL = 0.2  # share of the squeeze with which a command may pull the fingers apart
 _CALM_TIME = 0.5  # s of good commands after which earlier holds are forgotten
 _FIRST_PATIENCE = 0.02  # s, doubled at each further hold
 _CALM = 0.8  # share of the speed limit below which a joint counts as slow again
@@ -202,8 +212,25 @@ class JointGuard:
             return NOT_FINITE
         if self._is_stuck(theta, command):
             return STUCK
+        if self._pulls_apart(stamp, theta, rates, command.torque):
+            return PULLS
         limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
+
+    def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
+        """Return whether a command turns the squeeze around.
+
+        To let go, fingers cease to press and open. Only a wrong command pulls them off with a force
+        like that with which they press. It is a jump; only after one the tips are looked at.
+        """
+        if not self._past or np.abs(torque - self._past[-1].torque).max() < _JUMP:
+            return False
+        terms = JointTerms(*self._hand.dynamics(theta, rates))
+        _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
+        if np.linalg.norm(presses, axis=1).sum() < LEAST_SQUEEZE:
+            return False
+        _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
+        return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))
 
     def _limited(self, torque: Array) -> Array:
         """Return a commanded torque inside the limits of the joints and of its change."""

@@ -33,8 +33,10 @@ Array = NDArray[np.float64]
 FELT_TIME = 0.005
 """Time over which the torque of the contacts is averaged [s]."""
 
+LEAST_SQUEEZE = 0.05
+"""Fingers that press less in all do not squeeze [N]."""
+
 _FASTEST = 0.25  # largest w T: the hold stays damped with a tick of delay, see docs/safe_hold.md
-_LEAST_SQUEEZE = 0.05  # N; fingers that press less in all do not squeeze
 
 
 class JointHoldConfig(Config):
@@ -102,7 +104,7 @@ class JointHold:
 
     def _largest_factor(self) -> float:
         """Return s at the limit of the squeeze or of a joint, at least 1."""
-        if self._squeezing < _LEAST_SQUEEZE:
+        if self._squeezing < LEAST_SQUEEZE:
             return 1.0
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._squeeze)
@@ -140,7 +142,7 @@ class JointHold:
         """Raise the squeeze by what the load has grown; it never falls while holding."""
         share = 1.0 - math.exp(-self._tick / FELT_TIME)
         self._felt = self._felt + share * (pressed - self._felt)
-        if self._squeezing > _LEAST_SQUEEZE:
+        if self._squeezing > LEAST_SQUEEZE:
             load, _ = split_forces(tip_forces(tips, self._felt))
             grown = float(np.linalg.norm(load - self._load))
             factor = 1.0 + grown / (self._config.friction * self._squeezing)

@@ -67,6 +67,17 @@ def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
     assert made.reason == reason and made.held == 1 and np.isfinite(answer).all()
 
 
+def test_a_command_that_turns_the_squeeze_around_begins_a_hold_and_one_that_lets_go_does_not():
+    weight = HAND.gravity_torque(THETA)
+    for pull, reason in ((-1.0, joint_guard.PULLS), (-0.1, ""), (0.0, "")):
+        made = guard(**{"hold.reserve": 0.0})
+        answer = step(made, follow(made), weight + pull * (TORQUE - weight))
+        assert made.reason == reason
+    made = guard(**{"hold.reserve": 0.0})
+    answer = step(made, follow(made), weight - (TORQUE - weight))
+    np.testing.assert_allclose(answer, TORQUE, atol=1e-9)
+
+
 def test_joint_states_that_are_not_finite_repeat_the_last_torque():
     made = guard()
     last = follow(made)
@@ -148,12 +159,12 @@ def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
     made = guard()
     tick = follow(made)
     for more in range(4):
-        step(made, tick + more, TORQUE, theta=THETA + 0.003 * more)
+        step(made, tick + more, TORQUE, theta=THETA + 0.0006 * more)
         assert not made.reason
-    step(made, tick + 4, TORQUE, theta=THETA + 0.012)
-    step(made, tick + 5, TORQUE, theta=THETA + 0.012)
+    step(made, tick + 4, TORQUE, theta=THETA + 0.0024)
+    step(made, tick + 5, TORQUE, theta=THETA + 0.0024)
     assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
-    step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.012)
+    step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.0024)
     assert not made.reason
 
 
