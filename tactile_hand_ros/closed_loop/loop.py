@@ -107,6 +107,7 @@ class ClosedLoop:
             optimal.forces,
             grasp_force,
             touch.forces,
+            state.torque,
         )
         self._write(record, row, true, touch, grasp_force, optimal, command)
         record.true_sliding[row] = sliding

@@ -203,7 +203,7 @@ class Scenario(Config):
 
 
 def _limit_hold(data: dict[str, Any]) -> None:
-    """Let the hold of the joints squeeze up to the regulator's limit, unless it has one of its own.
+    """Let hold and controller squeeze up to the regulator's limit, unless they have their own.
 
     Args:
         data: A scenario before validation; what is not a mapping is left to the validation.
@@ -216,10 +216,13 @@ def _limit_hold(data: dict[str, Any]) -> None:
         if not isinstance(section, dict):
             return
         place[name] = place = dict(section)
-    regulator = data["slip_regulator"]
+    regulator, controller = data["slip_regulator"], data["manipulation_controller"]
     if isinstance(regulator, dict):
         default = SlipRegulatorConfig.model_fields["maximum"].default
-        place.setdefault("squeeze_limit", regulator.get("maximum", default))
+        limit = regulator.get("maximum", default)
+        place.setdefault("squeeze_limit", limit)
+        if isinstance(controller, dict):
+            data["manipulation_controller"] = {"grasp_force_limit": limit, **controller}
 
 
 def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
@@ -244,6 +247,8 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     hold = data["plant"]["guard"]["hold"]
     if hold["squeeze_limit"] == scenario.slip_regulator.maximum:
         del hold["squeeze_limit"]  # which follows that limit
+    if data["manipulation_controller"]["grasp_force_limit"] == scenario.slip_regulator.maximum:
+        del data["manipulation_controller"]["grasp_force_limit"]
     return data
 
 

@@ -22,12 +22,19 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     Target,
 )
+from tactile_hand_ros.control.plausibility.press import PressWatch
+from tactile_hand_ros.control.plausibility.touch import (
+    JointWatch,
+    implausible_shape,
+    implausible_touch,
+)
 from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.control.reference import SmoothReference
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.kinematics import Fingertips
 
 Array = NDArray[np.float64]
 
@@ -39,6 +46,9 @@ MOST_CHECKED = 1
 they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
+
+_SHY = "forces were wrong a moment ago; holding until k_f and f* have forgotten them"
+_STANDING = 0.2  # share of the tolerance of touch that contacts may move under standing joints
 
 _LONGEST_GAP = 0.05  # s; over a longer pause nothing is integrated and no reference moves on
 _LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
@@ -69,6 +79,30 @@ class ControllerConfig(Config):
     )
     hold: HoldConfig = HoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
+    touch_tolerance: float = param(
+        0.01,
+        "largest distance between a contact and the fingertip that the joints put it on",
+        unit="m",
+        live=True,
+        gt=0.0,
+    )
+    force_tolerance: float = param(
+        0.3,
+        "largest error of the measured forces against the joint torques, as a share, 0 for any",
+        live=True,
+        ge=0.0,
+    )
+    force_doubt: float = param(
+        4.0,
+        "time for which the hand is held after forces were wrong, until k_f and f* forget them",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=100.0,
+    )
+    grasp_force_limit: float = param(
+        0.0, "largest k_f that is believed, 0 for any", unit="N", live=True, ge=0.0
+    )
     input_timeout: float = param(
         0.5,
         "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
@@ -95,12 +129,15 @@ class Command(NamedTuple):
         mode: Drive, hold, open or disabled.
         pose: What the hand believes of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
+        withheld: Whether it is better not sent: an input is implausible, and the guard of the
+            joints, which needs none of them, holds better.
     """
 
     torque: Array
     mode: Mode
     pose: AuxiliaryPose | None
     reason: str = ""
+    withheld: bool = False
 
 
 class _QueuedPose(NamedTuple):
@@ -121,7 +158,8 @@ class Controller:
     """Answers each tick with joint torques; sees joints and touch only.
 
     Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
-    or the contacts lie on a line, the hand holds its posture and its last good squeeze.
+    or implausible, or the contacts lie on a line, the hand holds its posture and its last good
+    squeeze.
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
@@ -145,6 +183,7 @@ class Controller:
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
+        self._press, self._joint_watch = PressWatch(), JointWatch()
         self._reference = SmoothReference()
         self._hold = SafeHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
@@ -167,6 +206,9 @@ class Controller:
     def forget(self) -> None:
         """Forget grasp, targets and integral; open or closing fingers go on with that."""
         self._law.reset()
+        self._press.reset()
+        self._joint_watch.reset()
+        self._false_forces: int | None = None  # last tick with forces that were wrong
         self._reference.reset()
         self._hold.release()
         self._squeeze = self._carry = np.zeros(self.hand.joints)
@@ -174,6 +216,7 @@ class Controller:
         self._checked = 0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
+        self._doubted: int | None = None  # first tick of those with an implausible input
         self._drove = False
         self._open_stamp: int | None = None
         self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
@@ -266,6 +309,7 @@ class Controller:
         optimal_forces: Array,
         grasp_force: float,
         forces: Array | None = None,
+        applied: Array | None = None,
     ) -> Command:
         """Answer a tick for which everything has arrived.
 
@@ -277,6 +321,7 @@ class Controller:
             optimal_forces: f* in contact frames, shape (k, 3); NaN when (13) has no answer.
             grasp_force: k_f, N.
             forces: Measured forces in contact frames, shape (k, 3), N; for the load observer.
+            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         dt = self._elapsed(stamp)
         self._last_stamp = stamp
@@ -289,7 +334,12 @@ class Controller:
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
             return self.hold(theta, rates, problem, grasp_force)
-        tips = self.hand.fingertips(theta)
+        tips, problem = self._seen(
+            stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
+        )
+        if problem:
+            return self._doubt(stamp, theta, rates, problem)
+        self._doubted = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = (theta, contacts, pose)
@@ -344,6 +394,55 @@ class Controller:
         torque = held + bearable_share(more, held, self.hand.effort_limits) * more
         return Command(torque, Mode.HOLD, None, reason)
 
+    def _seen(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+        forces: Array | None,
+        applied: Array | None,
+    ) -> tuple[Fingertips, str]:
+        """Return the fingertips, and why the inputs of a tick are implausible; empty if not."""
+        c, problem = self.config, ""
+        if self._feels and forces is not None and applied is not None:
+            terms = self.hand.dynamics(theta, rates)
+            tips, touch = terms[0], (contacts, forces, applied)
+            problem = self._press.step(stamp, rates, terms, *touch, c.force_tolerance)
+            problem = problem or self._shy(stamp)
+            if problem != _SHY:
+                self._false_forces = stamp if problem else None
+        else:
+            tips = self.hand.fingertips(theta)
+        if 0.0 < c.grasp_force_limit < grasp_force:
+            problem = f"k_f = {grasp_force:.3g} N is above {c.grasp_force_limit:g} N; holding"
+        if c.law.name == "optimal":
+            problem = problem or implausible_shape(optimal_forces)
+        touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)
+        stands = self._joint_watch.step(theta, contacts, _STANDING * c.touch_tolerance)
+        return tips, problem or touch_gap or stands
+
+    def _shy(self, stamp: int) -> str:
+        """Return why the hand is held although forces are right again; empty if it is not."""
+        last = self._false_forces
+        is_over = last is None or 1e-9 * (stamp - last) >= self.config.force_doubt
+        return "" if is_over else _SHY
+
+    @property
+    def _feels(self) -> bool:
+        """Whether measured forces decide what the hand does, and are compared with torques."""
+        c = self.config
+        return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
+
+    def _doubt(self, stamp: int, theta: Array, rates: Array, reason: str) -> Command:
+        """Answer a tick with an input that is implausible, as if it were missing."""
+        if self._doubted is None:
+            self._doubted = stamp
+        is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
+        return self.hold(theta, rates, reason)._replace(withheld=is_new)
+
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._reference.reset()
@@ -394,8 +493,9 @@ class Controller:
                 if not touching
             ]
             return f"no contact at {', '.join(names)}; holding until all fingers touch again"
-        if self.config.law.name == "optimal" and not all_finite(forces):
-            return "no optimal force f*; holding until the optimizer has an answer"
+        if self.config.law.name == "optimal":
+            if not all_finite(forces):
+                return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
         return ""

@@ -299,6 +299,7 @@ class ShadowLoop:
             out.optimal_forces[row],
             float(out.grasp_force[row]),
             r.forces[row],
+            r.torque[row],
         )
         out.command[row] = command.torque
         pose = command.pose

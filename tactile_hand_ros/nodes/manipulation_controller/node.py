@@ -142,6 +142,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         hand = self._controller.hand
         contacts, forces = example_touch(hand.fingers)
         still = np.zeros(hand.joints)
+        on_tips = hand.tip_positions(still) + hand.radii[:, None] * contacts.normals
+        contacts = Contacts(on_tips, contacts.rotations)
         self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
         GraspWatch(hand).margins(still, contacts)
         self._controller.reset()
@@ -207,10 +209,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._unanswered = stamp, joints
         if self._fresh:
             self._check_fresh(stamp)
+        theta, rates, applied = joints
         command = self._controller.step(
-            stamp, *joints, contacts, optimal_forces, grasp_force, forces
+            stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
-        self._answer(stamp, command)
+        if not command.withheld:
+            self._answer(stamp, command)
         self._publish_accepted(stamp)
         self._report.note(command, joints.theta, contacts)
         self._fresh.clear()
@@ -231,7 +235,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""
-        command = self._controller.hold(*joints, reason)
+        command = self._controller.hold(joints.theta, joints.rates, reason)
         self._answer(stamp, command)
         self._report.note(command)
 

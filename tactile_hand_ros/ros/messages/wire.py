@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -335,12 +336,26 @@ class JointCodec:
             MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
                 length, NaN or infinity.
         """
+        stamp, values, _ = self.decode_with_last(data)
+        return stamp, values
+
+    def decode_with_last(self, data: bytes) -> tuple[int, list[Array], Array | None]:
+        """Return stamp [ns], one array of shape (m,) per wanted field, and a usable effort or None.
+
+        Raises:
+            MessageError: As `decode`.
+        """
         found = self._template.decode(data)
         if found is not None:
-            return found[0], found[1][: len(self._wanted)]
+            stamp, values = found
+            return stamp, values[: len(self._wanted)], values[-1]
         message = read_message(data, JointState)
         stamp = stamp_to_ns(message.header.stamp)
-        return stamp, [self._order.read(message, field) for field in self._wanted]
+        values = [self._order.read(message, field) for field in self._wanted]
+        effort = None
+        with suppress(MessageError):
+            effort = self._order.read(message, "effort")
+        return stamp, values, effort
 
 
 def _is_unit(quaternion: Sequence[float]) -> bool:

@@ -84,10 +84,14 @@ def _force_decoder(frame: str, nan_allowed: bool) -> Decode:
 
 
 class Joints(NamedTuple):
-    """Joint angles [rad] and rates [rad/s] in the hand's order, shape (m,)."""
+    """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
+
+    The torques are those since the tick before, and None where a driver does not report them.
+    """
 
     theta: Array
     rates: Array
+    applied: Array | None
 
 
 def joints(joint_names: Sequence[str]) -> Stream:
@@ -96,8 +100,8 @@ def joints(joint_names: Sequence[str]) -> Stream:
     codec = JointCodec(joint_names, fields, wanted=("position", "velocity"))
 
     def decode(data: bytes) -> tuple[int, Joints]:
-        stamp, (theta, rates) = codec.decode(data)
-        return stamp, Joints(theta, rates)
+        stamp, (theta, rates), applied = codec.decode_with_last(data)
+        return stamp, Joints(theta, rates, applied)
 
     return Stream(JointState, {names.JOINT_STATES: decode}, from_driver=True)
 

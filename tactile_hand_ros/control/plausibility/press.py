@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the fingers press as the motors do, by equation (3)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.hand.kinematics import Fingertips
+
+Array = NDArray[np.float64]
+
+FELT_TIME = 0.005
+"""Time over which forces and torques are compared [s]."""
+
+_FROZEN_TIME = 0.04  # s for which a slow skin may repeat a force to the bit
+_FROZEN_SHARE = 0.05  # change of the torques of a finger that changes its force
+_LEAST = 0.05  # N m; an error that says nothing
+
+
+class _Frozen(NamedTuple):
+    """Since when a finger repeats its force to the bit, ns; the force, N; torques then, N m."""
+
+    stamp: int
+    force: Array
+    pressed: Array
+
+
+class PressWatch:
+    """Compares the measured forces with the torques that the joints report."""
+
+    def __init__(self) -> None:
+        """Start without a past."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: time or grasp are new."""
+        self._last: tuple[int, Array] | None = None
+        self._pressed = self._excess = np.zeros(0)
+        self._frozen: list[_Frozen] = []
+
+    def step(
+        self,
+        stamp: int,
+        rates: Array,
+        terms: tuple[Fingertips, Array, Array],
+        contacts: Contacts,
+        forces: Array,
+        applied: Array,
+        tolerance: float,
+    ) -> str:
+        """Return why forces and torques do not fit each other; empty if they do.
+
+        Both are averaged over `FELT_TIME`, within which a blow passes through the fingers.
+
+        Args:
+            stamp: The tick, ns.
+            rates: Joint rates, shape (m,), rad/s.
+            terms: Fingertips, M_h and C_h theta' + N_h at the tick.
+            contacts: Contact points and frames; all must touch.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            applied: Torque since the last tick, shape (m,), N m.
+            tolerance: Largest error of J_h^T f_c as a share of it.
+        """
+        before, self._last = self._last, (stamp, rates)
+        if before is None or stamp <= before[0]:
+            return ""
+        tips, inertia, bias = terms
+        dt = 1e-9 * (stamp - before[0])
+        pressed = applied - inertia @ (rates - before[1]) / dt - bias
+        felt = joint_torques(*tips, contacts.positions, in_palm(contacts.rotations, forces, 1.0))
+        if not self._pressed.size:
+            self._pressed, self._excess = pressed, np.zeros_like(pressed)
+        share = 1.0 - math.exp(-dt / FELT_TIME)
+        self._pressed = self._pressed + share * (pressed - self._pressed)
+        self._excess = self._excess + share * (felt - pressed - self._excess)
+        most = _LEAST + tolerance * math.sqrt(self._pressed @ self._pressed)
+        if math.sqrt(self._excess @ self._excess) > most:
+            return "forces and joint torques do not fit each other; holding until they do"
+        if self._is_frozen(stamp, tips, forces):
+            return "the forces of a finger do not change although its torques do; holding"
+        return ""
+
+    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array) -> bool:
+        """Return whether a finger repeats its force to the bit for long, under another torque."""
+        if not self._frozen:
+            self._frozen = [_Frozen(stamp, force, self._pressed) for force in forces]
+        for i, (force, frozen) in enumerate(zip(forces, self._frozen, strict=True)):
+            if not np.array_equal(force, frozen.force):
+                self._frozen[i] = _Frozen(stamp, force, self._pressed)
+            elif 1e-9 * (stamp - frozen.stamp) > _FROZEN_TIME:
+                own = tips.linear[i].any(axis=0)
+                change = np.abs((self._pressed - frozen.pressed)[own]).max()
+                if change > _LEAST + _FROZEN_SHARE * np.abs(frozen.pressed[own]).max():
+                    return True
+        return False

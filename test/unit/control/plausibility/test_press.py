@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces that are not those of the motors are found, and blows and slow skins are none."""
+
+import numpy as np
+import pytest
+from support.plants import plant
+
+from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.plausibility.press import PressWatch
+
+TICK = 2_000_000
+PLANT = plant()
+STATE = PLANT.state
+CONTACTS = Contacts(STATE.contacts.positions, STATE.contacts.rotations)
+TERMS = PLANT.hand.dynamics(STATE.theta, np.zeros(9))
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+
+
+def torque(forces):
+    """Return the joint torques at rest that press with forces in contact frames."""
+    pressing = in_palm(CONTACTS.rotations, forces, 1.0)
+    return joint_torques(*TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
+
+
+def first_doubt(felt, applied, ticks=100):
+    """Return the tick at which forces and torques, functions of the tick, are first doubted."""
+    watch = PressWatch()
+    for tick in range(ticks):
+        seen = felt(tick), torque(applied(tick))
+        if watch.step(tick * TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3):
+            return tick
+    return None
+
+
+def noisy(tick):
+    return FORCES + 1e-3 * np.sin(tick + np.arange(9.0)).reshape(3, 3)
+
+
+ONE = np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+
+
+@pytest.mark.parametrize("factor", [ONE, np.array([-3.0, 3.0, -3.0]), 0.0])
+def test_forces_out_of_proportion_are_doubted_within_two_ticks(factor):
+    assert first_doubt(lambda i: noisy(i) * (factor if i >= 50 else 1.0), noisy) in (50, 51, 52)
+
+
+def test_true_forces_are_believed_also_while_they_grow_and_at_a_blow():
+    assert first_doubt(noisy, noisy) is None
+    grows = lambda i: noisy(i) * (1.0 + 0.02 * i)  # noqa: E731
+    assert first_doubt(grows, grows) is None
+    assert first_doubt(noisy, lambda i: noisy(i) * (1.5 if i == 50 else 1.0)) is None
+
+
+def test_a_force_that_repeats_is_doubted_when_the_torques_change_and_not_at_rest():
+    def stuck(tick):
+        return np.vstack([FORCES[:1], noisy(tick)[1:]])
+
+    def grows(tick):
+        return noisy(tick) * [[1.0 + 0.004 * tick], [1.0], [1.0]]
+
+    assert first_doubt(stuck, noisy) is None
+    assert 20 < first_doubt(stuck, grows) < 60
+
+
+def test_a_new_grasp_starts_without_a_past():
+    watch = PressWatch()
+    seen = FORCES, torque(3.0 * FORCES)
+    assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
+    assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3)
+    watch.reset()
+    assert watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
+
+
+def test_after_wrong_forces_the_hand_is_held_until_others_have_forgotten_them():
+    config = ControllerConfig().changed({"law.observer.time": 0.02, "force_doubt": 0.1})
+    controller, optimal = Controller(config), FORCES / FORCES[:, 1].sum()
+    touch = CONTACTS, optimal, 10.0
+    weight = controller.hand.dynamics(STATE.theta, np.zeros(9))[2]
+    applied, modes = torque(FORCES) - TERMS[2] + weight, []
+    for tick in range(120):
+        felt = FORCES * (ONE if 20 <= tick < 30 else 1.0)
+        command = controller.step(tick * TICK, STATE.theta, np.zeros(9), *touch, felt, applied)
+        modes.append((command.mode, command.withheld))
+    assert modes[:20] == [(Mode.DRIVE, False)] * 20
+    assert modes[21:80] == [(Mode.HOLD, True)] * 59
+    assert modes[-20:] == [(Mode.DRIVE, False)] * 20
