@@ -134,12 +134,19 @@ def loads(
 
 def faults(
     out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("faults"),
-    runs: Annotated[int, typer.Option(help="Number of injections.", min=1)] = 500,
+    runs: Annotated[
+        int, typer.Option(help="Number of injections; 0 only draws what is stored.", min=0)
+    ] = 500,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     way: Annotated[
         list[str] | None,
         typer.Option(help="calls, lockstep, composed or processes; may be repeated."),
     ] = None,
+    deaths: Annotated[
+        bool | None,
+        typer.Option(help="Only nodes that are killed or stopped, or only all other faults."),
+    ] = None,
+    jobs: JobsOption = -1,
     formats: FormatOption = None,
 ) -> None:
     """Let parts of the running hand fail, and measure drops, time to safety and forces.
@@ -160,12 +167,13 @@ def faults(
         )
     figure_formats(formats)
     check_writable(out)
-    chosen = space.sample(runs, seed, ways=ways)
+    among = [cell for cell in space.cells() if deaths in (None, cell.is_death)]
+    chosen = space.sample(runs, seed, ways=ways, among=among)
     done = campaign.load(out)
     outcomes = list(done)
     try:
         with Progress("injecting", len(chosen)) as advance:
-            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, -1, advance)):
+            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, jobs, advance)):
                 outcomes.append(outcome)
     except KeyboardInterrupt:
         print(f"interrupted after {len(outcomes)} runs; the same command goes on")

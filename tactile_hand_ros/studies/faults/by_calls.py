@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.controller import Controller, Mode
 from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
@@ -28,7 +28,7 @@ from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
 from tactile_hand_ros.studies.faults import space
-from tactile_hand_ros.studies.faults.outcome import LET_GO, Outcome, distance_to_segment
+from tactile_hand_ros.studies.faults.outcome import LET_GO, Outcome, distance
 from tactile_hand_ros.studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
 from tactile_hand_ros.studies.faults.space import Run
 
@@ -106,10 +106,11 @@ class FaultyLoop:
         self._newest: TorqueCommand | None = None
         self._waiting: deque[tuple[int, TorqueCommand]] = deque()
         self._missing, self._pause, self._late = 0.0, 0.0, 0
+        self.drives = True
 
     def tick(self) -> None:
         """Move one tick ahead."""
-        loop = self.loop
+        loop, self.drives = self.loop, True
         self.wires.begin_tick()
         if not self._is_stopped():
             torque = self.wires.carry("torque", self._answer(), np.negative)
@@ -141,7 +142,7 @@ class FaultyLoop:
         state, stamp = loop.state, loop.stamp
         sliding = sliding_speeds(state)
         touch = loop.sensor.step(stamp, true_reading(state), sliding)
-        joints = carry("joints", (state.theta, state.rates), lambda v: (v[0] + _TURN, v[1]))
+        joints = carry("joints", (state.theta, state.rates, state.torque), _turned)
         contacts = carry("contacts", touch.contacts, _moved)
         given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
         forces = None if any(each is None for each in given) else np.array(given)
@@ -162,10 +163,15 @@ class FaultyLoop:
         if missing:
             is_blind = self._missing >= loop.scenario.manipulation_controller.input_timeout
             held = loop.controller.hold(joints[0], joints[1], "inputs are missing")
+            self.drives = False
             return held.torque if is_blind else None
         self._command()
-        answer = loop.controller.step(stamp, joints[0], joints[1], contacts, shape, squeeze, forces)
-        return answer.torque
+        theta, rates, applied = joints
+        answer = loop.controller.step(
+            stamp, theta, rates, contacts, shape, squeeze, forces, applied
+        )
+        self.drives = answer.mode is Mode.DRIVE
+        return None if answer.withheld else answer.torque
 
     def _shape(self, contacts: Any, forces: Array | None) -> Any:
         config = self.loop.optimizer.config
@@ -198,6 +204,11 @@ class FaultyLoop:
             loop.regulator = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
 
 
+def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    theta, rates, applied = joints
+    return theta + _TURN, rates, -applied
+
+
 def _moved(contacts: Contacts) -> Contacts:
     return Contacts(contacts.positions + np.array([_AWAY, 0.0, 0.0]), contacts.rotations)
 
@@ -210,51 +221,49 @@ def run_by_calls(run: Run) -> Outcome:
     """Inject one fault and return what became of the object."""
     cell = run.cell
     faulty = FaultyLoop(scenario(cell.situation, cell.way), run)
-    begin = SITUATIONS[cell.situation].time + random.Random(run.seed).uniform(0.0, 0.2)
+    moment = SITUATIONS[cell.situation].time + run.delay
     loop, seen = faulty.loop, _Seen(faulty)
+    is_lost = False
     try:
-        for _ in range(round(begin / faulty.tick_time)):
+        for _ in range(round(moment / faulty.tick_time)):
             faulty.tick()
-        seen.start(cell.fault != space.NONE)
+        faulty.wires.failing = cell.fault != space.NONE
         seen.run(FAULT_TIME)
         faulty.wires.failing = False
         faulty.restart()
         seen.run(_AFTER)
     except DivergedError:
-        seen.is_lost = True
+        is_lost = True
+    failing = round(max(FAULT_TIME, seen.held_until) / faulty.tick_time)
+    moved = distance(cell, np.array(seen.positions[:failing]), moment)
     return Outcome(
         *cell,
         run.seed,
-        dropped=seen.is_lost or not bool(loop.state.contacts.all_touching) or seen.moved > LET_GO,
-        moved=seen.moved,
+        dropped=is_lost or not bool(loop.state.contacts.all_touching) or moved > LET_GO,
+        moved=moved,
         safe=seen.safe,
         peak=seen.peak,
         limit=loop.scenario.slip_regulator.maximum,
-        recovered=None if faulty.guard.holding else max(0.0, seen.held_until - FAULT_TIME),
+        recovered=seen.recovered,
         declared=seen.declared,
     )
 
 
 class _Seen:
-    """The worst of what the object suffers from the fault on."""
+    """What the object suffers from the fault on."""
 
     def __init__(self, faulty: FaultyLoop) -> None:
         self._faulty = faulty
-        self._start = faulty.loop.state.position.copy()
-        self.moved = self.peak = self.held_until = self._time = 0.0
+        self.positions: list[Array] = []
+        self.peak = self.held_until = self._time = 0.0
         self.safe: float | None = None
-        self.declared, self.is_lost = "", False
+        self.declared = ""
 
-    def start(self, failing: bool) -> None:
-        """Begin to look."""
-        self._here = self._faulty.loop.state.position.copy()
-        targets = self._faulty.loop.scenario.targets
-        goal = self._here
-        if targets:
-            centre = self._faulty.loop.scenario.plant.object.position
-            goal = self._start + np.subtract(targets[-1].position, centre)
-        self._goal = goal
-        self._faulty.wires.failing = failing
+    @property
+    def recovered(self) -> float | None:
+        """Time from the end of the fault until the hand drives, s; None if it does not."""
+        is_driving = self._faulty.drives and not self._faulty.guard.holding
+        return max(0.0, self.held_until - FAULT_TIME) if is_driving else None
 
     def run(self, seconds: float) -> None:
         """Run on and look at every tick."""
@@ -263,10 +272,9 @@ class _Seen:
             faulty.tick()
             self._time += faulty.tick_time
             state, guard = faulty.loop.state, faulty.guard
-            off = distance_to_segment(state.position[None], self._here, self._goal)
-            self.moved = max(self.moved, float(off[0]))
+            self.positions.append(state.position.copy())
             self.peak = max(self.peak, float(state.forces[:, 1].sum()))
-            if guard.holding:
+            if guard.holding or not faulty.drives:
                 self.held_until = self._time
-                if self.safe is None:
+                if guard.holding and self.safe is None:
                     self.safe, self.declared = self._time, guard.reason

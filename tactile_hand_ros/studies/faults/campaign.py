@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import random
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +18,13 @@ from tactile_hand_ros.studies.engine.study import Point, Study, in_order
 from tactile_hand_ros.studies.faults import situations
 from tactile_hand_ros.studies.faults.by_calls import run_by_calls
 from tactile_hand_ros.studies.faults.injection import injected
-from tactile_hand_ros.studies.faults.outcome import Outcome, failed, judge, recovery
+from tactile_hand_ros.studies.faults.outcome import (
+    Outcome,
+    failed,
+    judge,
+    recovery,
+    why_not_begun,
+)
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 from tactile_hand_ros.studies.faults.space import Run
 
@@ -27,7 +32,9 @@ RESULTS = "faults.jsonl"
 
 _RECOVERY = 10.0  # s, longest wait for a hand that drives again
 _AFTERWARDS = 0.3  # s that are watched after it does
-_SPREAD = 0.2  # s of simulated time over which faults begin
+
+_STARTS = 3  # of a run that does not begin, after which it is not judged
+_SLACK = 20.0  # s of real time for a second of simulated time
 
 _BROKEN = (TactileHandError, TimeoutError, OSError)
 
@@ -91,12 +98,21 @@ def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:
 def run_one(hand: RunningHand, run: Run) -> Outcome:
     """Inject one fault and return what became of the object.
 
+    Before anything fails it is judged whether the hand has begun to hold; if not, nothing is
+    injected, and the run starts again. So the choice cannot depend on what the fault does.
+
     Raises:
         TimeoutError: If the hand does not begin.
     """
-    hand.begin()
-    late = random.Random(run.seed).uniform(0.0, _SPREAD)
-    hand.wait_for_time(situations.SITUATIONS[run.cell.situation].time + late)
+    moment = situations.SITUATIONS[run.cell.situation].time + run.delay
+    for starts in range(1, _STARTS + 1):
+        hand.begin()
+        hand.wait_for_time(moment, _SLACK)
+        reason = why_not_begun(hand)
+        if not reason:
+            break
+    else:
+        raise TimeoutError(f"not begun in {_STARTS} starts: {reason}")
     begin = time.monotonic()
     with injected(hand, run):
         _pass_time(hand, situations.FAULT_TIME)
@@ -109,7 +125,7 @@ def run_one(hand: RunningHand, run: Run) -> Outcome:
 
     hand.wait(is_back, "the recovery")
     _pass_time(hand, _AFTERWARDS)
-    return judge(hand, run, begin, end)
+    return judge(hand, run, moment, begin, end, starts)
 
 
 def _pass_time(hand: RunningHand, seconds: float) -> None:

@@ -24,6 +24,7 @@ from tactile_hand_ros.studies.faults.running_hand import RunningHand
 from tactile_hand_ros.studies.faults.space import Run
 
 _NODE_OF = {
+    space.SENSOR: names.SENSOR,
     space.REGULATOR: names.REGULATOR,
     space.OPTIMIZER: names.OPTIMIZER,
     space.CONTROLLER: names.CONTROLLER,
@@ -47,16 +48,11 @@ def injected(hand: RunningHand, run: Run) -> Iterator[None]:
             stack.enter_context(_user(hand, run))
         elif cell.component == space.COMPUTER:
             stack.enter_context(_computer(hand, cell.fault))
-        elif cell.component == space.RECORDER or _is_killed(hand, run):
+        elif cell.component == space.RECORDER or cell.is_signal:
             stack.enter_context(_process(hand, _NODE_OF[cell.component], cell.fault))
         else:
             stack.enter_context(_tapped(hand, run))
         yield
-
-
-def _is_killed(hand: RunningHand, run: Run) -> bool:
-    """Return whether a node is really killed: where it has a process of its own."""
-    return run.cell.fault == "off" and run.cell.component in _NODE_OF and not hand.composed
 
 
 @contextmanager
@@ -79,7 +75,7 @@ def _process(hand: RunningHand, name: str, fault: str) -> Iterator[None]:
         process.wait()
         yield
         hand.start(name)
-    elif fault == "stuck":
+    elif fault in ("stuck", space.STOPPED):
         with _stopped([process.pid]):
             yield
     else:

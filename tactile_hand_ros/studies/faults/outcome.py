@@ -4,20 +4,24 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.studies.faults import space
+from tactile_hand_ros.studies.faults.expected import expected
 from tactile_hand_ros.studies.faults.running_hand import Event, RunningHand
 from tactile_hand_ros.studies.faults.space import Cell, Run
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 _LEAST = 0.1  # N; a hand that squeezes less has not begun to hold
-LET_GO = 0.1  # m off its way: an object there is not in the hand, whatever touches it
+_BEFORE = 0.1  # s before a fault in which the hand must drive and hold
+LET_GO = 0.1
+"""Distance from where it may be [m]: an object there is not in the hand, whatever touches it."""
 
 
 @dataclass(frozen=True)
@@ -27,16 +31,17 @@ class Outcome:
     Attributes:
         way, situation, component, fault: The cell.
         seed: Seed of the run.
-        dropped: Whether a finger does not touch at the end, or the object is 0.1 m off its way.
-        moved: Largest distance of the object from the straight way to its goal, m.
+        dropped: Whether a finger does not touch at the end, or the object is 0.1 m from where it
+            may be.
+        moved: Largest distance of the object from where it may be until the hand drives for good,
+            m; see `Expected`. NaN where a user moves it.
         safe: Time from the fault to the first hold or ERROR, s; None where none was declared.
         peak: Largest sum of normal forces, N.
         limit: The regulator's limit of it, N.
         recovered: Time from the end of the fault until the hand drives for good, s; None if it
             does not until the end.
         declared: What was declared first.
-        lost_before: Whether the object was lost before anything failed, which the fault is not
-            blamed for.
+        starts: How often the hand was started until it had begun to hold, before the fault.
         error: Why the run could not be judged; empty if it was.
     """
 
@@ -52,7 +57,7 @@ class Outcome:
     limit: float = 0.0
     recovered: float | None = None
     declared: str = ""
-    lost_before: bool = False
+    starts: int = 1
     error: str = ""
 
     @property
@@ -75,31 +80,64 @@ def failed(run: Run, error: Exception) -> Outcome:
     return Outcome(*run.cell, run.seed, error=f"{type(error).__name__}: {error}"[:300])
 
 
-def judge(hand: RunningHand, run: Run, begin: float, end: float) -> Outcome:
+def why_not_begun(hand: RunningHand) -> str:
+    """Return why the hand has not begun to hold its object, before anything fails; empty if it has.
+
+    It has begun when all fingers touch, press, and were not held by the guard just now.
+    """
+    since = time.monotonic() - _BEFORE
+    before = hand.since(since)
+    holds = [event for event in hand.events if event.topic == names.JOINT_HOLD]
+    if (holds and hand.read(holds[-1]).data) or _holds(hand, before):
+        return "the joints are held"
+    if not hand.is_touching(before):
+        return "a finger does not touch"
+    return "" if hand.squeeze(before) >= _LEAST else "the fingers do not press"
+
+
+def judge(
+    hand: RunningHand, run: Run, moment: float, begin: float, end: float, starts: int
+) -> Outcome:
     """Return what became of a run.
 
     Args:
         hand: The hand with all events of the run.
         run: What was injected.
+        moment: Simulated time of the fault, s.
         begin: When the fault began, by the monotonic clock, s.
         end: When it ended, s.
+        starts: How often the hand was started.
     """
     after = hand.since(begin)
-    before = [event for event in hand.events if event.time < begin]
+    recovered = recovery(hand, after, end)
+    failing = [e for e in after if recovered is None or e.time <= end + recovered]
     safe, declared = _first_declared(hand, after)
-    off_way = _off_way(hand, begin)
+    moved = distance(run.cell, hand.positions(failing)[1], moment)
     return Outcome(
         *run.cell,
         run.seed,
-        dropped=not hand.is_touching(after) or off_way > LET_GO,
-        moved=off_way,
+        dropped=not hand.is_touching(after) or moved > LET_GO,
+        moved=moved,
         safe=None if safe is None else safe - begin,
         peak=hand.squeeze(after),
         limit=hand.scenario.slip_regulator.maximum,
-        recovered=recovery(hand, after, end),
+        recovered=recovered,
         declared=declared,
-        lost_before=not hand.is_touching(before) or hand.squeeze(before[-200:]) < _LEAST,
+        starts=starts,
     )
+
+
+def distance(cell: Cell, seen: Array, moment: float) -> float:
+    """Return how far an object was from where it may be, m; NaN where a user moves it.
+
+    Args:
+        cell: What failed in which situation.
+        seen: Where it was, shape (n, 3), m.
+        moment: Simulated time of the fault, s.
+    """
+    if cell.component == space.USER and cell.fault in ("stuck", "delayed", "intermittent"):
+        return math.nan  # poses in reach are orders, wherever they lead
+    return expected(cell.situation, cell.way).distance(seen, moment)
 
 
 def _first_declared(hand: RunningHand, events: list[Event]) -> tuple[float | None, str]:
@@ -111,33 +149,6 @@ def _first_declared(hand: RunningHand, events: list[Event]) -> tuple[float | Non
 
 def _holds(hand: RunningHand, events: list[Event]) -> list[Event]:
     return [e for e in events if e.topic == names.JOINT_HOLD and hand.read(e).data]
-
-
-def _off_way(hand: RunningHand, begin: float) -> float:
-    """Return the largest distance of the object from the straight line to its goal, m."""
-    _, seen = hand.positions(hand.since(begin))
-    _, all_seen = hand.positions(hand.events)
-    if not len(seen) or not np.isfinite(seen).all():
-        return math.inf
-    here, start = seen[0], all_seen[0]
-    targets = hand.scenario.targets
-    goal = start + _way(targets[-1].position, hand) if targets else here
-    return float(distance_to_segment(seen, here, goal).max())
-
-
-def _way(position: Any, hand: RunningHand) -> Array:
-    """Return the way of the object: that of the contacts, which begin at its centre of mass."""
-    way: Array = np.subtract(position, hand.scenario.plant.object.position)
-    return way
-
-
-def distance_to_segment(points: Array, a: Array, b: Array) -> Array:
-    """Return how far points are from the straight line between two others, shape (n,), m."""
-    line = b - a
-    length = float(line @ line)
-    share = np.zeros(len(points)) if length < 1e-12 else (points - a) @ line / length
-    nearest = a + np.clip(share, 0.0, 1.0)[:, None] * line
-    return np.asarray(np.linalg.norm(points - nearest, axis=1))
 
 
 def recovery(hand: RunningHand, events: list[Event], end: float) -> float | None:

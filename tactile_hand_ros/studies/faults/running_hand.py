@@ -48,6 +48,7 @@ PATIENCE = 180.0
 """Longest wait for the nodes of a session [s]."""
 
 _POLL = 0.01  # s
+_ANSWER = 20.0  # s, longest wait for a service
 
 
 class Event(NamedTuple):
@@ -234,7 +235,7 @@ class RunningHand:
         client = self._clients[service]
         self.wait(client.service_is_ready, f"the service {service}")
         future = client.call_async(request)
-        self.wait(future.done, f"an answer of {service}")
+        self.wait(future.done, f"an answer of {service}", _ANSWER)
         return future.result()
 
     def begin(self) -> None:
@@ -252,17 +253,17 @@ class RunningHand:
         self._looked_at = 0
         self._call(SetBool, "plant/run", SetBool.Request(data=True))
 
-    def wait_for_time(self, seconds: float) -> None:
-        """Wait until simulated time has come to a moment [s]."""
-        limit = round(1e9 * seconds)
+    def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
+        """Wait until simulated time has come to a moment [s], but no longer than a limit [s]."""
+        due = round(1e9 * seconds)
 
         def is_there() -> bool:
             for event in reversed(self.events):
                 if event.topic == names.OBJECT_POSE:
-                    return bool(stamp_to_ns(self.read(event).header.stamp) >= limit)
+                    return bool(stamp_to_ns(self.read(event).header.stamp) >= due)
             return False
 
-        self.wait(is_there, f"t = {seconds:g} s")
+        self.wait(is_there, f"t = {seconds:g} s", limit)
 
     def positions(self, events: list[Event]) -> tuple[Array, Array]:
         """Return when the object was seen [s], and where, shape (n, 3), m."""

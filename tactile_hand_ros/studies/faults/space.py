@@ -2,7 +2,7 @@
 """What can fail, how, while the hand does what, and how its nodes run: the cells of the campaign.
 
 The words for faults are those of PX4's failure injection: off, stuck, garbage, wrong, slow,
-delayed, intermittent.
+delayed, intermittent. A node that is off is killed, one that is stopped gets SIGSTOP.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ import itertools
 import random
 from collections.abc import Iterator
 from typing import NamedTuple
+
+SPREAD = 0.2
+"""Simulated time over which the moments of faults are spread [s]."""
 
 WAYS = ("calls", "lockstep", "composed", "processes")
 """By function calls, without a clock; in lockstep in processes; in real time in one process and in
@@ -23,23 +26,28 @@ NONE = "none"
 
 JOINTS, FINGER, SKIN = "joint link", "skin of one finger", "skin of all fingers"
 REGULATOR, OPTIMIZER, CONTROLLER = "regulator", "optimizer", "controller"
-RECORDER, USER, COMPUTER = "recorder", "user commands", "computer"
+SENSOR, RECORDER, USER, COMPUTER = "sensor", "recorder", "user commands", "computer"
+STOPPED = "stopped"
 
 FAULTS_OF = {
     JOINTS: (*FAULTS, "clock step"),
     FINGER: FAULTS,
     SKIN: FAULTS,
-    REGULATOR: FAULTS,
-    OPTIMIZER: FAULTS,
-    CONTROLLER: FAULTS,
+    SENSOR: ("off", STOPPED),
+    REGULATOR: (*FAULTS, STOPPED),
+    OPTIMIZER: (*FAULTS, STOPPED),
+    CONTROLLER: (*FAULTS, STOPPED),
     RECORDER: ("off", "stuck", "full disk"),
     USER: ("stuck", "garbage", "wrong", "delayed", "intermittent"),
-    COMPUTER: ("starved", "stopped"),
+    COMPUTER: ("starved", STOPPED),
 }
+
+HAND = (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER)
+"""The nodes that are killed and stopped."""
 
 _TAPS = {
     "joints": (JOINTS, CONTROLLER),
-    "touch": (FINGER, SKIN),
+    "touch": (FINGER, SKIN, SENSOR),
     "forces": (REGULATOR, OPTIMIZER),
     "": (RECORDER, USER, COMPUTER),
 }
@@ -55,8 +63,20 @@ class Cell(NamedTuple):
     fault: str
 
     @property
+    def is_death(self) -> bool:
+        """Whether a node of the hand is killed or stopped."""
+        return self.component in HAND and self.fault in ("off", STOPPED)
+
+    @property
+    def is_signal(self) -> bool:
+        """Whether that is done by a signal; where nodes share a process, a topic falls silent."""
+        return self.is_death and self.way in ("lockstep", "processes")
+
+    @property
     def tap(self) -> str:
-        """Name of the group of topics that pass the fault node."""
+        """Name of the group of topics that pass the fault node; empty where none has to."""
+        if self.is_signal:
+            return ""
         return next(tap for tap, parts in _TAPS.items() if self.component in parts)
 
     def __str__(self) -> str:
@@ -82,11 +102,12 @@ _BASES = (JOINTS, FINGER, REGULATOR, USER)
 def _exists(way: str, component: str, fault: str) -> bool:
     """Return whether a fault can be injected there.
 
-    Composed nodes stop together with the plant, whose time then stands still.
+    Composed nodes stop together with the plant, whose time then stands still. By function calls
+    there are no processes: a node that is stopped is one that is off, and the sensor is the skin.
     """
-    if component == COMPUTER and fault == "stopped":
-        return way != "composed"
-    return not (way == "calls" and component == RECORDER)
+    if fault == STOPPED:
+        return way in ("lockstep", "processes") or (way == "calls" and component == COMPUTER)
+    return not (way == "calls" and component in (RECORDER, SENSOR))
 
 
 class Run(NamedTuple):
@@ -94,6 +115,11 @@ class Run(NamedTuple):
 
     cell: Cell
     seed: int
+
+    @property
+    def delay(self) -> float:
+        """By how much the fault begins later than the first moment of its situation, s."""
+        return random.Random(self.seed).uniform(0.0, SPREAD)
 
     @property
     def key(self) -> str:

@@ -30,8 +30,8 @@ COLUMNS = (
 
 
 def judged(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return the outcomes that say something about a fault: the object was there when it came."""
-    return [o for o in outcomes if not o.error and not o.lost_before]
+    """Return the outcomes that say something about a fault: the hand held when it came."""
+    return [o for o in outcomes if not o.error]
 
 
 def rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
@@ -43,6 +43,9 @@ def rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
         table.append(row(f"{way}, no fault", [o for o in mine if o.fault == space.NONE]))
         faulty = [o for o in mine if o.fault != space.NONE]
         table.append(row(f"{way}, all faults", faulty))
+        deaths = [o for o in faulty if o.cell.is_death]
+        if deaths:
+            table.append(row(f"{way}, nodes killed or stopped", deaths))
         for attribute, values in (
             ("situation", space.SITUATIONS),
             ("component", space.FAULTS_OF),
@@ -65,7 +68,7 @@ def row(name: str, some: Sequence[Outcome]) -> list[str]:
     if not drops:
         return [name, "0", *["-"] * 6]
     _, low, high = share(drops)
-    kept = [o for o in some if not o.dropped]
+    kept = _kept(some)
     return [
         name,
         str(len(some)),
@@ -76,6 +79,11 @@ def row(name: str, some: Sequence[Outcome]) -> list[str]:
         _text([o.peak / o.limit for o in some], max, "{:.2f}"),
         _text([o.recovered for o in some if o.recovered is not None], np.median, "{:.2f}"),
     ]
+
+
+def _kept(some: Sequence[Outcome]) -> list[Outcome]:
+    """Return the outcomes with an object that was kept and moved by nothing but the fault."""
+    return [o for o in some if not o.dropped and not math.isnan(o.moved)]
 
 
 def _text(values: Sequence[float], of: Callable[[Any], Any], form: str) -> str:
@@ -107,7 +115,7 @@ def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
     content = {
         "runs": len(outcomes),
         "judged": len(judged(outcomes)),
-        "lost before the fault": sum(o.lost_before for o in outcomes),
+        "started again before the fault": sum(o.starts - 1 for o in outcomes),
         "not judged": [o.error for o in outcomes if o.error],
         "columns": COLUMNS,
         "rows": rows(outcomes),
@@ -127,7 +135,7 @@ def _cell(cell: space.Cell, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "drops": sum(o.dropped for o in some),
         "drop_share": probable,
         "interval": [low, high],
-        "moved_m": max((o.moved for o in some if not o.dropped), default=math.nan),
+        "moved_m": max((o.moved for o in _kept(some)), default=math.nan),
         "safe_s": [o.safe for o in some],
         "peak_share": max((o.peak / o.limit for o in some), default=math.nan),
         "recovered_s": [o.recovered for o in some],

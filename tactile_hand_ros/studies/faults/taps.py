@@ -41,11 +41,13 @@ def tapped(tap: str, fingers: Sequence[str]) -> dict[str, tuple[str, Any]]:
 
 def topics_of(component: str, fingers: Sequence[str]) -> list[str]:
     """Return the topics that fail when a component does."""
+    skin = [names.CONTACTS, *map(names.wrench, fingers)]
     return {
         "joint link": [names.JOINT_STATES],
         "controller": [names.JOINT_COMMAND],
         "skin of one finger": [names.wrench(fingers[0])],
-        "skin of all fingers": [names.CONTACTS, *map(names.wrench, fingers)],
+        "skin of all fingers": skin,
+        "sensor": skin,
         "regulator": [names.GRASP_FORCE],
         "optimizer": [names.optimal_force(name) for name in fingers],
     }.get(component, [])

@@ -26,16 +26,16 @@ def test_what_is_kept_is_not_run_again(tmp_path):
     assert list(campaign.run_campaign(RUNS[:7], known)) == []
 
 
-def test_the_tables_leave_out_what_no_fault_is_to_blame_for(tmp_path):
+def test_the_tables_leave_out_what_could_not_be_judged(tmp_path):
     outcomes = [made(run) for run in RUNS]
-    outcomes[0] = made(RUNS[0], lost_before=True, dropped=True)
+    outcomes[0] = made(RUNS[0], starts=2)
     outcomes[1] = made(RUNS[1], error="TimeoutError: no answer")
-    assert len(tables.judged(outcomes)) == len(RUNS) - 2
+    assert len(tables.judged(outcomes)) == len(RUNS) - 1
     first = tables.row("all", [made(RUNS[2], dropped=True), made(RUNS[3])])
     assert first == ["all", "2", "1", "9.5 to 90.5 %", "1.0", "8", "0.50", "0.50"]
     table, summary = tables.write(outcomes, tmp_path)
     assert len(table.read_text().splitlines()) == len(RUNS) + 1
     content = json.loads(summary.read_text())
-    assert content["lost before the fault"] == 1 and len(content["not judged"]) == 1
+    assert content["started again before the fault"] == 1 and len(content["not judged"]) == 1
     assert all(each["survivable"] for each in content["survivability"])
     assert faults_figure(outcomes).axes

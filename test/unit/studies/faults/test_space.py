@@ -35,3 +35,13 @@ def test_every_fault_of_every_component_has_its_cells():
             faults
         )
     assert all(cell.tap in ("joints", "touch", "forces", "") for cell in known)
+
+
+def test_a_node_is_killed_where_it_is_a_process_and_silenced_where_it_is_not():
+    for cell in space.cells():
+        if cell.is_signal:
+            assert cell.is_death and not cell.tap and cell.way in ("lockstep", "processes")
+    killed = space.Cell("processes", "moving", "sensor", "stopped")
+    silent = space.Cell("composed", "moving", "regulator", "off")
+    assert killed.is_signal and silent.is_death and silent.tap == "forces"
+    assert killed in space.cells() and killed._replace(way="composed") not in space.cells()
