@@ -212,6 +212,7 @@ class Controller:
         self._reference.reset()
         self._hold.release()
         self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._is_new = True  # nothing has been squeezed
         self._grasp_force = self._more = 0.0
         self._checked = 0
         self._last_torque: Array | None = None
@@ -333,12 +334,12 @@ class Controller:
             return self._open(theta, rates, contacts, stamp)
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
-            return self.hold(theta, rates, problem, grasp_force)
+            return self.hold(theta, rates, problem, grasp_force, applied)
         tips, problem = self._seen(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
         if problem:
-            return self._doubt(stamp, theta, rates, problem)
+            return self._doubt(stamp, theta, rates, problem, applied)
         self._doubted = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
@@ -353,31 +354,42 @@ class Controller:
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
         except GraspError as error:
-            return self.hold(theta, rates, str(error))
+            return self.hold(theta, rates, str(error), applied=applied)
         total = parts.total
         # The square overflows only for torques that no joint could have: one check for all of them.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
-            return self.hold(theta, rates, _NOT_FINITE)
+            return self.hold(theta, rates, _NOT_FINITE, applied=applied)
         weight = self._weight(theta)
         bearable = self._bearable(parts, weight)
         if bearable is not parts:
             parts, total = bearable, bearable.total
         self._hold.release()
-        self._drove = True
+        self._drove, self._is_new = True, False
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
         torque = self._for_middle_of_period(total)
         return Command(_sum(torque, weight), Mode.DRIVE, pose, refused)
 
-    def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
+    def hold(
+        self,
+        theta: Array,
+        rates: Array,
+        reason: str,
+        grasp_force: float = 0.0,
+        applied: Array | None = None,
+    ) -> Command:
         """Answer a tick without what the law needs: keep posture and last good squeeze.
+
+        A controller that has not squeezed yet keeps what acts on the joints: another may have died
+        with the object in the hand, and a guard may hold it.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             reason: Why the law cannot answer.
             grasp_force: k_f where it is known, N. The held squeeze rises with it and never falls.
+            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         self._last_torque = None
         self._checked = 0
@@ -386,6 +398,10 @@ class Controller:
         if not self.enabled:
             return self._disabled(theta, rates)
         self._reference.reset()
+        if self._is_new and applied is not None and applied.any() and all_finite(applied):
+            weight = self._weight(theta)
+            self._squeeze = applied if weight is None else applied - weight
+            self._is_new = False
         self._hold.engage(theta, self._squeeze + self._carry)
         if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
@@ -436,19 +452,21 @@ class Controller:
         c = self.config
         return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
 
-    def _doubt(self, stamp: int, theta: Array, rates: Array, reason: str) -> Command:
+    def _doubt(
+        self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
+    ) -> Command:
         """Answer a tick with an input that is implausible, as if it were missing."""
         if self._doubted is None:
             self._doubted = stamp
         is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
-        return self.hold(theta, rates, reason)._replace(withheld=is_new)
+        return self.hold(theta, rates, reason, applied=applied)._replace(withheld=is_new)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
         self._reference.reset()
         self._regrasp.follow(theta)
         self._last_torque = None
-        self._drove = False
+        self._drove = self._is_new = False
         self._open_stamp = None
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         torque = self._with_gravity(-self.config.law.damping * rates, theta)
@@ -470,7 +488,7 @@ class Controller:
         # After a gap the fingers go on from where they are, and do not make up for it at once.
         dt = 0.0 if self._open_stamp is None else 1e-9 * (stamp - self._open_stamp)
         self._open_stamp = stamp
-        self._drove = False
+        self._drove = self._is_new = False
         self._last_torque = None
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         self._hold.move(

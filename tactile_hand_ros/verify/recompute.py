@@ -312,7 +312,9 @@ class ShadowLoop:
     def _hold(self, row: int) -> None:
         r = self._recorded
         self._command(int(r.stamps[row]))
-        held = self._controller.hold(r.theta[row], r.rates[row], "inputs are missing")
+        held = self._controller.hold(
+            r.theta[row], r.rates[row], "inputs are missing", applied=r.torque[row]
+        )
         self._out.command[row] = held.torque
 
     def _command(self, stamp: int) -> None:

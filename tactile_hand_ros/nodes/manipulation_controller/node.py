@@ -235,7 +235,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""
-        command = self._controller.hold(joints.theta, joints.rates, reason)
+        command = self._controller.hold(
+            joints.theta, joints.rates, reason, applied=joints.applied
+        )
         self._answer(stamp, command)
         self._report.note(command)
 

@@ -162,7 +162,9 @@ class FaultyLoop:
         self._missing = self._missing + self.tick_time if missing else 0.0
         if missing:
             is_blind = self._missing >= loop.scenario.manipulation_controller.input_timeout
-            held = loop.controller.hold(joints[0], joints[1], "inputs are missing")
+            held = loop.controller.hold(
+                joints[0], joints[1], "inputs are missing", applied=joints[2]
+            )
             self.drives = False
             return held.torque if is_blind else None
         self._command()

@@ -6,6 +6,8 @@ import pytest
 from support.grasps import moved
 from support.plants import plant
 
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import (
     MOST_CHECKED,
@@ -658,3 +660,49 @@ def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     np.testing.assert_array_equal(silent.torque, twice)
     bench.step()
     np.testing.assert_allclose(bench.step(**lost).torque, base, atol=1e-9)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
+    """Started, or reset, while a guard holds the object: nothing falls until its inputs are there."""
+    bench, left = Bench(gravity_compensation=True), np.linspace(-0.4, 0.6, 9)
+    if again:
+        bench.step()
+        bench.controller.forget()
+    held = bench.controller.hold(bench.theta, REST, "silence", applied=left)
+    np.testing.assert_allclose(held.torque, left, atol=1e-12)
+    without = bench.step(contacts=bench.without_finger(1), applied=0.5 * left)
+    np.testing.assert_allclose(without.torque, left, atol=1e-12)
+
+
+def test_a_controller_that_has_squeezed_keeps_its_own_squeeze(bench):
+    drive = bench.step()
+    held = bench.controller.hold(bench.theta, REST, "silence", applied=np.full(9, 0.3))
+    np.testing.assert_allclose(held.torque, drive.torque, atol=1e-12)
+
+
+@pytest.mark.parametrize("applied", [None, np.zeros(9), np.full(9, np.nan)])
+def test_where_no_torque_is_known_a_new_controller_only_keeps_the_posture(bench, applied):
+    held = bench.controller.hold(bench.theta, REST, "silence", applied=applied)
+    np.testing.assert_array_equal(held.torque, REST)
+
+
+def test_after_disabling_no_torque_is_taken_over(bench):
+    bench.controller.enabled = False
+    bench.step()
+    bench.controller.enabled = True
+    held = bench.controller.hold(bench.theta, REST, "silence", applied=np.full(9, 0.3))
+    np.testing.assert_array_equal(held.torque, REST)
+
+
+def test_an_object_outlives_its_controller_and_the_blind_start_of_the_next():
+    loop = ClosedLoop(load_scenario("gravity"))
+    loop.run(500)
+    before = loop.state.position.copy()
+    following = Controller(loop.scenario.manipulation_controller)
+    for _ in range(200):
+        state = loop.state
+        held = following.hold(state.theta, state.rates, "silence", applied=state.torque)
+        loop.advance(held.torque)
+    assert loop.state.contacts.all_touching
+    assert np.linalg.norm(loop.state.position - before) < 1e-3
