@@ -405,7 +405,7 @@ class Controller:
         self._hold.engage(theta, self._squeeze + self._carry)
         if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
-        held = self._with_gravity(self._hold.torque(theta, rates), theta)
+        held = self._with_gravity(self._held(theta, rates), theta)
         more = self._more * self._squeeze
         torque = held + bearable_share(more, held, self.hand.effort_limits) * more
         return Command(torque, Mode.HOLD, None, reason)
@@ -459,7 +459,8 @@ class Controller:
         if self._doubted is None:
             self._doubted = stamp
         is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
-        return self.hold(theta, rates, reason, applied=applied)._replace(withheld=is_new)
+        held = self.hold(theta, rates, reason, applied=applied)
+        return held._replace(withheld=is_new or self.joints_held)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()
@@ -471,6 +472,11 @@ class Controller:
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         torque = self._with_gravity(-self.config.law.damping * rates, theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
+
+    def _held(self, theta: Array, rates: Array) -> Array:
+        """Return the torque of the safe hold, shape (m,), N m."""
+        inertia = self.hand.dynamics(theta, rates)[1]
+        return self._hold.torque(theta, rates, inertia)
 
     def _regrasped(self, contacts: Contacts) -> bool:
         """Return whether closing fingers have all touched; then a new grasp begins."""
@@ -494,7 +500,7 @@ class Controller:
         self._hold.move(
             self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
         )
-        torque = self._with_gravity(self._hold.torque(theta, rates), theta)
+        torque = self._with_gravity(self._held(theta, rates), theta)
         return Command(torque, Mode.OPEN, None, "let go by the user")
 
     def _elapsed(self, stamp: int) -> float:

@@ -234,11 +234,13 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
-        """Hold the hand at a tick for which inputs are missing."""
-        command = self._controller.hold(
-            joints.theta, joints.rates, reason, applied=joints.applied
-        )
-        self._answer(stamp, command)
+        """Hold the hand at a tick for which inputs are missing.
+
+        Where a guard holds the joints, without delay and stiffer, it is not relieved by that.
+        """
+        command = self._controller.hold(joints.theta, joints.rates, reason, applied=joints.applied)
+        if not self._controller.joints_held:
+            self._answer(stamp, command)
         self._report.note(command)
 
     def to_safe_state(self, reason: str) -> None:

@@ -166,7 +166,7 @@ class FaultyLoop:
                 joints[0], joints[1], "inputs are missing", applied=joints[2]
             )
             self.drives = False
-            return held.torque if is_blind else None
+            return held.torque if is_blind and not self.guard.holding else None
         self._command()
         theta, rates, applied = joints
         answer = loop.controller.step(

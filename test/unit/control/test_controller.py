@@ -73,6 +73,10 @@ class Bench:
         rotation = rotation_from_vector(turn)
         return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
 
+    def stiffness(self, theta):
+        """Return that of the safe hold, shape (9, 9), N m/rad."""
+        return 40.0**2 * self.controller.hand.dynamics(theta, REST)[1]
+
     @property
     def centroid(self):
         return self.contacts.centroid
@@ -253,9 +257,12 @@ def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, re
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-9)
     away = bench.theta + 0.01
     pushed = bench.step(theta=away, **given(bench)).torque
-    np.testing.assert_allclose(pushed - held.torque, -10.0 * 0.01, atol=1e-9)
+    np.testing.assert_allclose(
+        pushed - held.torque, -bench.stiffness(away) @ np.full(9, 0.01), atol=1e-9
+    )
     rubbed = bench.step(rates=np.ones(9), **given(bench)).torque
-    np.testing.assert_allclose(rubbed - held.torque, -0.5, atol=1e-9)
+    damping = 2.0 / 40.0 * bench.stiffness(bench.theta) @ np.ones(9)
+    np.testing.assert_allclose(rubbed - held.torque, -damping, atol=1e-9)
     again = bench.step()
     assert again.mode is Mode.DRIVE
     np.testing.assert_allclose(again.torque, drive.torque, atol=1e-9)
@@ -579,13 +586,14 @@ def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_squeeze(again)
 
 
 def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
-    """The posture that is held, seen from torques of 10 N m/rad about a hand that stays."""
+    """The posture that is held, seen from the torques of a spring about a hand that stays."""
     bench.step()
     bench.controller.release()
     hand, normals = bench.controller.hand, bench.contacts.normals
 
     def opened(**given):
-        posture = bench.theta + bench.step(**given).torque / 10.0
+        turn = np.linalg.solve(bench.stiffness(bench.theta), bench.step(**given).torque)
+        posture = bench.theta + turn
         moves = hand.tip_positions(posture) - hand.tip_positions(bench.theta)
         outward = -(moves * normals).sum(axis=1)
         np.testing.assert_allclose(moves, -outward[:, None] * normals, atol=1e-5)
@@ -664,7 +672,7 @@ def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
-    """Started, or reset, while a guard holds the object: nothing falls until its inputs are there."""
+    """Started, or reset, while a guard holds: nothing falls until its inputs are there."""
     bench, left = Bench(gravity_compensation=True), np.linspace(-0.4, 0.6, 9)
     if again:
         bench.step()

@@ -80,7 +80,7 @@ def test_after_an_interruption_the_fingers_go_on_and_do_not_jump():
     after = controller.step(later, theta, rates, nothing, silent, 10.0).torque
     np.testing.assert_allclose(after, before, atol=1e-6)
     gap = controller.step(later + 3_000_000_000, theta, rates, nothing, silent, 10.0).torque
-    assert np.abs(gap - after).max() < 0.2  # a millimetre of stiffness 10 N m/rad
+    assert np.abs(gap - after).max() < 0.2  # a millimetre, of a few ten N m/rad
 
 
 CONFIG = RegraspConfig(opening=0.012, speed=0.02, overtravel=0.008)

@@ -2,24 +2,42 @@
 """The safe hold keeps squeeze and posture."""
 
 import numpy as np
+import pytest
 
+from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
+from tactile_hand_ros.studies.faults.situations import SITUATIONS, scenario
+from tactile_hand_ros.studies.stalls import GuardedLoop, Watch
 
 POSTURE = np.array([0.1, 0.2, 0.3])
 SQUEEZE = np.array([1.0, -1.0, 0.5])
+INERTIA = np.array([[0.04, 0.01, 0.0], [0.01, 0.03, 0.002], [0.0, 0.002, 0.008]])
 
 
 def test_keeps_the_squeeze_where_it_was_engaged():
-    hold = SafeHold(HoldConfig(stiffness=20.0, damping=2.0))
+    hold = SafeHold(HoldConfig(bandwidth=20.0))
     hold.engage(POSTURE, SQUEEZE)
-    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3)), SQUEEZE)
+    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3), INERTIA), SQUEEZE)
 
 
 def test_springs_back_and_damps():
-    hold = SafeHold(HoldConfig(stiffness=20.0, damping=2.0))
+    hold = SafeHold(HoldConfig(bandwidth=20.0))
     hold.engage(POSTURE, SQUEEZE)
-    torque = hold.torque(POSTURE + 0.1, np.array([0.0, 0.5, 0.0]))
-    np.testing.assert_allclose(torque, SQUEEZE - 20.0 * 0.1 - [0.0, 1.0, 0.0])
+    rates = np.array([0.0, 0.5, 0.0])
+    torque = hold.torque(POSTURE + [0.1, 0.0, 0.0], rates, INERTIA)
+    spring, damping = [1.6, 0.4, 0.0], [0.2, 0.6, 0.04]  # 400 M (0.1, 0, 0) and 40 M (0, 0.5, 0)
+    np.testing.assert_allclose(torque, SQUEEZE - spring - damping)
+
+
+def test_whatever_is_read_the_torque_is_finite():
+    hold = SafeHold(HoldConfig(bandwidth=20.0))
+    hold.engage(POSTURE, SQUEEZE)
+    for theta, rates in ((POSTURE, [1e308, -1e308, 0.0]), (POSTURE - 1e308, np.zeros(3))):
+        assert np.isfinite(hold.torque(theta, np.array(rates), INERTIA)).all()
+    far = hold.torque(POSTURE - 50.0, np.zeros(3), INERTIA)
+    np.testing.assert_allclose(far, SQUEEZE + 400.0 * np.pi * INERTIA.sum(axis=1))
+    fast = hold.torque(POSTURE, np.full(3, 2e3), INERTIA)
+    np.testing.assert_allclose(fast, SQUEEZE - 40.0 * 1e3 * INERTIA.sum(axis=1))
 
 
 def test_engaging_twice_keeps_the_first_and_releasing_forgets():
@@ -27,15 +45,27 @@ def test_engaging_twice_keeps_the_first_and_releasing_forgets():
     assert not hold.active
     hold.engage(POSTURE, SQUEEZE)
     hold.engage(POSTURE + 1.0, SQUEEZE + 1.0)
-    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3)), SQUEEZE)
+    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3), INERTIA), SQUEEZE)
     hold.release()
     assert not hold.active
     hold.engage(POSTURE + 1.0, SQUEEZE + 1.0)
-    np.testing.assert_array_equal(hold.torque(POSTURE + 1.0, np.zeros(3)), SQUEEZE + 1.0)
+    np.testing.assert_array_equal(hold.torque(POSTURE + 1.0, np.zeros(3), INERTIA), SQUEEZE + 1.0)
 
 
 def test_does_not_follow_arrays_that_change_later():
     hold, posture = SafeHold(HoldConfig()), POSTURE.copy()
     hold.engage(posture, SQUEEZE)
     posture += 1.0
-    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3)), SQUEEZE)
+    np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3), INERTIA), SQUEEZE)
+
+
+@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 1e-3), ("moving", 4e-3)])
+def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
+    """For four seconds at 250 Hz: a spring that is too soft lets two fingers buckle."""
+    guarded = GuardedLoop(scenario(situation, "processes"), GuardConfig())
+    guarded.run(SITUATIONS[situation].time + 0.1)
+    loop, controller = guarded.loop, guarded.loop.controller
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(theta, rates, "silence")
+    watch = Watch(guarded)
+    watch.run(4.0, answers=True, delay=3)
+    assert watch.moved < farthest and loop.state.contacts.all_touching
