@@ -294,11 +294,7 @@ class Controller:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = (theta, contacts, pose)
             refused = self._take_due_target(stamp, pose)
-            assert self.target is not None
-            self._law.acts = not self.joints_held
-            if self.joints_held:
-                self._reference.reset()
-            wanted = self._reference.step(self.target, pose, self.config.reference_time, dt)
+            wanted = self._way_to_target(pose, dt)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
@@ -309,6 +305,19 @@ class Controller:
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE)
+        torque = self._drive(parts, total, theta, grasp_force)
+        return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
+        """Return the pose on the way to the target that the law aims at in this tick."""
+        assert self.target is not None
+        self._law.acts = not self.joints_held
+        if self.joints_held:
+            self._reference.reset()
+        return self._reference.step(self.target, pose, self.config.reference_time, dt)
+
+    def _drive(self, parts: LawTorque, total: Array, theta: Array, grasp_force: float) -> Array:
+        """Return what the joints can bear of the law's torques; remember it for a later hold."""
         weight = self._weight(theta)
         bearable = self._bearable(parts, weight)
         if bearable is not parts:
@@ -317,8 +326,7 @@ class Controller:
         self._drove = True
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
-        torque = self._for_middle_of_period(total)
-        return Command(_sum(torque, weight), Mode.DRIVE, pose, refused)
+        return _sum(self._for_middle_of_period(total), weight)
 
     def hold(self, theta: Array, rates: Array, reason: str, grasp_force: float = 0.0) -> Command:
         """Answer a tick without what the law needs: keep posture and last good squeeze.
