@@ -200,12 +200,14 @@ def test_run_reaches_its_goal_and_is_recorded_completely(
     assert "report: " in orchestrator.stdout and "/report.html" in orchestrator.stdout
 
 
-def test_missed_goal_is_an_exit_code_also_in_a_namespace(
+def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
-    """All topics are below the namespace, which ROS arguments may give."""
+    """All topics are below the namespace, which ROS arguments may give; --cpus pins the nodes."""
     tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report")
-    orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
+    cpu = str(min(os.sched_getaffinity(0)))
+    ours = (*tight, "--cpus", cpu)
+    orchestrator = start("--scenario", near, *ours, "--ros-args", "-r", "__ns:=/left", "--")
     assert end_of(orchestrator) == 1
     assert "the final position error is" in orchestrator.stderr
     assert summary_of(tmp_path)["outcome"] == "goal not reached"
@@ -214,58 +216,34 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     for topic in TICK_TOPICS:
         assert counts[f"/left/{topic}"] >= 151, topic
     assert "/joint_states" not in counts
+    told = {each.name: each.values["scheduling_cpus"] for each in Run(latest(tmp_path)).diagnostics}
+    assert told.pop("/left/recorder") == ",".join(map(str, sorted(os.sched_getaffinity(0))))
+    assert set(told.values()) == {cpu}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--scenario", "papr"), "did you mean 'paper'"),
-        (("--set", "plant.rte=500"), "did you mean 'rate'"),
-        (("--set", "targets=[{position: [9, 9, 9]}]"), "out of reach"),
-        (("--namespace", "1st"), "the namespace is '1st'"),
-        (("--ros-args", "-p"), "ROS arguments cannot be used"),
-    ],
-)
-def test_refused_scenario_starts_nothing(
-    start: Start, tmp_path: Path, arguments: tuple[str, ...], complaint: str
-) -> None:
-    """One sentence, exit code 2, and no run."""
-    before = arguments if "--ros-args" not in arguments else ()
-    orchestrator = start(*before, *(() if before else (*arguments, "--")))
+def test_refused_scenario_starts_nothing(start: Start, tmp_path: Path) -> None:
+    """One sentence, exit code 2, and no run; `orchestrator/test_command.py` has the reasons."""
+    orchestrator = start("--scenario", "paper", "--set", "plant.rte=500", "--quiet")
     assert end_of(orchestrator) == 2
-    assert complaint in orchestrator.stderr
+    assert orchestrator.stderr.startswith("orchestrator: ")
+    assert orchestrator.stderr.count("\n") == 1 and "did you mean 'rate'" in orchestrator.stderr
     assert not (tmp_path / "runs").exists()
 
 
-def test_broken_yaml_is_refused_with_its_place(start: Start, tmp_path: Path) -> None:
-    """The line is named."""
-    broken = tmp_path / "broken.yaml"
-    broken.write_text("extends: paper\nplant: {rate: 500\n")
-    orchestrator = start("--scenario", broken)
-    assert end_of(orchestrator) == 2
-    assert "is not valid YAML" in orchestrator.stderr
-    assert f"{broken}: line 3" in orchestrator.stderr
+def test_refused_ros_arguments_start_nothing(domain: int, tmp_path: Path) -> None:
+    with start_executable("orchestrator", "--out", str(tmp_path / "x"), "--ros-args", "-p") as run:
+        assert end_of(run) == 2
+        assert "ROS arguments cannot be used" in run.stderr
+    assert not list(tmp_path.iterdir())
 
 
-def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_path: Path) -> None:
-    """Exit code 130, all topics end at the same tick, nothing runs any more."""
-    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
-    wait_until_running(tmp_path, orchestrator)
-    processes = family(orchestrator)
-    orchestrator.send(signal.SIGINT)
-    assert end_of(orchestrator) == 130
-    assert_gone(processes)
-    run = Run(latest(tmp_path))
-    assert run.bag_metrics.complete
-    assert len(run.record) > 50
-    summary = summary_of(tmp_path)
-    assert summary["outcome"] == "interrupted"
-    assert summary["reasons"] == []
-    assert summary["metrics"] == run.metrics.to_dict()
+def test_ctrl_c_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
+    start: Start, tmp_path: Path
+) -> None:
+    """Exit code 130, every tick up to the last is in the bag, nothing runs any more.
 
-
-def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) -> None:
-    """Nobody waits for it, but what it missed is kept for it for some seconds."""
+    No node waits for the recorder, but what it missed is kept for it for some seconds.
+    """
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
     wait_until_running(tmp_path, orchestrator)
     processes = family(orchestrator)
@@ -279,9 +257,14 @@ def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) ->
     wait_until(lambda: bag.stat().st_size > size + 400_000, PATIENCE, "a recorder that caught up")
     orchestrator.send(signal.SIGINT)
     assert end_of(orchestrator) == 130
-    assert summary_of(tmp_path)["reasons"] == []
-    record = Run(latest(tmp_path)).record
-    assert np.array_equal(record.stamps, 2_000_000 * np.arange(len(record)))
+    assert_gone(processes)
+    run = Run(latest(tmp_path))
+    assert run.bag_metrics.complete
+    assert np.array_equal(run.record.stamps, 2_000_000 * np.arange(len(run.record)))
+    summary = summary_of(tmp_path)
+    assert summary["outcome"] == "interrupted"
+    assert summary["reasons"] == []
+    assert summary["metrics"] == run.metrics.to_dict()
 
 
 def _take_terminal() -> None:
