@@ -4,17 +4,16 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import errno
 import io
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError, nearest
 
 EXIT_REFUSED = 2
 EXIT_INTERRUPTED = 130
@@ -144,12 +143,6 @@ def os_sentence(error: OSError) -> str:
     )
     reason = error.strerror or str(error) or type(error).__name__
     return f"{where}: {reason}{_ADVICE.get(error.errno or 0, '')}."
-
-
-def nearest(wrong: str, valid: Sequence[str]) -> str:
-    """Return ", did you mean 'this'?" or a full stop."""
-    near = difflib.get_close_matches(wrong, valid, n=1)
-    return f", did you mean '{near[0]}'?" if near else "."
 
 
 def _explained(error: Exception) -> tuple[str, int | None]:

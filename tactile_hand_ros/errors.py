@@ -3,12 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import difflib
+from collections.abc import Iterable, Sequence
 
 
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural unless there is one."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def nearest(wrong: str, valid: Sequence[str]) -> str:
+    """End a sentence about a wrong name: ", did you mean 'this'?", or a full stop."""
+    near = difflib.get_close_matches(wrong, valid, n=1)
+    return f", did you mean '{near[0]}'?" if near else "."
 
 
 class TactileHandError(Exception):

@@ -31,16 +31,15 @@ from tactile_hand_ros.verify.recorded_inputs import Effect, Inputs, configured
 
 TOPICS = 12
 RATE = 5000.0  # messages/s on all topics
-_SECONDS = 6.0
 _JOINTS = 9
 _TIMEOUT = 60.0  # s
 
 
-def measure_recorder(work: Workload) -> list[Result]:
+def measure_recorder(work: Workload, seconds: float = 6.0) -> list[Result]:
     """Record 5,000 messages/s on 12 topics from another process; count losses and CPU time."""
     shares, lost, rates = [], [], []
     for _ in range(work.repeats):
-        share, missing, rate = _record(round(_SECONDS * RATE / TOPICS))
+        share, missing, rate = _record(round(seconds * RATE / TOPICS))
         shares.append(100.0 * share)
         lost.append(float(missing))
         rates.append(rate)

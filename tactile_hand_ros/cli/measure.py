@@ -13,11 +13,10 @@ from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
     Progress,
-    check_writable,
-    figure_formats,
+    folder_for_results,
+    print_files,
     print_table,
 )
-from tactile_hand_ros.errors import counted
 
 
 def reproduce(
@@ -42,21 +41,20 @@ def reproduce(
     from tactile_hand_ros.studies.paper.reproduce import reproduce as run
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
-    figure_formats(formats)
-    check_writable(out)
+    kinds = folder_for_results(out, formats)
     with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance:
         results = run(layouts, duration, Local(jobs), advance)
     with Progress("drawing", len(results)) as advance:
         files = []
         for result in results:
-            files += draw(result, out, figure_formats(formats))
+            files += draw(result, out, kinds)
             advance(result.layout)
-    files += write(results, out, figure_formats(formats)[0])
+    files += write(results, out, kinds[0])
     for result in results:
         print_table(tables.claim_table(f"layout {result.layout}", result.claims))
         title = f"what the laws do, layout {result.layout}"
         print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
-    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+    print_files(files, out)
 
 
 def slip(
@@ -79,8 +77,7 @@ def slip(
     from tactile_hand_ros.studies.slip import study as slip_study
     from tactile_hand_ros.studies.slip import tables as s
 
-    figure_formats(formats)
-    check_writable(out if out.exists() else out.absolute().parent)
+    kinds = folder_for_results(out, formats)
     with Progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
         result = slip_study.run_study(runs, seed, Local(jobs), advance)
     drawn = study_figures.figures(result)
@@ -93,12 +90,12 @@ def slip(
     if points:
         files += slip_roc.write(points, out)
     for name, figure in drawn.items():
-        files += save(figure, out, name, figure_formats(formats))
+        files += save(figure, out, name, kinds)
     print_table(tables.rich_table(f"slip, {runs} runs", s.COLUMNS, s.rows(result)))
     print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
     if points:
         print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
-    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+    print_files(files, out)
 
 
 def loads(
@@ -119,17 +116,16 @@ def loads(
     from tactile_hand_ros.studies.slip import loads as slip_loads
     from tactile_hand_ros.studies.slip import loads_report as report
 
-    figure_formats(formats)
-    check_writable(out if out.exists() else out.absolute().parent)
+    kinds = folder_for_results(out, formats)
     reserves = slip_loads.RESERVES
     if floor:
         reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
     with Progress("loading", runs * len(reserves)) as advance:
         found = slip_loads.run_loads(runs, seed, reserves, Local(jobs), advance)
     files = report.write(found, out)
-    files += save(report.loads_figure(found), out, "study_loads", figure_formats(formats))
+    files += save(report.loads_figure(found), out, "study_loads", kinds)
     print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
-    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+    print_files(files, out)
 
 
 def faults(
@@ -165,8 +161,7 @@ def faults(
         raise ConfigurationError(
             f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
         )
-    figure_formats(formats)
-    check_writable(out)
+    kinds = folder_for_results(out, formats)
     among = [cell for cell in space.cells() if deaths in (None, cell.is_death)]
     chosen = space.sample(runs, seed, ways=ways, among=among)
     done = campaign.load(out)
@@ -178,10 +173,10 @@ def faults(
     except KeyboardInterrupt:
         print(f"interrupted after {len(outcomes)} runs; the same command goes on")
     files = [out / campaign.RESULTS, *fault_tables.write(outcomes, out)]
-    files += save(faults_figure(outcomes), out, "faults", figure_formats(formats))
+    files += save(faults_figure(outcomes), out, "faults", kinds)
     title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
     print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
-    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+    print_files(files, out)
 
 
 def fuzz(

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -66,6 +67,17 @@ def check_writable(folder: Path) -> None:
         raise TactileHandError(f"Nothing can be written to {folder} ({reason}); choose another.")
 
 
+def folder_for_results(folder: Path, formats: list[str] | None) -> tuple[str, ...]:
+    """Create a folder for results and return the formats of its figures, before any work is done.
+
+    Raises:
+        TactileHandError: If a format is unknown or the folder cannot be written to.
+    """
+    known = figure_formats(formats)
+    check_writable(folder)
+    return known
+
+
 def check_file(file: Path) -> None:
     """Make sure that a file for results can be written, before any work is done for it.
 
@@ -90,6 +102,11 @@ def console(stderr: bool = False) -> Console:
 def print_table(table: object) -> None:
     """Print a table of rich."""
     console().print(table)
+
+
+def print_files(files: Sequence[Path], folder: Path) -> None:
+    """Print what was written to a folder."""
+    print(f"{counted(len(files), 'file')} in {folder}: {', '.join(file.name for file in files)}")
 
 
 class Progress:

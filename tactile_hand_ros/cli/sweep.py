@@ -19,6 +19,7 @@ from tactile_hand_ros.cli.output import (
     check_writable,
     console,
     figure_formats,
+    folder_for_results,
     print_table,
 )
 from tactile_hand_ros.errors import TactileHandError
@@ -244,12 +245,11 @@ def robustness(
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.studies import robustness as r
 
-    figure_formats(formats)
-    check_writable(out)
+    kinds = folder_for_results(out, formats)
     names = tuple(scenario or r.all_scenarios())
     with backend(jobs, cluster) as where, progress("robustness") as watch:
         tally = r.run_map(names, out, where, seed, watch)
-    files = save(r.figure(out, names), out, "robustness", figure_formats(formats))
+    files = save(r.figure(out, names), out, "robustness", kinds)
     print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
     print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 

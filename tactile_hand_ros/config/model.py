@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import enum
 import functools
 import re
@@ -19,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic.fields import FieldInfo
 
 from tactile_hand_ros.config.untrusted import check_yaml, read_text
-from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError, nearest
 
 C = TypeVar("C", bound="Config")
 _SEQUENCES = (list, tuple)
@@ -364,8 +363,7 @@ def _unknown_key(location: tuple[int | str, ...], model: type[BaseModel]) -> str
 def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
     """Return a suffix that ends the sentence with the nearest valid name and, if few, with all."""
     names = sorted(valid)
-    near = difflib.get_close_matches(wrong, names, n=1)
-    hint = f", did you mean '{near[0]}'?" if near else "."
+    hint = nearest(wrong, names)
     if len(names) > _MOST_LISTED:
         return f"{hint} `tactile-hand show paper` lists all {len(names)}."
     return f"{hint} Valid are: {', '.join(names)}." if names else hint

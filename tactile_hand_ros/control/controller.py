@@ -345,11 +345,7 @@ class Controller:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = (theta, contacts, pose)
             refused = self._take_due_target(stamp, pose)
-            assert self.target is not None
-            self._law.acts = not self.joints_held
-            if self.joints_held:
-                self._reference.reset()
-            wanted = self._reference.step(self.target, pose, self.config.reference_time, dt)
+            wanted = self._way_to_target(pose, dt)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
@@ -360,6 +356,19 @@ class Controller:
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self.hold(theta, rates, _NOT_FINITE, applied=applied)
+        torque = self._drive(parts, total, theta, grasp_force)
+        return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
+        """Return the pose on the way to the target that the law aims at in this tick."""
+        assert self.target is not None
+        self._law.acts = not self.joints_held
+        if self.joints_held:
+            self._reference.reset()
+        return self._reference.step(self.target, pose, self.config.reference_time, dt)
+
+    def _drive(self, parts: LawTorque, total: Array, theta: Array, grasp_force: float) -> Array:
+        """Return what the joints can bear of the law's torques; remember it for a later hold."""
         weight = self._weight(theta)
         bearable = self._bearable(parts, weight)
         if bearable is not parts:
@@ -368,8 +377,7 @@ class Controller:
         self._drove, self._is_new = True, False
         self._squeeze, self._carry = parts.squeeze, parts.carry
         self._grasp_force, self._more = grasp_force, 0.0
-        torque = self._for_middle_of_period(total)
-        return Command(_sum(torque, weight), Mode.DRIVE, pose, refused)
+        return _sum(self._for_middle_of_period(total), weight)
 
     def hold(
         self,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
@@ -17,7 +16,7 @@ from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_
 from tactile_hand_ros.control.grasp import wrench_forces
 from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
-from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.kinematics import Fingertips
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -60,11 +59,9 @@ class LawConfig(Config):
     def _is_a_law(cls, name: str) -> str:
         if name in LAWS or _OWN_NAME.fullmatch(name):
             return name
-        near = difflib.get_close_matches(name, LAWS, n=1)
-        hint = f"did you mean '{near[0]}'? Expected" if near else "expected"
-        raise ValueError(
-            f"'{name[:60]}' is not a law, {hint} one of {', '.join(LAWS)}, or module:Class"
-        )
+        hint = nearest(name, list(LAWS))
+        expected = f"Expected one of {', '.join(LAWS)}, or module:Class"
+        raise ValueError(f"'{name[:60]}' is not a law{hint} {expected}")
 
 
 class Target(NamedTuple):

@@ -124,21 +124,26 @@ def run(
         cpus=cpus,
         quiet=quiet,
     )
+    raise typer.Exit(_run(context, request))
+
+
+def _run(context: typer.Context, request: Request) -> int:
+    """Run what was asked for and return the exit code."""
+    signals: Signals
     signals, ros_arguments = context.obj or (_watching(), [])
     gc.disable()  # nearly all that is loaded stays; the session enables it again
     from tactile_hand_ros.orchestrator.processes import Launcher
 
     launcher = Launcher()
     try:
-        if pacing != "realtime":
+        if request.pacing != "realtime":
             launcher.preload()  # on another processor than what is loaded here
-        code = _conduct(request, signals, ros_arguments, launcher)
+        return _conduct(request, signals, ros_arguments, launcher)
     except Interrupted as interruption:
         say(str(context.find_root().info_name), f"{interruption}, before anything was started.")
-        code = signals.exit_code
+        return signals.exit_code
     finally:
         launcher.drop_preloaded()
-    raise typer.Exit(code)
 
 
 def _conduct(

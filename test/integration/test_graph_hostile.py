@@ -219,16 +219,21 @@ def rate(graph: Graph, seconds: float) -> float:
     return (graph.time - at) / (time.monotonic() - start)
 
 
+@pytest.fixture(scope="module")
+def undisturbed(graph: Graph) -> float:
+    """Return the rate without a flood."""
+    return rate(graph, 0.5)
+
+
 @pytest.mark.parametrize(
     "which", ["future poses", "poses out of reach", "poses", "squeezes", "megabytes"]
 )
-def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, which: str) -> None:
+def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, undisturbed: float, which: str) -> None:
     """At 2500 messages a second, megabytes at 50, the ticks do not stand still."""
     topic, message = floods(graph)[which]
     publisher = graph.node.create_publisher(type(message), topic, qos.user_qos())
     graph.wait(lambda: publisher.get_subscription_count() > 0, f"a reader of {topic}")
     data = serialize_message(message)
-    undisturbed = rate(graph, 0.5)
     burst = 1 if which == "megabytes" else 25
     sent: list[int] = []
 
@@ -236,8 +241,8 @@ def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, which: str) -> None:
         sent.extend(publisher.publish(data) or 1 for _ in range(burst))
 
     timer = graph.node.create_timer(0.02 if burst == 1 else 0.01, send)
-    flooded = rate(graph, 1.5)
+    flooded = rate(graph, 1.0)
     graph.node.destroy_timer(timer)
     graph.node.destroy_publisher(publisher)
-    assert len(sent) > (20 if burst == 1 else 1000)
+    assert len(sent) > (15 if burst == 1 else 700)
     assert flooded > 0.15 * undisturbed

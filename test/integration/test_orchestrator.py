@@ -163,24 +163,42 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
     assert plant["memory_locked"] and "garbage_collections" in plant
 
 
-def test_run_reaches_its_goal_and_is_recorded_completely(
-    start: Start, near: Path, tmp_path: Path
-) -> None:
-    """Exit code 0, every tick on every topic, and a summary that says what the bag says."""
-    orchestrator = start("--scenario", near)
-    wait_until(lambda: latest(tmp_path).exists(), PATIENCE)
-    assert end_of(orchestrator) == 0, orchestrator.stdout + orchestrator.stderr
-    folder = latest(tmp_path)
+def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: Path) -> None:
+    """Exit code 0, every tick on every topic, and a summary that says what the bag says.
+
+    `tactile-hand run` finds its prefix, and the law beside the scenario, in a folder with a space;
+    the commands are those of function calls, and the report is opened.
+    """
+    home = tmp_path / "my runs"
+    home.mkdir()
+    (home / "my_law.py").write_text(
+        "from tactile_hand_ros.control.laws import OptimalLaw\n"
+        "class MyLaw(OptimalLaw):\n"
+        "    def drive(self, wrench):\n"
+        "        return 1.5 * super().drive(wrench)\n"
+    )
+    (home / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
+    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml", "--open"],
+        cwd=home,
+        env={**unset, "BROWSER": "echo shown %s"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    folder = home / "runs" / "latest"
     with Reader(folder / "bag") as reader:
         counts = {name: topic.msgcount for name, topic in reader.topics.items()}
-    repeated = Run(folder).bag_metrics.repeated_ticks
+    run = Run(folder)
     for topic in TICK_TOPICS:
-        assert TICKS <= counts[f"/{topic}"] <= TICKS + repeated, topic
+        assert TICKS <= counts[f"/{topic}"] <= TICKS + run.bag_metrics.repeated_ticks, topic
     assert counts["/accepted/desired_pose"] >= 1 and "/desired_pose" not in counts
     assert counts["/robot_description"] == 1
 
-    summary = summary_of(tmp_path)
-    run = Run(folder)
+    summary = summary_of(home)
     assert summary["metrics"] == run.metrics.to_dict()
     assert summary["outcome"] == "goal reached"
     assert summary["recording"]["complete"] is True
@@ -190,22 +208,31 @@ def test_run_reaches_its_goal_and_is_recorded_completely(
     assert desired.tolist() == [0.0436, 0.0438]
     assert run.record.desired_position[99:101, 1].tolist() == [0.0436, 0.0438]
 
-    scenario = load_scenario(str(near))
+    scenario = load_scenario(str(home / "mine.yaml"))
+    np.testing.assert_array_equal(run.record.command, ClosedLoop(scenario).run().command)
     assert load_scenario(str(folder / "scenario.yaml")) == scenario
     assert run.scenario == scenario
-    assert {path.stem for path in (folder / "logs").iterdir()} == set(START_ORDER)
     assert {path.stem for path in (folder / "parameters").iterdir()} == set(START_ORDER)
-    assert "final position error" in orchestrator.stdout
-    assert (folder / "report.html").stat().st_size > 500_000
-    assert "report: " in orchestrator.stdout and "/report.html" in orchestrator.stdout
+    logs = {file.stem: file.read_text() for file in (folder / "logs").iterdir()}
+    assert set(logs) == set(START_ORDER)
+    assert all(text.count("ready") == 1 for text in logs.values()), logs
+    assert "law.name my_law:MyLaw" in logs["manipulation_controller"]
+    assert "paused -> running" in logs["plant"]
+
+    assert "final position error" in done.stdout
+    report = folder.resolve() / "report.html"
+    assert report.stat().st_size > 500_000
+    assert "report: " in done.stdout and f"shown {report.as_uri()}" in done.stdout
 
 
-def test_missed_goal_is_an_exit_code_also_in_a_namespace(
+def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
-    """All topics are below the namespace, which ROS arguments may give."""
+    """All topics are below the namespace, which ROS arguments may give; --cpus pins the nodes."""
     tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report")
-    orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
+    cpu = str(min(os.sched_getaffinity(0)))
+    ours = (*tight, "--cpus", cpu)
+    orchestrator = start("--scenario", near, *ours, "--ros-args", "-r", "__ns:=/left", "--")
     assert end_of(orchestrator) == 1
     assert "the final position error is" in orchestrator.stderr
     assert summary_of(tmp_path)["outcome"] == "goal not reached"
@@ -214,58 +241,34 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     for topic in TICK_TOPICS:
         assert counts[f"/left/{topic}"] >= 151, topic
     assert "/joint_states" not in counts
+    told = {each.name: each.values["scheduling_cpus"] for each in Run(latest(tmp_path)).diagnostics}
+    assert told.pop("/left/recorder") == ",".join(map(str, sorted(os.sched_getaffinity(0))))
+    assert set(told.values()) == {cpu}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--scenario", "papr"), "did you mean 'paper'"),
-        (("--set", "plant.rte=500"), "did you mean 'rate'"),
-        (("--set", "targets=[{position: [9, 9, 9]}]"), "out of reach"),
-        (("--namespace", "1st"), "the namespace is '1st'"),
-        (("--ros-args", "-p"), "ROS arguments cannot be used"),
-    ],
-)
-def test_refused_scenario_starts_nothing(
-    start: Start, tmp_path: Path, arguments: tuple[str, ...], complaint: str
-) -> None:
-    """One sentence, exit code 2, and no run."""
-    before = arguments if "--ros-args" not in arguments else ()
-    orchestrator = start(*before, *(() if before else (*arguments, "--")))
+def test_refused_scenario_starts_nothing(start: Start, tmp_path: Path) -> None:
+    """One sentence, exit code 2, and no run; `orchestrator/test_command.py` has the reasons."""
+    orchestrator = start("--scenario", "paper", "--set", "plant.rte=500", "--quiet")
     assert end_of(orchestrator) == 2
-    assert complaint in orchestrator.stderr
+    assert orchestrator.stderr.startswith("orchestrator: ")
+    assert orchestrator.stderr.count("\n") == 1 and "did you mean 'rate'" in orchestrator.stderr
     assert not (tmp_path / "runs").exists()
 
 
-def test_broken_yaml_is_refused_with_its_place(start: Start, tmp_path: Path) -> None:
-    """The line is named."""
-    broken = tmp_path / "broken.yaml"
-    broken.write_text("extends: paper\nplant: {rate: 500\n")
-    orchestrator = start("--scenario", broken)
-    assert end_of(orchestrator) == 2
-    assert "is not valid YAML" in orchestrator.stderr
-    assert f"{broken}: line 3" in orchestrator.stderr
+def test_refused_ros_arguments_start_nothing(domain: int, tmp_path: Path) -> None:
+    with start_executable("orchestrator", "--out", str(tmp_path / "x"), "--ros-args", "-p") as run:
+        assert end_of(run) == 2
+        assert "ROS arguments cannot be used" in run.stderr
+    assert not list(tmp_path.iterdir())
 
 
-def test_ctrl_c_leaves_a_bag_that_is_whole_to_the_last_tick(start: Start, tmp_path: Path) -> None:
-    """Exit code 130, all topics end at the same tick, nothing runs any more."""
-    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
-    wait_until_running(tmp_path, orchestrator)
-    processes = family(orchestrator)
-    orchestrator.send(signal.SIGINT)
-    assert end_of(orchestrator) == 130
-    assert_gone(processes)
-    run = Run(latest(tmp_path))
-    assert run.bag_metrics.complete
-    assert len(run.record) > 50
-    summary = summary_of(tmp_path)
-    assert summary["outcome"] == "interrupted"
-    assert summary["reasons"] == []
-    assert summary["metrics"] == run.metrics.to_dict()
+def test_ctrl_c_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
+    start: Start, tmp_path: Path
+) -> None:
+    """Exit code 130, every tick up to the last is in the bag, nothing runs any more.
 
-
-def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) -> None:
-    """Nobody waits for it, but what it missed is kept for it for some seconds."""
+    No node waits for the recorder, but what it missed is kept for it for some seconds.
+    """
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
     wait_until_running(tmp_path, orchestrator)
     processes = family(orchestrator)
@@ -279,9 +282,14 @@ def test_recorder_that_is_held_up_loses_nothing(start: Start, tmp_path: Path) ->
     wait_until(lambda: bag.stat().st_size > size + 400_000, PATIENCE, "a recorder that caught up")
     orchestrator.send(signal.SIGINT)
     assert end_of(orchestrator) == 130
-    assert summary_of(tmp_path)["reasons"] == []
-    record = Run(latest(tmp_path)).record
-    assert np.array_equal(record.stamps, 2_000_000 * np.arange(len(record)))
+    assert_gone(processes)
+    run = Run(latest(tmp_path))
+    assert run.bag_metrics.complete
+    assert np.array_equal(run.record.stamps, 2_000_000 * np.arange(len(run.record)))
+    summary = summary_of(tmp_path)
+    assert summary["outcome"] == "interrupted"
+    assert summary["reasons"] == []
+    assert summary["metrics"] == run.metrics.to_dict()
 
 
 def _take_terminal() -> None:
@@ -312,41 +320,6 @@ def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> 
     assert_gone(processes)
     assert summary_of(tmp_path)["reasons"] == []
     assert Run(latest(tmp_path)).bag_metrics.complete
-
-
-def test_own_law_in_a_folder_with_a_space_runs_like_the_closed_loop(
-    domain: int, tmp_path: Path
-) -> None:
-    """`tactile-hand run` finds its prefix and the law beside the scenario; it opens the report."""
-    folder = tmp_path / "my runs"
-    folder.mkdir()
-    (folder / "my_law.py").write_text(
-        "from tactile_hand_ros.control.laws import OptimalLaw\n"
-        "class MyLaw(OptimalLaw):\n"
-        "    def drive(self, wrench):\n"
-        "        return 1.5 * super().drive(wrench)\n"
-    )
-    (folder / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
-    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
-    done = subprocess.run(
-        [sys.executable, "-m", "tactile_hand_ros.cli", "run", folder / "mine.yaml", "--open"],
-        cwd=folder,
-        env={**unset, "BROWSER": "echo shown %s"},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    report = (folder / "runs" / "latest").resolve() / "report.html"
-    assert f"shown {report.as_uri()}" in done.stdout
-    run = Run(folder / "runs" / "latest")
-    scenario = load_scenario(str(folder / "mine.yaml"))
-    expected = ClosedLoop(scenario).run()
-    np.testing.assert_array_equal(run.record.command, expected.command)
-    logs = {file.stem: file.read_text() for file in (run.path / "logs").iterdir()}
-    assert all(text.count("ready") == 1 for text in logs.values()), logs
-    assert "law.name my_law:MyLaw" in logs["manipulation_controller"]
-    assert "paused -> running" in logs["plant"]
 
 
 def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:
@@ -418,11 +391,11 @@ def test_missing_node_is_named_with_its_topics(start: Start, near: Path, tmp_pat
     """After the deadline, with what it said last."""
     program = "#!/bin/sh\necho waiting for the bus\nexec tail -f /dev/null\n"
     environment = broken_prefix(tmp_path / "prefix", "slip_regulator", program)
-    orchestrator = start("--scenario", near, "--startup-timeout", "4", env=environment)
+    orchestrator = start("--scenario", near, "--startup-timeout", "2", env=environment)
     wait_until(lambda: latest(tmp_path).exists(), PATIENCE)
     processes = family_when_started(orchestrator)
     assert end_of(orchestrator) == 1
-    assert "the graph is not complete after 4 s" in orchestrator.stderr
+    assert "the graph is not complete after 2 s" in orchestrator.stderr
     assert "slip_regulator does not" in orchestrator.stderr
     assert "slip_regulator | waiting for the bus" in orchestrator.stderr
     assert_gone(processes)

@@ -19,7 +19,6 @@ from tactile_hand_ros import names
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
-from tactile_hand_ros.run.run import Run
 
 PRIORITY = 7
 CPU = min(os.sched_getaffinity(0))
@@ -116,16 +115,6 @@ def test_nonsense_ends_the_start():
         assert "--cpus is 'all'" in process.stderr
 
 
-def test_orchestrator_pins_the_nodes_and_not_the_recorder(tmp_path: Path) -> None:
-    words = ("--duration", "0.2", "--quiet", "--no-report", "--cpus", str(CPU))
-    with isolated_domain(), start_executable("orchestrator", "--out", str(tmp_path), *words) as run:
-        assert run.wait(90.0) in (0, 1), run.stderr  # 1: so short a run reaches no goal
-    said = {each.name: each.values for each in Run(tmp_path / "latest").diagnostics}
-    recorder = said.pop("/recorder")["scheduling_cpus"]
-    assert {values["scheduling_cpus"] for values in said.values()} == {str(CPU)}
-    assert recorder == ",".join(map(str, sorted(os.sched_getaffinity(0))))
-
-
 def test_the_recorder_interrupts_nobody_unless_it_is_asked_to(tmp_path: Path, reports) -> None:
     """What the kernel told to its threads when they were made is in force."""
     output = ("--ros-args", "-p", f"output:={tmp_path / 'bag'}")
@@ -134,10 +123,3 @@ def test_the_recorder_interrupts_nobody_unless_it_is_asked_to(tmp_path: Path, re
         assert facts["scheduling_policy"] == "SCHED_BATCH"
         policies = {os.sched_getscheduler(thread) for thread in threads(process.pid)}
         assert policies == {os.SCHED_BATCH}
-
-
-def test_orchestrator_refuses_nonsense(tmp_path: Path) -> None:
-    with start_executable("orchestrator", "--out", str(tmp_path), "--priority", "100") as run:
-        assert run.wait(90.0) == 2
-        assert "--priority is '100'" in run.stderr
-    assert not list(tmp_path.iterdir())

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.bench.fuzz.targets import write_sample_bag
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.closed_loop.scenario_file import find_scenario
 from tactile_hand_ros.config.hand_config import find_hand
@@ -169,14 +169,7 @@ def test_urdf(folder: Path, text: str) -> None:
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a bag of two files."""
-    folder = tmp_path_factory.mktemp("bag") / "bag"
-    with BagWriter(folder, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
-        for name in ("Float64", "String"):
-            channel = writer.add_channel(f"/{name}", f"std_msgs/msg/{name}")
-            for i in range(20):
-                writer.write(channel, b"\0\1\0\0\4\0\0\0abc\0" + bytes(4), i, i)
-            writer.split()
-    return folder
+    return write_sample_bag(tmp_path_factory.mktemp("bag") / "bag")
 
 
 def copied(bag: Path, to: Path) -> Path:

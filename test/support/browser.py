@@ -77,11 +77,19 @@ class Page:
         self._requests, self._errors = [], []
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-        shape = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", shape)
+        self._shape(size)
         self.driver.get(file.resolve().as_uri())
         self.wait(lambda: self.js("return Boolean(window.report)"))
         self.wait(lambda: self.js(_FITTED))
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Give the window another size and wait until the plots have taken theirs."""
+        self._shape(size)
+        self.wait(lambda: self.js("return innerWidth") == size[0] and self.js(_FITTED))
+
+    def _shape(self, size: tuple[int, int]) -> None:
+        shape = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", shape)
 
     def js(self, code: str, *arguments: Any) -> Any:
         """Run JavaScript in the page."""

@@ -36,7 +36,12 @@ from tactile_hand_ros.ros.messages.conversions import (
 )
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.processes import (
+    CapturedProcess,
+    end_together,
+    start_executable,
+    wait_until,
+)
 
 PATIENCE = 120.0
 """Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
@@ -94,7 +99,8 @@ class Graph:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all processes."""
+        """End all processes, at the same time."""
+        end_together(list(self.processes.values()))
         self._stack.close()
 
     def start(self, name: str) -> CapturedProcess:

@@ -26,6 +26,7 @@ from tactile_hand_ros.bench.fuzz.mutation import damaged
 from tactile_hand_ros.bench.fuzz.raw_writer import RawWriter, RawWriterError, request_topic
 from tactile_hand_ros.bench.soak import soak_scenario
 from tactile_hand_ros.closed_loop.scenario import NODES
+from tactile_hand_ros.ros.processes import end_together
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _RATE = 250.0
@@ -95,6 +96,8 @@ def fuzz_nodes(report: Report, seconds: float, folder: Path) -> None:
         hand.begin()
         hand.wait_for_time(0.3)
         _attack(hand, report, seconds, folder)
+        # Nodes may still have requests to refuse that announce gigabytes; do not wait for that.
+        end_together(list(hand.processes.values()), is_urgent=lambda: True)
 
 
 def _attack(hand: RunningHand, report: Report, seconds: float, folder: Path) -> None:

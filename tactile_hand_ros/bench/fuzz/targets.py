@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -24,7 +24,11 @@ from tactile_hand_ros.closed_loop.scenario import find_scenario, load_scenario
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.ros.messages.conversions import number_from_ros, pose_from_ros
+from tactile_hand_ros.ros.messages.conversions import (
+    number_from_ros,
+    pose_from_ros,
+    stamp_to_ns,
+)
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
     GripCodec,
@@ -61,31 +65,56 @@ def reading_targets() -> Iterator[dict[str, Target]]:
         yield {**_wire(), **_files(folder), **_bags(folder)}
 
 
-def _wire() -> dict[str, Target]:
+class Reader(NamedTuple):
+    """What reads the bytes of a message.
+
+    Attributes:
+        decode: Returns stamp, ns, and content; raises `MessageError` to refuse them.
+        good: Bytes that it reads.
+    """
+
+    decode: Callable[[bytes], tuple[int, Any]]
+    good: bytes
+
+
+def message_readers() -> dict[str, Reader]:
+    """Return a reader for each kind of message that the nodes read."""
     three, turns = np.array([0.5, -1.0, 2.0]), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    nan = np.full(3, np.nan)
     joints = JointCodec(_FINGERS, ("position", "velocity", "effort"))
-    contacts, force, pose = ContactsCodec(3), WrenchCodec("tip"), PoseCodec()
-    slip, grip = SlipCodec(_FINGERS), GripCodec(_FINGERS)
-    readers: dict[str, tuple[Callable[[bytes], object], bytes]] = {
-        "joints": (joints.decode, joints.encode(7, three, three, three)),
-        "contacts": (contacts.decode, contacts.encode(np.eye(3), turns, 7)),
-        "force": (force.decode, force.encode(three, 7)),
-        "slip": (slip.decode, slip.encode(7, three, three)),
-        "grip": (grip.decode, grip.encode(7, three, three, three)),
-        "pose": (
-            lambda data: pose_from_ros(read_message(data, PoseStamped)),
-            pose.encode(three, turns[0], 7),
-        ),
-        "number": (
-            lambda data: number_from_ros(read_message(data, Float64)),
-            bytes(serialize_message(Float64(data=3.0))),
-        ),
+    efforts, contacts = JointCodec(_FINGERS, ("effort",)), ContactsCodec(3)
+    force, slip, grip = WrenchCodec("tip"), SlipCodec(_FINGERS), GripCodec(_FINGERS)
+    optimal, any_frame = WrenchCodec("tip", nan_allowed=True), WrenchCodec("palm", any_frame=True)
+    untouched = contacts.encode(np.eye(3) * np.nan, turns * np.nan, 7)
+    return {
+        "joints": Reader(joints.decode, joints.encode(7, three, three, three)),
+        "efforts": Reader(efforts.decode, efforts.encode(7, three)),
+        "contacts": Reader(contacts.decode, contacts.encode(np.eye(3), turns, 7)),
+        "no contacts": Reader(contacts.decode, untouched),
+        "force": Reader(force.decode, force.encode(three, 7)),
+        "no force": Reader(optimal.decode, optimal.encode(nan, 7)),
+        "force in any frame": Reader(any_frame.decode, force.encode(three, 7)),
+        "slip": Reader(slip.decode, slip.encode(7, three, three)),
+        "grip": Reader(grip.decode, grip.encode(7, three, three, three)),
+        "pose": Reader(_read_pose, PoseCodec().encode(three, turns[0], 7)),
+        "number": Reader(_read_number, bytes(serialize_message(Float64(data=3.0)))),
     }
 
-    def target(read: Callable[[bytes], object], good: bytes) -> Target:
-        return Target(lambda chance: damaged(good, chance), read, _OF_MESSAGES)
 
-    return {f"wire {name}": target(*each) for name, each in readers.items()}
+def _read_pose(data: bytes) -> tuple[int, Any]:
+    message = read_message(data, PoseStamped)
+    return stamp_to_ns(message.header.stamp), pose_from_ros(message)
+
+
+def _read_number(data: bytes) -> tuple[int, Any]:
+    return 0, number_from_ros(read_message(data, Float64))
+
+
+def _wire() -> dict[str, Target]:
+    def target(reader: Reader) -> Target:
+        return Target(lambda chance: damaged(reader.good, chance), reader.decode, _OF_MESSAGES)
+
+    return {f"wire {name}": target(reader) for name, reader in message_readers().items()}
 
 
 def _files(folder: Path) -> dict[str, Target]:
@@ -125,14 +154,19 @@ def _written(file: Path, data: bytes) -> Path:
     return file
 
 
-def _bags(folder: Path) -> dict[str, Target]:
-    good = folder / "good" / "bag"
-    with BagWriter(good, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
+def write_sample_bag(folder: Path) -> Path:
+    """Write a bag of two files in small chunks, and return its folder."""
+    with BagWriter(folder, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
         for name in ("Float64", "String"):
             channel = writer.add_channel(f"/{name}", f"std_msgs/msg/{name}")
             for i in range(20):
                 writer.write(channel, b"\0\1\0\0\4\0\0\0abc\0" + bytes(4), i, i)
             writer.split()
+    return folder
+
+
+def _bags(folder: Path) -> dict[str, Target]:
+    good = write_sample_bag(folder / "good" / "bag")
     metadata = (good / "metadata.yaml").read_text(encoding="utf-8")
     mcap = (good / "bag_0.mcap").read_bytes()
 

@@ -74,7 +74,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return folder
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(share=st.floats(0.0, 1.0))
 def test_cut_at_any_byte_the_front_comes_back(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float

@@ -9,7 +9,7 @@ from tactile_hand_ros.bench.workload import Workload
 
 def test_recorder_is_measured_over_processes() -> None:
     """All that was offered is in the bag, at some cost."""
-    offered, share, lost = measure_recorder(Workload.prepare(2, 1))
+    offered, share, lost = measure_recorder(Workload.prepare(2, 1), 0.5)
     assert offered.median > 0.0 and share.median > 0.0
     assert lost.largest == 0.0 and lost.met
 

@@ -157,7 +157,7 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: {pacing: slow}", r"plant.pacing is 'slow', expected one of lockstep, realtime"),
         (
             "manipulation_controller: {law: {name: pid}}",
-            r"law.name is refused: 'pid' is not a law, expected one of optimal, contact, kawamura",
+            r"law.name is refused: 'pid' is not a law. Expected one of optimal, contact, kawamura",
         ),
         ("law: kawamuro", r"did you mean 'kawamura'"),
         ("law: [1]", r"manipulation_controller.law is \[1\], expected a mapping"),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.model import parse_changes
-from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.orchestrator.command import split_ros_arguments
-from tactile_hand_ros.orchestrator.conduct import full_namespace, shares_process
+from tactile_hand_ros.orchestrator.conduct import conduct, full_namespace, shares_process
 from tactile_hand_ros.orchestrator.monitor import Look
 from tactile_hand_ros.orchestrator.processes import Launcher
+from tactile_hand_ros.orchestrator.request import Request
+from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import Rate, facts
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
@@ -56,6 +59,51 @@ def test_namespace(given: str, arguments: list[str], expected: str) -> None:
 def test_bad_namespace_is_refused(given: str) -> None:
     with pytest.raises(ConfigurationError, match=f"'{given}'"):
         full_namespace(given, [])
+
+
+def asked_for(folder: Path, **options: Any) -> Request:
+    """Return a request for a run in a folder, with the options of the command line by default."""
+    defaults: dict[str, Any] = {
+        "scenario": "paper",
+        "interactive": False,
+        "duration": None,
+        "pacing": None,
+        "changes": (),
+        "out": folder / "runs",
+        "record": True,
+        "report": True,
+        "open_report": False,
+        "composed": None,
+        "separate_recorder": False,
+        "namespace": "",
+        "startup_timeout": 30.0,
+        "priority": 0,
+        "cpus": "",
+        "quiet": False,
+    }
+    return Request(**{**defaults, **options})
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"scenario": "papr"}, "did you mean 'paper'"),
+        ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
+        ({"changes": ("plant.rte=500",)}, "did you mean 'rate'"),
+        ({"changes": ("targets=[{position: [9, 9, 9]}]",)}, "out of reach"),
+        ({"namespace": "1st"}, "the namespace is '1st'"),
+        ({"priority": 100}, "--priority is '100'"),
+        ({"cpus": "all"}, "--cpus is 'all'"),
+    ],
+)
+def test_what_is_refused_starts_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], complaint: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("broken.yaml").write_text("extends: paper\nplant: {rate: 500\n")
+    with pytest.raises(TactileHandError, match=complaint):
+        conduct(asked_for(tmp_path, **options), Signals(), [], Launcher())
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(
