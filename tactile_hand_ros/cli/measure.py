@@ -17,6 +17,7 @@ from tactile_hand_ros.cli.output import (
     figure_formats,
     print_table,
 )
+from tactile_hand_ros.cli.sweep import progress
 from tactile_hand_ros.errors import counted
 
 
@@ -112,7 +113,10 @@ def loads(
     ] = None,
     formats: FormatOption = None,
 ) -> None:
-    """Let random loads hit a relaxed grasp: comfort against safety over the reserve."""
+    """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
+
+    What is in the folder already is kept: after an interruption the same command goes on.
+    """
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.studies.engine.backends import Local
@@ -120,16 +124,17 @@ def loads(
     from tactile_hand_ros.studies.slip import loads_report as report
 
     figure_formats(formats)
-    check_writable(out if out.exists() else out.absolute().parent)
+    check_writable(out)
     reserves = slip_loads.RESERVES
     if floor:
         reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
-    with Progress("loading", runs * len(reserves)) as advance:
-        found = slip_loads.run_loads(runs, seed, reserves, Local(jobs), advance)
-    files = report.write(found, out)
+    with progress("loading") as watch:
+        tally = slip_loads.run_loads(runs, seed, out, Local(jobs), reserves, watch)
+    found = slip_loads.outcomes_of(out)
+    files = [report.write(found, out)]
     files += save(report.loads_figure(found), out, "study_loads", figure_formats(formats))
     print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
-    print(f"{counted(len(files), 'file')} in {out}: " + ", ".join(f.name for f in files))
+    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 
 def faults(
