@@ -17,6 +17,7 @@ from tactile_hand_ros.cli.output import (
     print_files,
     print_table,
 )
+from tactile_hand_ros.cli.sweep import progress
 
 
 def reproduce(
@@ -109,7 +110,10 @@ def loads(
     ] = None,
     formats: FormatOption = None,
 ) -> None:
-    """Let random loads hit a relaxed grasp: comfort against safety over the reserve."""
+    """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
+
+    What is in the folder already is kept: after an interruption the same command goes on.
+    """
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.studies.engine.backends import Local
@@ -120,9 +124,10 @@ def loads(
     reserves = slip_loads.RESERVES
     if floor:
         reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
-    with Progress("loading", runs * len(reserves)) as advance:
-        found = slip_loads.run_loads(runs, seed, reserves, Local(jobs), advance)
-    files = report.write(found, out)
+    with progress("loading") as watch:
+        slip_loads.run_loads(runs, seed, out, Local(jobs), reserves, watch)
+    found = slip_loads.outcomes_of(out)
+    files = [report.write(found, out)]
     files += save(report.loads_figure(found), out, "study_loads", kinds)
     print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
     print_files(files, out)

@@ -131,6 +131,13 @@ def test_without_reshaping_the_third_finger_slips_when_shaken(records):
     assert slip(records["shake", True]) < 1e-4
 
 
+@pytest.mark.parametrize("name", ["lift", "gravity"])
+def test_a_run_begins_without_a_peak_of_the_squeeze(records, name):
+    """What f* is not shaped for yet asked for up to twice as much in the first milliseconds."""
+    squeeze = records[name, True].grasp_force[:1000]  # of the first second
+    assert squeeze.max() < 1.3 * max(squeeze[0], squeeze[-1])
+
+
 def test_at_the_crush_limit_it_slips_less_than_without(records):
     assert slip(records["crush_limit", True]) < 0.5 * slip(records["crush_limit", False])
 

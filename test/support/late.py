@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A regulator whose answers are late, in the closed loop by function calls."""
+"""What is late in real time, in the closed loop by function calls: answers, and commands."""
 
 from collections import deque
 
+import numpy as np
+
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.studies.stalls import GuardedLoop
 
 LATE, EVERY = 3, 3  # ticks that an answer takes; of so many ticks one is answered
 # Until the worst of the load has come.
@@ -32,3 +36,28 @@ def run_late(name):
     loop.regulator = LateRegulator(scenario.slip_regulator, loop.plant.hand.fingers)
     record = loop.run(round(SECONDS[name] * scenario.plant.rate))
     return record.true_positions[-1], record.true_slid[-1], record.grasp_force.max()
+
+
+JITTER = (1, 3)  # ticks, the least and the most that a command is late
+
+
+def run_with_late_commands(name, changes, seed=None):
+    """Run a scenario at 500 Hz whose commands are late by a number of ticks drawn at random.
+
+    Args:
+        name: The scenario.
+        changes: Values to change.
+        seed: Of the delays; without it no command is late.
+
+    Returns:
+        Whether the object is held at the end, mean k_f of the last half second, the largest slip.
+    """
+    scenario = load_scenario(name, {"plant.rate": 500.0, **changes})
+    guarded = GuardedLoop(scenario, GuardConfig())
+    random, squeezes = np.random.default_rng(seed), []
+    for tick in range(scenario.ticks):
+        is_late = seed is not None and tick >= JITTER[1]  # time begins with the first command
+        guarded.tick(delay=int(random.integers(*JITTER, endpoint=True)) if is_late else 0)
+        squeezes.append(guarded.loop.regulator.grasp_force)
+    state = guarded.loop.state
+    return bool(state.contacts.all_touching), np.mean(squeezes[-250:]), state.slid.max()

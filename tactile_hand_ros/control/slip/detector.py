@@ -21,6 +21,10 @@ _BOUND = 3.0  # times its noise, for which a sample counts at most while the noi
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
 _BRINK = 0.95  # share of the learned friction from which on a contact may well be slipping
 _LEAK = 0.03  # share of a change of the squeeze that may show across it
+_COURSE = 0.01  # s, time constant of the rate at which a force changes
+_STEADY = 0.01  # N, change from sample to sample below which a force counts as steady
+_FASTEST = 600.0  # N/s that a hand changes a force at; what is faster is a push, and counts as much
+_SHIFT = 3.0  # samples by which commands that are late now and then shift the course of a force
 _GAP = 2.5  # times the usual time between samples; after so long their differences start again
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 
@@ -76,6 +80,7 @@ _MEMORY = np.dtype(
         ("variance", np.float64),  # of the second difference across the squeeze, per axis
         ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
         ("change", np.float64, 3),  # of it from sample to sample
+        ("rate", np.float64, 3),  # of it, smoothed, N/s
         ("since", np.float64),  # the last sample, s
         ("spacing", np.float64),  # of the last two samples, s; 0: unknown
         ("fresh", np.bool_),
@@ -104,6 +109,10 @@ class SlipDetector:
     it, r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)), and white noise of variance v makes it
     (1 + (1 + q)^2 + q^2) v, which is scaled to the 6 v of even samples. After a gap the differences
     start again, and evidence and noise stay as they were.
+
+    Commands that are late by a number of ticks that varies shift what the hand does along its own
+    course, f(t - d): a force that changes at a rate f' then bends by some f' dt along f'. Along the
+    part of f' across the squeeze the variance therefore grows by (3 f' dt)^2.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
@@ -206,26 +215,33 @@ def _detect(
     m["fresh"] = gain > 0.0
     if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
         m["touched_for"] = m["evidence"] = 0.0
+        m["rate"][0] = m["rate"][1] = m["rate"][2] = 0.0
         m["state"] = Grip.UNKNOWN
         m["fresh"] = False
         return
     known = min(dt, _LONGEST)
     m["touched_for"] += known
-    power = 0.0
+    across, along, shift, variance = 0.0, 0.0, 0.0, _noise(m, c, n, own_change)
     if m["fresh"]:
-        power = _power_across(bend, (squeeze[0], squeeze[1], squeeze[2])) * (_GAIN / gain)
+        axis, scale = (squeeze[0], squeeze[1], squeeze[2]), _GAIN / gain
+        across, along, shift = _powers(m, bend, axis)
+        across, along, shift = scale * across, scale * along, scale * shift
+    share = variance / (variance + shift)
+    power = across + share * along
+    if new:
+        _follow(m)
     if m["touched_for"] <= c["settling_time"]:
         if m["fresh"]:
-            _learn(m, c, power)
+            _learn(m, c, power / (1.0 + share))
         m["evidence"] = 0.0
         m["state"] = Grip.UNKNOWN
         return
     if m["fresh"]:
         brink = math.sqrt(x * x + z * z) > _BRINK * learned_friction * n
-        _collect(m, c, power, n, own_change, 1.0 / 3.0 if brink else 0.25)
+        _collect(m, c, power / variance, 1.0 / 3.0 if brink else 0.25)
     _decide(m, c, known)
     if m["fresh"] and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
-        _learn(m, c, power)
+        _learn(m, c, power / (1.0 + share))
 
 
 @compiled
@@ -251,10 +267,28 @@ def _bend(m: Row, x: float, n: float, z: float) -> tuple[Vector, float]:
 
 
 @compiled
-def _collect(m: Row, c: Row, power: float, normal: float, own_change: float, most: float) -> None:
+def _follow(m: Row) -> None:
+    """Smooth the rate at which the force changes."""
+    change, rate, step = m["change"], m["rate"], m["spacing"]
+    if step > 0.0:
+        x, n, z = change
+        most = _FASTEST * step / max(math.sqrt(x * x + n * n + z * z), 1e-12)
+        kept, share = min(1.0, most) / step, -math.expm1(-step / _COURSE)
+        for axis in range(3):
+            rate[axis] += share * (kept * change[axis] - rate[axis])
+
+
+@compiled
+def _noise(m: Row, c: Row, normal: float, own_change: float) -> float:
+    """Return the variance of a second difference of a contact that sticks, per axis."""
     least = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
-    variance = max(m["variance"], least) + (_LEAK * own_change) ** 2
-    gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power / variance - 2.0 * math.log(c["ratio"]))
+    return float(max(m["variance"], least) + (_LEAK * own_change) ** 2)
+
+
+@compiled
+def _collect(m: Row, c: Row, power: float, most: float) -> None:
+    """Add the evidence of a power against its noise, at most a share of the threshold."""
+    gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power - 2.0 * math.log(c["ratio"]))
     m["agrees"] = gain > 0.0
     total = max(0.0, m["evidence"] + min(gain, most * c["threshold"]))
     m["evidence"] = min(total, 1.2 * c["threshold"])
@@ -269,19 +303,37 @@ def _decide(m: Row, c: Row, dt: float) -> None:
 
 
 @compiled
-def _learn(m: Row, c: Row, power: float) -> None:
+def _learn(m: Row, c: Row, square: float) -> None:
     """Follow the noise, quickly after touching; a push counts for no more than its noise."""
     dt = m["spacing"]
     time = max(min(c["learning_time"], m["touched_for"]), 10.0 * dt, 1e-9)
-    bounded = min(0.5 * power, _BOUND * m["variance"])
+    bounded = min(square, _BOUND * m["variance"])
     m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])
 
 
 @compiled
-def _power_across(vector: Vector, axis: Vector) -> float:
-    """Return the square of the part of a vector that is normal to an axis of any length."""
+def _powers(m: Row, bend: Vector, axis: Vector) -> tuple[float, float, float]:
+    """Return the squares of a bend across an axis, beside the course of the force and along it.
+
+    The third is what commands that are late now and then add to the second.
+    """
+    x, y, z = _across(bend, axis)
+    rate = m["rate"]
+    u, v, w = _across((rate[0], rate[1], rate[2]), axis)
+    square, speed = x * x + y * y + z * z, math.sqrt(u * u + v * v + w * w)
+    change = speed * m["spacing"] - _STEADY
+    if change <= 0.0:
+        return 0.5 * square, 0.5 * square, 0.0
+    shift = _SHIFT * change
+    along = (x * u + y * v + z * w) / speed
+    return max(0.0, square - along * along), along * along, shift * shift
+
+
+@compiled
+def _across(vector: Vector, axis: Vector) -> Vector:
+    """Return the part of a vector that is normal to an axis of any length."""
     x, y, z = vector
     a, b, c = axis
     length = a * a + b * b + c * c
-    along = x * a + y * b + z * c
-    return max(0.0, x * x + y * y + z * z - (along * along / length if length > 0.0 else 0.0))
+    share = (x * a + y * b + z * c) / length if length > 0.0 else 0.0
+    return x - share * a, y - share * b, z - share * c

@@ -37,6 +37,14 @@ class NeedConfig(Config):
         0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
     )
     reserve: ReserveConfig = ReserveConfig()
+    reserve_time: float = param(
+        0.05,
+        "time over which the reserve of a new grasp rises from nothing",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=10.0,
+    )
 
 
 _MEMORY = np.dtype(
@@ -54,6 +62,11 @@ class Need:
     The load may change at any time and is followed fast. The shape is f*, which the hand itself
     changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
     and the need of a shape near the edge of its cone grows without bound.
+
+    What a new grasp needs beside its reserve is known from the first sample on, and asked for at
+    once at any time. The reserve rises over `reserve_time`: until f* has taken the shape that is
+    made for it, `shape_time` of the optimizer, and that shape is felt, `shape_smoothing`, the
+    squeeze that it asks for is that of a shape which is about to change.
     """
 
     def __init__(self, config: NeedConfig, contacts: int) -> None:
@@ -66,6 +79,7 @@ class Need:
     def configure(self, config: NeedConfig) -> None:
         """Take other parameters; load and shape stay."""
         self._config = row_of(config)
+        self._reserve_time = config.reserve_time
         self._reserve.configure(config.reserve)
 
     def reset(self) -> None:
@@ -76,6 +90,7 @@ class Need:
     def lose(self) -> None:
         """Forget load and shape; what the recent past has shown stays."""
         self._memory["load"] = np.nan
+        self._held_for = 0.0
 
     def step(
         self, parts: Split, friction: Array, dt: float, margin: float = 0.0
@@ -94,6 +109,9 @@ class Need:
             first for a contact that no squeeze of this shape gives the reserve.
         """
         radii = self._reserve.step(parts.load, dt)
+        self._held_for += dt
+        if self._held_for < self._reserve_time:
+            radii *= self._held_for / self._reserve_time
         return _needed(self._memory, self._config, *parts, friction, margin, radii, dt)
 
 

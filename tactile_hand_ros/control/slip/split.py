@@ -23,6 +23,7 @@ from tactile_hand_ros.jit.compiled import compiled
 Array = NDArray[np.float64]
 
 _LEAST_SQUEEZE = 0.1  # N; below, load per squeeze means nothing
+_GRAZES = 1e-12  # share by which rounding may miss a double root, as where nothing is tangential
 _CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 
@@ -223,9 +224,9 @@ def required_squeeze(
     if c <= 0.0 and ln >= 0.0:
         return 0.0  # the load alone is inside
     inside = b * b - a * c
-    if a == 0.0 or inside < 0.0:
+    if a == 0.0 or inside < -_GRAZES * b * b:
         return math.inf
     # A shape inside the cone (a < 0) enters it at the larger root for good; one outside passes
     # through it from the smaller root on, if at all.
-    k = (-b - math.sqrt(inside)) / a
-    return k if k >= 0.0 and ln + k * sn >= 0.0 else math.inf
+    k = (-b - math.sqrt(max(0.0, inside))) / a
+    return k if k >= 0.0 and ln + k * sn >= -_GRAZES * abs(ln) else math.inf

@@ -9,22 +9,33 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.studies.engine import study as engine
 from tactile_hand_ros.studies.engine.backends import Backend
-from tactile_hand_ros.studies.engine.runner import carry_out
+from tactile_hand_ros.studies.engine.keep import (
+    FAILED,
+    LAST_COLUMNS,
+    LOST,
+    MISSED,
+    REACHED,
+    Tally,
+    keep,
+)
 from tactile_hand_ros.studies.engine.space import Choice, Space
+from tactile_hand_ros.studies.engine.store import Store, read_column
+from tactile_hand_ros.studies.engine.study import Point, Study, build
 from tactile_hand_ros.studies.slip.survival import least_against
 
 Array = NDArray[np.float64]
@@ -39,6 +50,29 @@ RESERVES = tuple((floor, share) for floor in (0.0, 1.0, 2.0, 3.0, 5.0) for share
 
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
+RESULTS = ("squeeze", "need", "survivable", "slip")
+"""What a row of the table has of a `LoadOutcome`, beside `outcome`."""
+
+COLUMNS: dict[str, type] = {
+    "load": int,
+    "layout": str,
+    "mass": float,
+    "friction": float,
+    "kind": str,
+    "duration": float,
+    "force": str,
+    "torque": str,
+    "floor": float,
+    "share": float,
+    "squeeze": float,
+    "need": float,
+    "survivable": bool,
+    "slip": float,
+    **LAST_COLUMNS,
+}
+UNITS = {"mass": "kg", "duration": "s", "force": "N", "torque": "N m", "slip": "m"}
+UNITS |= {name: "N" for name in ("floor", "squeeze", "need")}
+
 _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
 _RESERVED = ("slip_regulator.reflex.need", "force_optimizer")  # who keep a reserve
 _RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
@@ -74,7 +108,6 @@ class LoadOutcome:
     """What a load did to a grasp.
 
     Attributes:
-        case: The load.
         floor: Floor of the reserve, N.
         share: Share of the largest recent load that it is at least.
         squeeze: k_f before the load came, N.
@@ -84,7 +117,6 @@ class LoadOutcome:
         slip: Largest distance that a contact slid because of it, m.
     """
 
-    case: LoadCase
     floor: float
     share: float
     squeeze: float
@@ -92,6 +124,11 @@ class LoadOutcome:
     survivable: bool
     lost: bool
     slip: float
+
+    @property
+    def slid(self) -> bool:
+        """Whether the object slid farther than `SLIDE`, or was lost."""
+        return self.lost or not self.slip <= SLIDE
 
 
 def sample_loads(runs: int, seed: int) -> list[LoadCase]:
@@ -176,7 +213,6 @@ def run_load(
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slid = record.true_slid
     return LoadOutcome(
-        case=case,
         floor=floor,
         share=share,
         squeeze=float(record.grasp_force[event]),
@@ -211,42 +247,82 @@ def _least(case: LoadCase, shares: Sequence[float]) -> float:
     return max(least_against(contacts, position, w, case.friction) for w in wrenches)
 
 
-def run_loads(
-    runs: int,
-    seed: int,
-    reserves: Sequence[tuple[float, float]] = RESERVES,
-    backend: Backend | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[LoadOutcome]:
-    """Let the same random loads act on grasps with each reserve.
+def study_of(runs: int, seed: int, reserves: Sequence[tuple[float, float]] = RESERVES) -> Study:
+    """Return the same random loads on grasps with each reserve as a study.
 
     Args:
         runs: Number of loads.
-        seed: The same seed gives the same numbers, on any number of cores.
+        seed: The same seed gives the same loads.
         reserves: Floors, N, and shares of the reserve.
-        backend: Where; all cores of this machine by default.
-        progress: Called whenever a run is done.
+    """
+    space = Space(
+        {"case": Choice(tuple(sample_loads(runs, seed))), "reserve": Choice(tuple(reserves))}
+    )
+    return Study(space, "grid", run_one, list, seed=seed)
+
+
+def run_one(point: Point) -> dict[str, Any]:
+    """Let the load of a point act on a grasp with its reserve and return what came of it."""
+    came = run_load(point.values["case"], *point.values["reserve"])
+    outcome = LOST if came.lost else MISSED if came.slid else REACHED
+    found = {name: getattr(came, name) for name in RESULTS}
+    return {**found, "outcome": outcome}
+
+
+def run_loads(
+    runs: int,
+    seed: int,
+    folder: Path,
+    backend: Backend,
+    reserves: Sequence[tuple[float, float]] = RESERVES,
+    watch: Callable[[Tally], None] = lambda _: None,
+) -> Tally:
+    """Make all runs that are not done yet, and write their table.
+
+    Args:
+        runs: Number of loads.
+        seed: The same seed gives the same loads.
+        folder: Of the results; holds those of an earlier, unfinished call.
+        backend: Where runs are made.
+        reserves: Floors, N, and shares of the reserve.
+        watch: Called after each run.
 
     Raises:
-        MissingLibraryError: If joblib is not installed.
+        StudyError: If the folder holds another study or cannot be written, or the backend fails.
     """
-    tasks = tuple((case, *reserve) for case in sample_loads(runs, seed) for reserve in reserves)
-    space = Space({"task": Choice(tasks)})
-    study = engine.Study(space, "grid", _run, functools.partial(_sorted, progress))
-    found: list[LoadOutcome] = carry_out(study, backend)
-    return found
+    description = {
+        "version": tactile_hand_ros.__version__,
+        "build": build(),
+        "loads": runs,
+        "seed": seed,
+        "reserves": [list(reserve) for reserve in reserves],
+    }
+    store = Store(folder, COLUMNS, UNITS)
+    return keep(study_of(runs, seed, reserves), store, description, _parameters, backend, watch)
 
 
-def _run(point: engine.Point) -> LoadOutcome:
-    return run_load(*point.values["task"])
+def _parameters(point: Point) -> dict[str, Any]:
+    case = asdict(point.values["case"])
+    floor, share = point.values["reserve"]
+    return {"load": case.pop("index"), **case, "floor": floor, "share": share}
 
 
-def _sorted(progress: Callable[[str], None], results: Iterable[engine.Result]) -> list[LoadOutcome]:
-    found: list[LoadOutcome] = []
-    for outcome in engine.results_of(results):
-        found.append(outcome)
-        progress(f"load {outcome.case.index}, floor {outcome.floor:g} N")
-    return sorted(found, key=lambda outcome: (outcome.floor, outcome.share, outcome.case.index))
+def outcomes_of(folder: Path) -> list[LoadOutcome]:
+    """Return what the table of a study shows; a run that failed counts as a loss."""
+    names = ("floor", "share", *RESULTS, "outcome")
+    rows = zip(*(read_column(folder, name).tolist() for name in names), strict=True)
+    return [
+        LoadOutcome(
+            floor,
+            share,
+            squeeze,
+            need,
+            survivable=came == FAILED or bool(survivable),
+            lost=came in (LOST, FAILED),
+            slip=slip,
+        )
+        for floor, share, squeeze, need, survivable, slip, came in rows
+    ]
 
 
 @dataclass(frozen=True)
@@ -277,11 +353,12 @@ def trade_offs(outcomes: Sequence[LoadOutcome]) -> list[TradeOff]:
     curve = []
     for floor, share in sorted({(o.floor, o.share) for o in outcomes}):
         some = [o for o in outcomes if (o.floor, o.share) == (floor, share) and o.survivable]
-        slid = sum(o.lost or o.slip > SLIDE or math.isnan(o.slip) for o in some)
-        squeeze, need = (
-            float(np.mean([getattr(o, name) for o in some])) if some else math.nan
-            for name in ("squeeze", "need")
-        )
-        lost = sum(o.lost for o in some)
+        squeeze, need = _mean([o.squeeze for o in some]), _mean([o.need for o in some])
+        lost, slid = sum(o.lost for o in some), sum(o.slid for o in some)
         curve.append(TradeOff(floor, share, len(some), squeeze, need, lost, slid))
     return curve
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.mean(known)) if known else math.nan

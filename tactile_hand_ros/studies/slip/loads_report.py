@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random loads as a table, a figure and data: comfort against safety over the reserve."""
+"""Random loads as a table and a figure: comfort against safety over the reserve."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
-from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.studies.slip.loads import LoadOutcome, TradeOff, trade_offs
 from tactile_hand_ros.studies.statistics import share_of
 
@@ -60,11 +57,8 @@ def loads_figure(outcomes: Sequence[LoadOutcome]) -> Figure:
     return figure
 
 
-def write(outcomes: Sequence[LoadOutcome], folder: Path) -> list[Path]:
-    """Write all outcomes as JSON and the table as Markdown; return the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    report, data = folder / "study_loads.md", folder / "study_loads.json"
+def write(outcomes: Sequence[LoadOutcome], folder: Path) -> Path:
+    """Write the table as Markdown and return the file."""
+    report = folder / "study_loads.md"
     report.write_text(tables.markdown(COLUMNS, rows(outcomes)), encoding="utf-8")
-    text = json.dumps(json_ready([asdict(outcome) for outcome in outcomes]), indent=1)
-    data.write_text(text + "\n", encoding="utf-8")
-    return [report, data]
+    return report

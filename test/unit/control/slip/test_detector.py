@@ -281,3 +281,35 @@ def test_sliding_is_found_within_ten_samples_at_any_rate(rate):
     told = at_stamps(forces, np.full(1050, 1e3 / rate))
     assert not (told[:1000] == Grip.SLIP).any()
     assert (told[1000:1010] == Grip.SLIP).any()
+
+
+def pulled(late, seed, slides=False):
+    """Return what is said at 500 Hz of a load that rises by 4 N within some 20 ms.
+
+    Args:
+        late: Most ticks by which the hand's answer to it is late, each time at random.
+        seed: Of delays and noise.
+        slides: Whether it slides from the beginning of the load on.
+    """
+    random = np.random.default_rng(seed)
+    ticks = np.arange(400) - random.integers(1, late, 400, endpoint=True)
+    ticks = np.maximum.accumulate(ticks)  # the newest command that has come
+    share = 1.0 - np.exp(-np.maximum(ticks - 300, 0) / 10.0)
+    forces = np.array([0.5, 8.0, 0.2]) + share[:, None] * [3.2, 0.0, -2.4]
+    forces += 0.01 * random.standard_normal((400, 3))
+    forces[300:] += slides * 0.15 * random.standard_normal((100, 3))
+    return at_stamps(forces, np.full(400, 2.0))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_commands_that_are_late_now_and_then_are_no_slip(seed):
+    """By 1 to 3 ticks: the force jerks along its own course."""
+    assert not (pulled(3, seed) == Grip.SLIP).any()
+
+
+@pytest.mark.parametrize("late", [1, 3])
+@pytest.mark.parametrize("seed", range(10))
+def test_sliding_is_found_while_the_load_rises(late, seed):
+    told = pulled(late, seed, slides=True)
+    assert not (told[:300] == Grip.SLIP).any()
+    assert (told[300:310] == Grip.SLIP).any()

@@ -129,10 +129,14 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
         assert needed * 0.475 * 0.5 > foreseen
 
 
+def at_once(floor, share=0.0):
+    """Return a need whose reserve is there from the first sample on."""
+    return Need(NeedConfig(reserve=ReserveConfig(floor=floor, share=share), reserve_time=0.0), 3)
+
+
 def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
     """Checked by brute force: loads on a sphere about the present one."""
-    reserve = ReserveConfig(floor=1.5, share=0.0)
-    need = Need(NeedConfig(reserve=reserve), 3)
+    need = at_once(floor=1.5)
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
     bare, ready = need.step(felt(WEIGHT, 6.0 * shape), OWN, 0.0)
     random = np.random.default_rng(0)
@@ -157,9 +161,53 @@ def test_the_reserve_follows_the_largest_load_of_the_recent_past():
 
 def test_the_margin_is_for_loads_that_are_felt_and_not_for_those_of_the_reserve():
     friction, load = 1.2 * MU, 3.0 * WEIGHT
-    need = Need(NeedConfig(reserve=ReserveConfig(floor=0.03, share=0.0)), 3)
+    need = at_once(floor=0.03)
     needed, ready = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)
     assert needed == ready == pytest.approx(follow(fresh(), load, 1)[-1])
-    need = Need(NeedConfig(reserve=ReserveConfig(floor=3.0, share=0.0)), 3)
+    need = at_once(floor=3.0)
     with_margin = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)[1]
     assert with_margin == need.step(felt(load, 6.0 * SHAPE), friction, 0.0)[1] > needed
+
+
+CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+
+
+def reserves(need, ticks, load=CARRIED, first=0):
+    """Return what is needed and what is ready at each tick, shape (ticks, 2)."""
+    steps = (need.step(felt(load, 6.0 * SHAPE), MU, DT if first + i else 0.0) for i in range(ticks))
+    return np.array(list(steps))
+
+
+def test_the_reserve_of_a_new_grasp_rises_over_its_time():
+    """In even steps, from nothing to all of it, and the need is there at once."""
+    need = Need(NeedConfig(reserve=ReserveConfig(floor=3.0, share=0.0), reserve_time=0.08), 3)
+    needed, ready = reserves(need, 200).T
+    full = reserves(at_once(floor=3.0), 200)[:, 1]
+    np.testing.assert_array_equal(needed, reserves(fresh(), 200)[:, 0])
+    np.testing.assert_allclose(ready[80:], full[80:], rtol=1e-12)
+    assert ready[0] == needed[0] and full[0] > 2.0 * needed[0]
+    radius = 0.5 * np.sqrt(1.0 + 1.0 / 0.25) * np.arange(80) / 80.0  # times mu: 1 N at each finger
+    expected = np.maximum((1.0 + radius) / (0.475 * 0.5), (0.1 + radius) / (0.05 * 0.5))
+    np.testing.assert_allclose(ready[:80], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("ticks", [1, 20, 49])
+def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_comes_later(ticks):
+    """The need of each tick is that without any reserve."""
+    need, bare = Need(NeedConfig(), 3), fresh()
+    for each in (need, bare):
+        reserves(each, ticks)
+    step = reserves(need, 30, 3.0 * CARRIED, first=ticks)
+    np.testing.assert_array_equal(step[:, 0], reserves(bare, 30, 3.0 * CARRIED, first=ticks)[:, 0])
+    assert (step[:, 1] >= step[:, 0]).all()
+
+
+def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
+    """After its time another load, and another radius, count at once."""
+    need, at = Need(NeedConfig(), 3), at_once(floor=3.0, share=0.2)
+    for each in (need, at):
+        reserves(each, 101)
+    first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]
+    np.testing.assert_array_equal(*first)
+    need.lose()
+    assert np.diff(reserves(need, 1)[0]) == 0.0

@@ -166,6 +166,13 @@ def test_the_squeeze_that_holds_a_load_has_the_values_computed_by_hand(
     assert required_squeeze(load, shape, friction) == pytest.approx(expected)
 
 
+@given(st.floats(0.01, 9.0), st.floats(0.01, 1.0), st.floats(0.05, 1.5))
+def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share, friction):
+    """The root is a double one, and rounding must not lose it."""
+    needed = required_squeeze((0.0, -pull, 0.0), (0.0, share, 0.0), friction)
+    assert needed == pytest.approx(pull / share, rel=1e-5)
+
+
 @given(
     st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
