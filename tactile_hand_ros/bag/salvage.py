@@ -151,11 +151,11 @@ class _Salvage:
         if self._compression is None and compression in _COMPRESSIONS:
             self._compression = self._tally.compression = compression
         cut = len(frame.body) < frame.length
-        expected = size
-        if size > LARGEST:
+        expected, is_too_large = size, size > LARGEST
+        if is_too_large:
             self._refuse("chunk", frame.start, size)
             expected = len(packed)
-        data = unpack(packed, compression, min(size, LARGEST)) if size <= LARGEST or cut else b""
+        data = b"" if is_too_large and not cut else unpack(packed, compression, min(size, LARGEST))
         if not cut and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
             self._tally.left += expected
             return

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,12 @@ BLIND_NODES = sorted(
 )
 # The one file that replays a bag through real nodes.
 WITH_RCLPY = {f"{PACKAGE}/verify/replay_through_nodes.py"}
+CHANGING = {
+    *("BagWriter", "Span", "Tally", "_Channel", "_Copy", "Layout", "_Messages"),
+    *("Results", "RunOutcome", "ReplayProgress", "_Rejections", "Cluster", "Report", "Soak"),
+}
+"""Dataclasses that are not frozen."""
+
 MOST_MODULES = 16
 """In one folder, without its __init__."""
 
@@ -220,6 +227,14 @@ def test_only_those_who_simulate_import_the_simulation() -> None:
 def test_a_folder_can_be_taken_in_at_a_glance(folder: Path) -> None:
     modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
     assert len(modules) <= MOST_MODULES
+
+
+def test_results_are_immutable() -> None:
+    """All dataclasses are frozen but for those that are filled step by step."""
+    declared = re.compile(r"^ *@dataclass(\(frozen=True.*\))?\n *class (\w+)", re.MULTILINE)
+    found = [each for path in SOURCES for each in declared.findall(path.read_text())]
+    assert {name for frozen, name in found if not frozen} == CHANGING
+    assert len(found) > len(CHANGING)
 
 
 @pytest.mark.parametrize("path", [*SOURCES, *TESTS, *SCRIPTS], ids=label)

@@ -34,3 +34,10 @@ def test_rows_that_depend_on_each_other_are_found():
     assert factorize(rows @ rows.T)[1]
     assert not factorize(dependent @ dependent.T)[1]
     assert not factorize(np.full((2, 2), np.nan))[1]
+
+
+def test_a_pivot_counts_down_to_1e_13_of_its_diagonal():
+    for left, regular in ((3e-13, True), (0.5e-13, False), (0.0, False), (-1.0, False)):
+        upper = np.array([[4.0, 6.0], [0.0, 9.0 * (1.0 + left)]])
+        assert factorize(upper)[1] == regular
+    assert not factorize(np.array([[0.0]]))[1] and factorize(np.array([[1e-300]]))[1]

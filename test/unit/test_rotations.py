@@ -13,6 +13,7 @@ from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,
+    vector_from_rotation,
 )
 
 components = st.floats(-1.0, 1.0)
@@ -97,3 +98,26 @@ def test_a_small_rotation_keeps_its_full_precision(size):
 @given(angles, angles)
 def test_cross_is_the_cross_product(a, b):
     np.testing.assert_allclose(cross(a, b), np.cross(a, b), atol=1e-13)
+
+
+@given(quaternions)
+def test_a_rotation_vector_comes_back_no_longer_than_half_a_turn(q):
+    vector = vector_from_rotation(rotation_from_quaternion(q))
+    assert np.linalg.norm(vector) <= np.pi + 1e-15
+    np.testing.assert_allclose(rotation_from_vector(vector), rotation_from_quaternion(q), atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-13, 3e-12, 1e-8, 1e-3, 1.0, 3.0])
+def test_a_rotation_vector_comes_back_at_every_size(size):
+    vector = size * np.array([2.0, -1.0, 2.0]) / 3.0
+    found = vector_from_rotation(rotation_from_vector(vector))
+    np.testing.assert_allclose(found, vector, rtol=1e-9, atol=1e-300)
+
+
+@pytest.mark.parametrize("size", [0.5e-4, 0.99e-4, 1.01e-4, 2e-4])
+def test_both_ways_to_a_small_rotation_are_exact_to_rounding(size):
+    x, y, z = size * np.array([2.0, -1.0, 2.0]) / 3.0
+    found = rotation_from_vector([x, y, z])
+    expected = Rotation.from_rotvec([x, y, z]).as_matrix()
+    rounding = 1e-19 if size < 1e-4 else 1e-16
+    assert (np.abs(found - expected) <= rounding + 3e-16 * np.eye(3)).all()

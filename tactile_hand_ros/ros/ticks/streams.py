@@ -56,15 +56,13 @@ class Once:
     def __init__(self, decode: Decode) -> None:
         """Take what decodes."""
         self._decode = decode
-        self._last: tuple[bytes, tuple[int, Any]] = b"", (0, None)
+        self._last: tuple[bytes, tuple[int, Any]] | None = None
 
     def __call__(self, data: bytes) -> tuple[int, Any]:
         """Return tick [ns] and value, see `Decode`."""
-        known, read = self._last
-        if data is not known:
-            read = self._decode(data)
-            self._last = data, read
-        return read
+        if self._last is None or data is not self._last[0]:
+            self._last = data, self._decode(data)
+        return self._last[1]
 
 
 @functools.cache

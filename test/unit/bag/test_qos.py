@@ -8,6 +8,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosbags.rosbag2.metadata import parse_qos
 
 from tactile_hand_ros.bag.qos import OfferedQos, qos_text
+from tactile_hand_ros.bag.qos import parse_qos as read_qos
 
 TEXT = """\
 - history: unknown
@@ -59,3 +60,38 @@ def test_profile_of_the_graph_is_translated() -> None:
     assert (offer.history, offer.depth) == ("keep_last", 7)
     assert (offer.reliability, offer.durability) == ("best_effort", "transient_local")
     assert offer.lifespan == 2_000_000_000
+
+
+def test_every_policy_of_older_versions_has_its_number() -> None:
+    """As rmw counts them; one that it does not know makes the text unreadable."""
+    for policy, values in {
+        "history": ["system_default", "keep_last", "keep_all", "unknown"],
+        "reliability": ["system_default", "reliable", "best_effort", "unknown", "best_available"],
+        "durability": [
+            *("system_default", "transient_local", "volatile", "unknown", "best_available"),
+        ],
+        "liveliness": [
+            *("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+        ],
+    }.items():
+        lines = TEXT.splitlines()
+        [at] = [i for i, line in enumerate(lines) if line.strip("- ").startswith(f"{policy}:")]
+        head = lines[at].partition(":")[0]
+        for number, value in enumerate([*values, None]):
+            text = "\n".join([*lines[:at], f"{head}: {number}", *lines[at + 1 :]])
+            found = [getattr(offer, policy) for offer in read_qos(text)]
+            assert found == ([] if value is None else [value])
+
+
+def test_what_is_written_is_read_back_with_every_field() -> None:
+    offer = OfferedQos(
+        "keep_all", 3, "best_effort", "volatile", 7, 3_000_000_008, "manual_by_topic", 9, True
+    )
+    assert read_qos(qos_text([offer, OfferedQos()])) == (offer, OfferedQos())
+
+
+def test_names_follow_the_conventions_of_ros_where_nothing_else_is_said() -> None:
+    short = TEXT.rpartition("\n")[0]
+    assert [offer.avoid_ros_namespace_conventions for offer in read_qos(short)] == [False]
+    plain = QoSProfile(depth=1, avoid_ros_namespace_conventions=True)
+    assert OfferedQos.from_profile(plain).avoid_ros_namespace_conventions

@@ -511,7 +511,9 @@ def test_however_often_a_bag_is_repaired_no_earlier_file_is_overwritten(
         file.write_bytes(file.read_bytes()[:-cut_off])
         metadata.write_text(f"repair {cut_off}: [")
         broken = [file.read_bytes(), metadata.read_bytes()]
+        os.utime(file, (10**9, 10**9 + cut_off))
         recovery = recover(folder, in_place=True)
+        assert recovery.kept[0].stat().st_mtime == 10**9 + cut_off
         assert not kept.keys() & set(recovery.kept)
         kept |= zip(recovery.kept, broken, strict=True)
         assert {path: path.read_bytes() for path in kept} == kept
@@ -640,3 +642,211 @@ def test_metadata_that_expands_to_much_keeps_no_message_back(tmp_path: Path) -> 
         recovery = recover(tmp_path / "run", tmp_path / "out")
         assert [m.data for m in read_raw(recovery.target)] == sent
         shutil.rmtree(tmp_path / "out")
+
+
+def small(folder: Path, name: str = "") -> Path:
+    """Write a bag of one message, cut off behind it; return its file, which may get a new name."""
+    with BagWriter(folder, "none") as writer:
+        writer.write(writer.add_channel("/a", STRING), payload(0), 0, 0)
+        writer.flush()
+        size = writer.path.stat().st_size
+    file = cut(folder, size)
+    return file.rename(folder / name) if name else file
+
+
+def test_the_outcome_in_words(tmp_path: Path) -> None:
+    folder, out = tmp_path / "run", tmp_path / "out"
+    with BagWriter(folder, "none") as writer:
+        channel, _ = writer.add_channel("/a", STRING), writer.add_channel("/silent", STRING)
+        for number in range(3):
+            writer.write(channel, payload(number), number, number)
+    assert recover(folder, out).sentence == (
+        f"recovered 3 messages on 1 topic to {out}; nothing was left behind; "
+        f"{folder} was not touched"
+    )
+    shutil.rmtree(out)
+    file = folder / "run_0.mcap"
+    records = list(cut_into_records(file.read_bytes()))
+    last = next(i for i, record in enumerate(records) if record[0] == 0x06)
+    file.write_bytes(MAGIC + b"".join(records[: last + 1]) + b"\5\7")
+    recovery = recover(folder, in_place=True)
+    assert recovery.sentence == (
+        f"recovered 3 messages on 1 topic to {folder}; 2 bytes could not be used; "
+        f"the broken file is kept as {file}.broken, {folder / 'metadata.yaml'}.broken"
+    )
+    assert recovery.metadata.custom_data == {"recovered_bytes_left": "2"}
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_a_recovered_bag_is_compressed_as_the_broken_one(tmp_path: Path, compression: str) -> None:
+    write_bag(tmp_path / "run", compression)
+    cut(tmp_path / "run", 9000)
+    tally = Tally()
+    for _ in salvage(recover(tmp_path / "run").target / "run_recovered_0.mcap", tally):
+        pass
+    assert tally.messages and (tally.compression or "none") == compression
+
+
+def test_a_bag_without_messages_comes_back_empty(tmp_path: Path) -> None:
+    file = small(tmp_path / "run")
+    file.write_bytes(file.read_bytes()[:100])
+    recovery = recover(tmp_path / "run")
+    assert recovery.messages == 0
+    assert summarize(recovery.target).message_count == 0
+
+
+def test_files_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    """The tenth file comes after the second, and each message counts for its topic."""
+    folder = tmp_path / "run"
+    with BagWriter(folder, "none", max_duration=1) as writer:
+        for number in range(24):
+            if number in (0, 13):
+                channel = writer.add_channel(f"/{number}", STRING)
+            writer.write(channel, payload(number), number, number)
+    assert (folder / "run_11.mcap").exists()
+    (folder / "metadata.yaml").unlink()
+    recovery = recover(folder)
+    files = sorted(recovery.target.glob("*.mcap"), key=lambda file: int(file.stem.split("_")[-1]))
+    assert [file.path for file in recovery.metadata.files] == [file.name for file in files]
+    assert [m.data for file in files for m in read_raw(file)] == [payload(i) for i in range(24)]
+    assert {topic.name: topic.message_count for topic in recovery.metadata.topics} == {
+        "/0": 13,
+        "/13": 11,
+    }
+
+
+def test_a_single_whole_file_is_whole(tmp_path: Path) -> None:
+    write_bag(tmp_path / "run")
+    file = tmp_path / "run" / "run_0.mcap"
+    assert is_whole(file)
+    file.write_bytes(file.read_bytes()[:-1])
+    assert not is_whole(file)
+
+
+@pytest.mark.parametrize("names", [[], ["run_0.mcap", "run_1.mcap"], "run_0.mcap"])
+def test_a_bag_whose_metadata_name_other_files_is_not_whole(tmp_path: Path, names: object) -> None:
+    write_bag(tmp_path / "run")
+    metadata = tmp_path / "run" / "metadata.yaml"
+    tree = yaml.safe_load(metadata.read_text())
+    tree["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    metadata.write_text(yaml.safe_dump(tree))
+    assert not is_whole(tmp_path / "run")
+
+
+def test_a_file_cannot_be_repaired_in_place(tmp_path: Path) -> None:
+    file = small(tmp_path / "run")
+    with pytest.raises(BagError, match="run_0.mcap is a file, expected a folder to repair"):
+        recover(file, in_place=True)
+
+
+def test_a_folder_where_none_can_be_is_refused_and_missing_ones_are_made(tmp_path: Path) -> None:
+    file = small(tmp_path / "run")
+    with pytest.raises(BagError, match="cannot be created: Not a directory"):
+        recover(tmp_path / "run", file / "out")
+    assert recover(tmp_path / "run", tmp_path / "a" / "b" / "out").messages == 1
+
+
+def test_the_bag_of_a_run_is_found_in_its_folder(tmp_path: Path) -> None:
+    small(tmp_path / "run" / "bag")
+    recovery = recover(tmp_path / "run")
+    assert recovery.source == tmp_path / "run" / "bag"
+    assert recovery.target == tmp_path / "run" / "bag_recovered" and recovery.messages == 1
+
+
+def test_there_is_nothing_to_continue_without_a_broken_bag(tmp_path: Path) -> None:
+    assert continue_bag(tmp_path / "absent") is None
+    (tmp_path / "file").touch()
+    assert continue_bag(tmp_path / "file") is None
+    (tmp_path / "empty").mkdir()
+    assert continue_bag(tmp_path / "empty") is None
+    write_bag(tmp_path / "whole", count=1)
+    assert continue_bag(tmp_path / "whole") is None
+    small(tmp_path / "broken")
+    assert continue_bag(tmp_path / "broken") is not None
+
+
+def test_a_bag_that_lost_its_header_is_continued(tmp_path: Path) -> None:
+    """Nothing says that it is somebody else's."""
+    file = small(tmp_path / "run")
+    file.write_bytes(file.read_bytes()[:8])
+    earlier = continue_bag(tmp_path / "run")
+    assert earlier is not None and earlier.messages == 0
+
+
+def test_the_draft_of_a_repair_that_was_interrupted_is_no_file_of_the_bag(tmp_path: Path) -> None:
+    file = small(tmp_path / "run")
+    draft = file.with_name(f".{file.name}")
+    shutil.copy(file, draft)
+    assert recover(tmp_path / "run").messages == 1
+    assert repair(tmp_path / "run").messages == 1
+    assert not draft.exists()
+
+
+@pytest.mark.parametrize(
+    ("form", "mode", "refused"),
+    [
+        ("zstd", "MESSAGE", True),
+        ("zstd", "message", True),
+        ("zstd", "", True),
+        ("zstd", "FILE", False),
+        ("zstd", "file", False),
+        ("", "MESSAGE", False),
+    ],
+)
+def test_only_messages_that_are_compressed_one_by_one_are_refused(
+    tmp_path: Path, form: str, mode: str, refused: bool
+) -> None:
+    small(tmp_path / "run")
+    tree = {"compression_format": form, "compression_mode": mode}
+    text = yaml.safe_dump({"rosbag2_bagfile_information": tree})
+    (tmp_path / "run" / "metadata.yaml").write_text(text)
+    if refused:
+        with pytest.raises(BagError, match="compressed by rosbag2"):
+            recover(tmp_path / "run")
+    else:
+        assert recover(tmp_path / "run").messages == 1
+
+
+def test_what_a_bag_says_of_itself_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Distribution and custom data of the last file count, and what is no text becomes one."""
+    monkeypatch.setenv("ROS_DISTRO", "kilted")
+    file = tmp_path / "x.mcap"
+    for said, distro, data in (
+        ([], "kilted", {}),
+        (["custom_data: {a: 1, b: c}"], "kilted", {"a": "1", "b": "c"}),
+        (["ros_distro: iron"], "iron", {}),
+        (["ros_distro: iron\ncustom_data: {a: b}", "custom_data: {c: d}"], "iron", {"c": "d"}),
+        (["[1", "1"], "kilted", {}),
+    ):
+        with file.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            for text in said:
+                writer.add_metadata("rosbag2", {"serialized_metadata": text})
+            writer.add_metadata("rosbag2", {"other": "key"})
+            writer.finish()
+        metadata = recover(file, tmp_path / "out").metadata
+        shutil.rmtree(tmp_path / "out")
+        assert metadata.ros_distro == distro
+        assert metadata.custom_data == data | {"recovered_bytes_left": "0"}
+    monkeypatch.delenv("ROS_DISTRO")
+    file.write_bytes(MAGIC)
+    assert recover(file, tmp_path / "out").metadata.ros_distro == "jazzy"
+
+
+def test_a_channel_that_is_announced_again_goes_on_counting(tmp_path: Path) -> None:
+    """Others repeat schemas and channels in each chunk."""
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/a", "cdr", 0)
+        writer.add_message(channel, 1, payload(1), 1)
+        writer.finish()
+    records = list(cut_into_records(file.read_bytes()))
+    [announced] = [record for record in records if record[0] == 0x04][:1]
+    [sent] = [record for record in records if record[0] == 0x05]
+    file.write_bytes(MAGIC + b"".join(records[:1]) + 2 * (announced + sent) + MAGIC)
+    recovery = recover(file, tmp_path / "out")
+    [topic] = recovery.metadata.topics
+    assert (topic.name, topic.type, topic.message_count) == ("/a", "", 2)

@@ -109,6 +109,17 @@ def test_arrays_comments_and_line_ends_are_kept(
     assert message_definition("my_msgs/msg/Root").text == expected
 
 
+def test_what_every_message_may_hold_is_no_type_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = ["bool", "byte", "char", "float32", "float64", "string"]
+    kinds += [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+    root = "".join(f"{kind} a{i}\n{kind}[] b{i}\n" for i, kind in enumerate(kinds))
+    package(tmp_path, monkeypatch, Root_dot_msg=root)
+    assert message_definition("my_msgs/msg/Root").text == root
+    assert message_definition("my_msgs/Root").text == root
+
+
 def test_type_with_only_an_idl_file_is_written_as_idl(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -362,3 +362,103 @@ def test_checkpoint_is_a_whole_bag_that_goes_on(tmp_path: Path) -> None:
         writer.checkpoint()
         assert summarize(writer.folder).message_count == part + 1
     assert len(writer.close().files) == 2
+
+
+def test_a_lazy_bag_without_messages_is_valid_and_nothing_is_begun_twice(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "run", lazy=True)
+    add_string(writer)
+    writer.add_metadata("origin", {"a": "b"})
+    writer.flush()
+    writer.split()
+    assert list(writer.folder.iterdir()) == [] and writer.is_open
+    first = writer.close()
+    assert [file.path for file in first.files] == ["run_0.mcap"] and not writer.is_open
+    assert first.files[0].duration == 0
+    assert (first.duration, first.message_count, first.topics[0].name) == (0, 0, "/chatter")
+    assert summarize(tmp_path / "run").counts == {"/chatter": 0}
+    earlier = BagWriter(tmp_path / "run", earlier=first, lazy=True).close()
+    assert [file.path for file in earlier.files] == ["run_0.mcap"]
+
+
+def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
+    """Counts by topic, bytes, times; a message at time zero takes no time."""
+    writer = BagWriter(tmp_path / "run")
+    first, second = add_string(writer, "/b"), add_string(writer, "/a")
+    assert (first, second) == (1, 2)
+    writer.write(first, payload("x"), 0, 0)
+    assert (writer.metadata().start, writer.metadata().duration) == (0, 0)
+    for time in (7, 5):
+        writer.write(second, payload("xy"), time, 0)
+    assert writer.counts() == {"/b": 1, "/a": 2}
+    assert writer.bytes_received == len(payload("x") + 2 * payload("xy"))
+    metadata = writer.metadata()
+    assert (metadata.start, metadata.duration, metadata.message_count) == (0, 7, 3)
+    assert [topic.name for topic in metadata.topics] == ["/a", "/b"]
+    assert writer.close() == metadata
+    with pytest.raises(BagError, match="is closed"):
+        writer.add_metadata("origin", {})
+    writer.flush()
+
+
+def test_a_topic_of_a_bag_that_is_continued_keeps_its_offers(tmp_path: Path) -> None:
+    """Readers take a topic with other offers in a later file for another topic."""
+    old, new = OfferedQos(depth=7), OfferedQos(depth=9)
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_channel("/a", STRING, offers=[old], type_hash="RIHS01_old")
+        writer.add_channel("/b", STRING, offers=[old], type_hash="RIHS01_old")
+    with BagWriter(tmp_path / "run", earlier=writer.metadata()) as later:
+        for name, kind in (("/a", STRING), ("/b", "std_msgs/msg/Empty"), ("/c", STRING)):
+            later.add_channel(name, kind, offers=[new], type_hash="RIHS01_new")
+    with later.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert later.path.name == "run_1.mcap" and summary is not None
+    told = {each.topic: each.metadata for each in summary.channels.values()}
+    assert [told[name]["topic_type_hash"] for name in ("/a", "/b", "/c")] == [
+        "RIHS01_old",
+        "RIHS01_new",
+        "RIHS01_new",
+    ]
+    assert told["/a"]["offered_qos_profiles"] == qos_text([old])
+    assert told["/b"]["offered_qos_profiles"] == qos_text([new])
+
+
+def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "run") as writer:
+        for name, kind in (("/a", STRING), ("/b", "std_msgs/msg/Empty"), ("/c", STRING)):
+            writer.add_channel(name, kind)
+    with writer.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert {each.name for each in summary.schemas.values()} == {STRING, "std_msgs/msg/Empty"}
+    assert [each.schema_id for each in summary.channels.values()] == [1, 2, 1]
+
+
+def test_folders_above_the_bag_are_created(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "a" / "b" / "run").close()
+    assert summarize(tmp_path / "a" / "b" / "run").message_count == 0
+
+
+def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path: Path) -> None:
+    """What a recorder loses that is killed; messages and their heads count."""
+    writer = BagWriter(tmp_path / "run")
+    channel, before, count = add_string(writer), 0, 0
+    while writer.path.stat().st_size <= max(before, 5000):
+        before = writer.path.stat().st_size
+        writer.write(channel, bytes(1000), 0, 0)
+        count += 1
+    assert 2**20 - 2000 < count * (1000 + 31) < 2**20 + 2000
+    writer.close()
+
+
+def test_a_disk_that_is_full_at_once_leaves_an_empty_file(tmp_path: Path) -> None:
+    """Not even the first bytes of a file fit."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4, limits[1]))
+    try:
+        with pytest.raises(BagError, match="could not be written"):
+            BagWriter(tmp_path / "run")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert (tmp_path / "run" / "run_0.mcap").stat().st_size == 0

@@ -10,13 +10,19 @@ from pydantic import Field, ValidationError, model_validator
 
 from tactile_hand_ros.config.model import (
     Config,
+    bound_of,
+    choices_of,
+    did_you_mean,
+    element_type,
     flatten,
     from_flat,
     is_live,
     leaves,
     load_yaml,
     param,
+    parse_changes,
     parse_yaml,
+    read_yaml,
     unit_of,
     yaml_text,
 )
@@ -179,3 +185,63 @@ def test_fields_carry_unit_and_whether_they_are_live():
     fields = leaves(Example)
     assert unit_of(fields["body.mass"]) == "kg"
     assert is_live(fields["law"]) and not is_live(fields["fingers"])
+
+
+@pytest.mark.parametrize("count", [30, 31])
+def test_up_to_thirty_names_are_listed(count):
+    names = [f"name_{i:02}" for i in range(count)]
+    text = did_you_mean("name_07x", names)
+    assert text.startswith(", did you mean 'name_07'?")
+    assert ("Valid are: name_00, name_01" in text) == (count == 30)
+    assert (f"lists all {count}" in text) == (count == 31)
+    assert did_you_mean("q", []) == "."
+
+
+@pytest.mark.parametrize(("length", "shown"), [(58, "x" * 58 + "'"), (59, "x" * 56 + "...")])
+def test_a_long_value_is_shortened(tmp_path, length, shown):
+    with pytest.raises(ConfigurationError, match=f"law is '{shown}, expected"):
+        load(tmp_path, "law: " + "x" * length)
+
+
+@pytest.mark.parametrize("size", [2**17, 2**17 + 1])
+def test_a_yaml_file_has_128_kb_at_most(tmp_path, size):
+    (tmp_path / "large.yaml").write_text("a: 1 #".ljust(size, "#"))
+    if size == 2**17:
+        assert read_yaml(tmp_path / "large.yaml") == {"a": 1}
+    else:
+        with pytest.raises(ConfigurationError, match=f"larger than {2**17} bytes"):
+            read_yaml(tmp_path / "large.yaml")
+
+
+def test_changes_of_a_command_line_have_a_key_and_a_value():
+    assert parse_changes(["a=1", "b=c=d", "e="]) == {"a": 1, "b": "c=d", "e": {}}
+    for wrong in ("a", "=1", "", "="):
+        with pytest.raises(ConfigurationError, match="expected key=value such as plant.rate=250"):
+            parse_changes([wrong])
+    with pytest.raises(ConfigurationError, match="--set a: line 2"):
+        parse_changes(["a=["])
+
+
+def test_what_is_read_belongs_to_the_reader():
+    """The same text is parsed once, but a change of the result must not be in the next one."""
+    first = parse_yaml("a: [1, 2]")
+    first["a"].append(3)
+    assert parse_yaml("a: [1, 2]") == {"a": [1, 2]}
+
+
+def test_what_a_type_accepts_can_be_asked():
+    fields = leaves(Example)
+    assert choices_of(Law) == ["proposed", "kawamura"]
+    assert choices_of(Literal["a", "b"]) == ["a", "b"] and choices_of(float) == []
+    assert element_type(fields["gains"].annotation) is float
+    assert element_type(list[int]) is int and element_type(float) is float
+    size = fields["body.size"]
+    assert (bound_of(size, "gt"), bound_of(size, "le"), bound_of(size, "ge")) == (0.0, 1.0, None)
+
+
+def test_a_key_below_a_value_is_unknown():
+    for key in ("fingers.x", "fingers.x.y"):
+        with pytest.raises(ConfigurationError, match=f"unknown key '{key}'") as caught:
+            from_flat(Example, {"fingers": 3, key: 1}, "there")
+        assert (caught.value.source, caught.value.place) == ("there", key)
+        assert str(caught.value).startswith("there: ")

@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tactile_hand_ros.config.model import parse_yaml
-from tactile_hand_ros.config.untrusted import LARGEST, MOST_VALUES, read_text
+from tactile_hand_ros.config.untrusted import LARGEST, MOST_VALUES, check_yaml, read_text
 from tactile_hand_ros.errors import ConfigurationError
 
 LAUGHS = "name: &a [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + "".join(
@@ -76,3 +77,40 @@ def test_what_is_not_text_is_named_by_its_place(tmp_path: Path) -> None:
     (tmp_path / "half").write_bytes(b"ab\xed\xa0\x80")  # half a surrogate pair
     with pytest.raises(ConfigurationError, match="not UTF-8 text, see byte 2"):
         read_text(tmp_path / "half")
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("7", 1),
+        ("[]", 1),
+        ("{a: 1, b: 2}", 5),
+        ("[1, [2, 3], {}]", 6),
+        ("[&a [1, 2], *a, *a]", 10),
+        ("[&a 1, *a]", 3),
+        ("&a [&b [1], *b, *b]", 7),
+    ],
+)
+def test_every_value_counts_also_those_that_references_repeat(text: str, size: int) -> None:
+    check_yaml(text, size)
+    with pytest.raises(yaml.YAMLError, match=f"more than {size - 1} values"):
+        check_yaml(text, size - 1)
+
+
+@pytest.mark.parametrize("kind", ["[]", "{}"])
+def test_fifty_collections_may_stand_in_each_other(kind: str) -> None:
+    for depth, fits in ((50, True), (51, False)):
+        text = "[" * depth + "]" * depth if kind == "[]" else "{a: " * depth + "1" + "}" * depth
+        if fits:
+            check_yaml(text)
+        else:
+            with pytest.raises(yaml.YAMLError, match="nested more than 50 deep"):
+                check_yaml(text)
+    check_yaml("[" + "[], " * 60 + "]")
+
+
+def test_a_file_of_any_limit_is_read_to_its_last_byte(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abcde")
+    assert read_text(tmp_path / "file", 5) == "abcde"
+    with pytest.raises(ConfigurationError, match="larger than 4 bytes"):
+        read_text(tmp_path / "file", 4)

@@ -22,3 +22,20 @@ def test_a_flood_is_counted() -> None:
     now[0] = 1.0
     log.note("hold")
     assert lines[5:] == ["drive -> hold (94 changes before it not logged)"]
+
+
+def test_five_lines_a_second_and_the_count_begins_again_each_second() -> None:
+    lines: list[str] = []
+    now = [7.0]
+    log = ModeLog(lines.append, lambda: now[0])
+    log.note("hold")
+    for time, expected in ((7.0, 5), (7.999, 0), (8.0, 5), (9.5, 5), (10.0, 0)):
+        now[0] = time
+        lines.clear()
+        for change in range(6):
+            log.note("drive" if change % 2 else "hold", f"{change}")
+            log.note("other")
+        assert len(lines) == expected, time
+        if time in (8.0, 9.5):
+            assert "changes before it not logged" in lines[0]
+            assert not any("not logged" in line for line in lines[1:])

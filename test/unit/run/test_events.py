@@ -9,7 +9,14 @@ import pytest
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.slip.detector import Grip
-from tactile_hand_ros.run.events import Event, events
+from tactile_hand_ros.run.events import (
+    Event,
+    alarm_count,
+    asked_events,
+    events,
+    slip_count,
+)
+from tactile_hand_ros.run.requests import Asked
 
 
 @pytest.fixture
@@ -87,3 +94,94 @@ def test_disturbances_come_from_the_scenario(record: Record) -> None:
     )
     found = [(e.time, e.text) for e in events(record, scenario) if e.kind == "disturbance"]
     assert found == [(1.0, "friction becomes 0.2"), (2.0, "step of 5 N")]
+
+
+def test_slip_is_faster_than_a_millimetre_a_second(record: Record) -> None:
+    record.true_sliding[30:40, 0] = 1e-3
+    assert told(record, "slip") == [] and slip_count(record) == 0
+    record.true_sliding[30:40, 0] = record.true_sliding[60:70, 1] = np.nextafter(1e-3, 1.0)
+    assert [finger for _, finger in told(record, "slip")] == ["thumb", "ring_finger"]
+    assert slip_count(record) == 2
+
+
+@pytest.mark.parametrize(("pause", "count"), [(1, 1), (2, 1), (3, 2)])
+def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, count: int) -> None:
+    record.stamps[:] = 2**23 * np.arange(101)  # 8.4 ms, so that 20 ms lie between ticks
+    record.grip[20:25, 1] = record.grip[25 + pause : 40, 1] = Grip.SLIP
+    assert len(told(record, "detection")) == alarm_count(record) == count
+
+
+def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
+    record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = Grip.SLIP
+    assert alarm_count(record) == 3
+    record.grip[0, 1] = Grip.SLIP  # what is there at the first tick did not begin
+    assert alarm_count(record) == 3
+
+
+@pytest.mark.parametrize(("squeeze", "count"), [(10.2, 0), (10.21, 1)])
+def test_a_reaction_is_a_rise_by_more_than_two_percent(
+    record: Record, squeeze: float, count: int
+) -> None:
+    record.grip[33:38, 0] = Grip.SLIP
+    record.grasp_force[40:] = squeeze
+    assert len(told(record, "reaction")) == count
+
+
+@pytest.mark.parametrize(("row", "count"), [(33, 1), (57, 1), (58, 1), (59, 0)])
+def test_a_reaction_comes_within_a_quarter_of_a_second(
+    record: Record, row: int, count: int
+) -> None:
+    """It is measured against the squeeze before the alarm."""
+    record.grip[33:38, 0] = Grip.SLIP
+    record.grasp_force[row:] = 12.0
+    found = [each for each in events(record) if each.kind == "reaction"]
+    assert [each.time for each in found] == [pytest.approx(0.01 * row)] * count
+    assert all(each.text == "the squeeze rises above 10 N" for each in found)
+
+
+def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Record) -> None:
+    record.grip[1:5, 0] = Grip.SLIP
+    record.grasp_force[1:] = 12.0
+    assert [time for time, _ in told(record, "reaction")] == [pytest.approx(0.01)]
+
+
+def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: Record) -> None:
+    record.contact_positions[50:60] = record.forces[50:60] = np.nan
+    record.contact_positions[60:, 1] = np.nan
+    assert told(record, "contact_lost") == [(pytest.approx(0.6), "ring_finger")]
+    assert told(record, "gap") == [(pytest.approx(0.49), "")]
+    text = next(each.text for each in events(record) if each.kind == "gap")
+    assert text == "nothing was recorded for 0.11 s"
+
+
+def test_nothing_is_lost_before_touch_has_said_anything(record: Record) -> None:
+    record.contact_positions[:10] = record.forces[:10] = np.nan
+    assert told(record, "contact_lost") == told(record, "contact_made") == []
+
+
+def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
+    pushes = [
+        {"kind": "step", "start": 0.5, "force": [0.0, 0.0, 0.0], "torque": [0.0, 0.6, 0.8]},
+        {"kind": "step", "start": 0.25, "force": [2.0, 0.0, 0.0], "torque": [0.5, 0.0, 0.0]},
+        {"kind": "step", "start": 4.0, "force": [0.0, 0.0, 0.0]},
+        {"kind": "step", "start": 4.5, "force": [1.0, 0.0, 0.0]},
+    ]
+    changed = {"plant.disturbances": pushes, "plant.friction_changes": [], "duration": 4.0}
+    found = events(record, load_scenario("pull", changed), dropped=0.75)
+    assert [(each.time, each.text) for each in found] == [
+        (0.0, "a new pose is commanded"),
+        (0.25, "step of 2 N and 0.5 N m"),
+        (0.5, "step of 1 N m"),
+        (0.75, "the object is dropped"),
+        (4.0, "step of 0 N"),
+    ]
+
+
+def test_calls_and_refusals_are_told_with_what_was_asked() -> None:
+    calls = [Asked(0, "enable", "true"), Asked(0, "reset", ""), Asked(2 * 10**9, "enable", "false")]
+    refusals = [Asked(5 * 10**8, "desired_pose", "out of reach")]
+    assert asked_events(calls, refusals) == [
+        Event(0.0, "request", "", "a user calls reset"),
+        Event(2.0, "request", "", "a user calls enable (false)"),
+        Event(0.5, "refusal", "", "desired_pose is refused: out of reach"),
+    ]

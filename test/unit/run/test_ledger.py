@@ -10,9 +10,10 @@ from support.outcomes import run_scenario
 from support.plants import plant
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run.ledger import ledger
+from tactile_hand_ros.run.ledger import _line, ledger
 from tactile_hand_ros.simulation.truth import true_reading
 
 HAND = Hand.load("paper")
@@ -199,3 +200,36 @@ def test_unknown_touch_gives_no_verdict(record):
     record.slip_evidence[:] = np.nan
     assert np.isnan(lines(record)["A4"].held_share)
     assert lines(record)["A4"].to_dict()["worst"] is None
+
+
+def test_each_assumption_has_its_limit(still):
+    found = {name: (line.limit, line.below) for name, line in lines(still).items()}
+    nan = pytest.approx(np.nan, nan_ok=True)
+    assert found == {
+        "A1": (nan, True),
+        "A2": (0.0, False),
+        "A3": (0.1, True),
+        "A4": (0.0, False),
+        "A4 cone": (nan, False),
+        "A5": (1e-3, False),
+        "A6": (0.0, False),
+        "A7": (MIN_COLLINEARITY_MARGIN, False),
+        "(13)": (1e-6, True),
+    }
+
+
+@pytest.mark.parametrize(("below", "worst", "share"), [(True, 3.0, 2 / 5), (False, 0.5, 2 / 5)])
+def test_a_value_at_its_limit_breaks_it_and_each_time_has_its_interval(still, below, worst, share):
+    """What is unknown, and the first 50 ms, are not judged."""
+    values = np.full(40, np.nan)
+    values[4] = 9.0 if below else -9.0
+    good, bad = (0.5, 3.0) if below else (3.0, 0.5)
+    values[[5, 10, 11, 20, 30]] = bad, good, 1.0, good, bad
+    line = _line("A", "", "", still, values, 1.0, below)
+    assert (line.worst, line.held_share) == (worst, pytest.approx(share))
+    # Ticks of which nothing is known part no interval.
+    assert line.broken == [
+        (pytest.approx(0.05), pytest.approx(0.05)),
+        (pytest.approx(0.11), pytest.approx(0.11)),
+        (pytest.approx(0.30), pytest.approx(0.30)),
+    ]

@@ -278,3 +278,29 @@ def test_plain_data_for_json() -> None:
         "a": [1.0, None, [None, 2]],
         "b": {"c": None, "d": None, "e": True},
     }
+
+
+def test_settling_ends_with_the_last_tick_outside() -> None:
+    record = still_record()
+    record.auxiliary_position[[1, 3, 4, 7], 0] = 1.0
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.8)
+    record.desired_position[5:, 1] = record.desired_position[5:, 1] + 1e-4
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.3)
+
+
+def test_errors_may_be_as_large_as_the_goal() -> None:
+    record = still_record()
+    record.auxiliary_position[-1, 0] = 0.25
+    assert metrics(record, scenario(position=0.25)).goal_reached is True
+    assert metrics(record, scenario(position=0.2499)).goal_reached is False
+    record = still_record()
+    record.true_slid[:] = 0.25
+    assert metrics(record, Scenario(goal={"slip_distance": 0.25})).goal_reached is True
+
+
+def test_peaks_of_friction_count_from_20_ms_on() -> None:
+    record = still_record()
+    record.stamps[:] = np.arange(11) * 10_000_000 + SECOND
+    record.forces[1, 0], record.forces[2, 1] = (50.0, 10.0, 0.0), (6.0, 10.0, 8.0)
+    found = metrics(record).max_required_friction
+    assert found == pytest.approx({"a": 0.0, "b": 1.0, "c": 0.0})

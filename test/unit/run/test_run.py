@@ -412,3 +412,48 @@ def test_pandas_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyP
     run = Run(write_record(tmp_path / "bag", random_record()))
     with pytest.raises(MissingLibraryError, match="pip install pandas"):
         run.to_pandas()
+
+
+def test_joints_have_the_order_of_the_first_message(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "bag") as bag:
+        for at, names in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
+            bag.write("/joint_states", joints(at, names, position=[1.0 + at, 5.0]), at)
+    record = Run(tmp_path / "bag").record
+    assert record.joint_names == ["b", "a"]
+    np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 2.0], [5.0, 3.0]])
+
+
+def test_latencies_are_told_by_median_99th_percentile_and_longest(tmp_path: Path) -> None:
+    ms = 1_000_000
+    with RunWriter(tmp_path / "bag") as bag:
+        for tick in range(201):
+            tick_only(bag, tick, START + 500 * ms * tick)
+            answer = joints(tick, NAMES, effort=[1.0, 2.0])
+            bag.write("/joint_command", answer, START + 500 * ms * tick + ms * (201 - tick))
+    found = Run(tmp_path / "bag").bag_metrics
+    assert found.command_latency_median_s == pytest.approx(0.101)
+    assert found.command_latency_p99_s == pytest.approx(0.199)
+    assert found.command_latency_max_s == pytest.approx(0.201)
+    assert found.ticks_per_second == pytest.approx(2.0) and found.wall_time_s == pytest.approx(
+        100.0
+    )
+
+
+def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> None:
+    """A node may say something of a new section just before its first tick is logged."""
+    ms = 1_000_000
+    with RunWriter(tmp_path / "bag") as bag:
+        for section, ticks in enumerate((4, 3, 2)):
+            for tick in range(ticks):
+                at = START + (1000 * section + 10 * tick) * ms
+                squeeze = recorded.wrench(tick, (0.0, 10.0 * section + tick, 0.0))
+                bag.write("/grasp_force", squeeze, at - 5 * ms)
+                tick_only(bag, tick, at)
+    run = Run(tmp_path / "bag")
+    sections = [each.record for each in (*run.earlier, run)]
+    assert [record.stamps.tolist() for record in sections] == [[0, 1, 2, 3], [0, 1, 2], [0, 1]]
+    assert [record.grasp_force.tolist() for record in sections] == [
+        [0.0, 1.0, 2.0, 3.0],
+        [10.0, 11.0, 12.0],
+        [20.0, 21.0],
+    ]

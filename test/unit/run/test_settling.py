@@ -47,3 +47,33 @@ def test_an_unknown_pose_is_not_back():
 
 def test_a_run_in_which_nothing_happens_has_nothing_to_recover_from() -> None:
     assert recoveries(record_of(lambda t: 0.0), load_scenario("paper")) == []
+
+
+def test_an_error_of_a_millimetre_is_not_back() -> None:
+    for size, back in ((0.001, math.inf), (math.nextafter(0.001, 0.0), 0.0)):
+        first, _ = recoveries(record_of(lambda t, e=size: e), SCENARIO)
+        assert first.time == back
+
+
+def test_each_event_lasts_until_the_next_one() -> None:
+    first, second = recoveries(record_of(lambda t: 0.003 if t >= 5.0 else 0.0), SCENARIO)
+    assert (first.largest, first.last, first.time) == (0.0, 0.0, 0.0)
+    assert math.isinf(second.time)
+    first, second = recoveries(record_of(lambda t: 0.003 if t < 2.0 else 0.0), SCENARIO)
+    assert first.largest == 0.0
+    first, second = recoveries(record_of(lambda t: 0.003 if t < 5.0 else 0.0), SCENARIO)
+    assert math.isinf(first.time) and (second.time, second.largest) == (0.0, 0.0)
+
+
+def test_a_hand_that_holds_to_the_end_knows_no_error() -> None:
+    first, second = recoveries(record_of(lambda t: math.nan if t >= 5.0 else 0.0), SCENARIO)
+    assert first.time == 0.0
+    assert math.isinf(second.time) and math.isnan(second.largest) and math.isnan(second.last)
+    assert list(second.to_dict().values())[0] == 5.0
+
+
+def test_events_at_the_start_and_at_the_end_are_none() -> None:
+    pushes = [{"kind": "step", "start": t, "force": [0.0, 3.0, 4.0]} for t in (0.0, 1.0, 1.0, 8.0)]
+    changed = {"plant.disturbances": pushes, "plant.friction_changes": [], "duration": 8.0}
+    found = recoveries(record_of(lambda t: 0.0), load_scenario("pull", changed))
+    assert [each.start for each in found] == [1.0]

@@ -101,3 +101,39 @@ def test_a_recommended_rate_is_a_whole_number_of_steps_and_below_what_was_measur
     steps = 1.0 / (rate * step)
     assert steps == pytest.approx(round(steps))
     assert rate <= max(1.0, answered)
+
+
+def test_a_tenth_of_the_ticks_may_be_late_and_a_window_lasts_two_seconds() -> None:
+    for in_time, is_slow in ((1800, False), (1799, True)):
+        now = [5.0]
+        headroom = Headroom(1000.0, 0.001, lambda now=now: now[0])  # type: ignore[misc]
+        headroom.restart(100, 50)
+        now[0] = 6.999
+        assert headroom.judge(100, 50, "wait") == ""
+        now[0] = 7.0
+        assert bool(headroom.judge(100 + in_time, 2050, "wait")) == is_slow
+
+
+def test_the_recommended_rate_leaves_a_reserve_and_is_whole_where_that_is_possible() -> None:
+    assert sustainable(1e6, 0.001) == 1000.0  # no more than one tick a step
+    assert sustainable(1000.0 / 0.7, 0.001) == pytest.approx(1000.0)
+    assert sustainable(714.0, 0.001) == 250.0
+    assert sustainable(715.0, 0.001) == 500.0
+    assert sustainable(0.0, 0.001) == 1.0
+    assert sustainable(2.0, 0.003) == pytest.approx(1.0 / (0.003 * 239))  # 1.4 Hz: 238.1 steps
+    assert sustainable(1e6, 0.3) == pytest.approx(1.0 / 0.3)
+
+
+def test_each_skipped_tick_has_the_cause_of_the_late_one_before_it() -> None:
+    watch = TickWatch({}, 0.002)
+    deadlines = Deadlines(watch, awaits_others=True)
+    deadlines.begin()
+    deadlines.due(4, 0)
+    assert (deadlines.late, deadlines.skipped, sum(deadlines.causes.values())) == (1, 3, 4)
+    assert len(deadlines.causes) == 1
+    deadlines.answered(-5)
+    deadlines.due(3, 0)
+    assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (1, 1, 5)
+    deadlines.answered(0)  # just in time
+    assert (deadlines.in_time, deadlines.late) == (2, 1)
+    watch.close()

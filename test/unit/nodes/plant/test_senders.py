@@ -47,3 +47,27 @@ def test_only_so_many_answers_are_kept():
         watch.note(stamp, TORQUE)
     assert not watch.note(0, 2.0 * TORQUE)
     assert watch.note(299, 2.0 * TORQUE)
+
+
+def test_the_first_of_256_answers_is_remembered_and_disagreements_count():
+    watch = SenderWatch()
+    for stamp in range(256):
+        watch.note(stamp, TORQUE)
+    assert watch.note(0, 2.0 * TORQUE) and watch.note(0, 3.0 * TORQUE)
+    assert watch.conflicts == 2
+    watch.note(256, TORQUE)
+    assert not watch.note(0, 2.0 * TORQUE)  # now it is the newest
+    assert watch.note(0, TORQUE) and watch.note(256, 2.0 * TORQUE)
+
+
+def test_a_conflict_is_over_at_half_a_second_and_a_reset_ends_it():
+    now = Now()
+    watch = SenderWatch(now)
+    for _ in range(2):
+        watch.note(1, TORQUE)
+        assert watch.note(1, 2.0 * TORQUE)
+        now.time += 0.5
+        assert not watch.in_conflict
+    assert watch.note(1, 2.0 * TORQUE) and watch.in_conflict
+    watch.reset()
+    assert not watch.in_conflict and not watch.ended()

@@ -84,3 +84,39 @@ def test_a_publisher_that_left_unheard_is_not_waited_for() -> None:
     tracker.change(0)
     tracker.see(4)
     assert tracker.lost == 2
+
+
+def test_each_discovered_publisher_accounts_for_one_first_number() -> None:
+    """Of two older ones the first numbers are free, of a third one they are a gap."""
+    tracker = SequenceTracker(0)
+    tracker.change(3, older=2)
+    for number in (70, 30):
+        tracker.see(number)
+    assert tracker.lost == 0
+    tracker.see(34)
+    assert tracker.lost == 3
+    tracker.see(71)
+    assert tracker.lost == 3
+
+
+def test_older_ones_are_expected_before_younger_ones() -> None:
+    tracker = SequenceTracker(0)
+    tracker.change(1, older=1)
+    tracker.change(2, younger=1)
+    tracker.see(50)
+    assert tracker.lost == 0
+    tracker.see(3)
+    assert tracker.lost == 2
+    tracker.see(100)  # nobody else is expected: a gap of the nearest below
+    assert tracker.lost == 2 + 49
+
+
+def test_a_first_number_below_all_others_and_a_new_first_message_are_no_loss() -> None:
+    assert lost([50, 20, 51, 21]) == 0
+    assert lost([50, 1, 51, 2]) == 0
+    assert lost([5, 6, 8, 5]) == 1
+
+
+def test_two_publishers_that_expect_the_same_number_are_two() -> None:
+    assert lost([1, 1, 2, 2, 3, 3]) == 0
+    assert lost([1, 1, 2, 2, 4, 4]) == 2

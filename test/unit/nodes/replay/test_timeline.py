@@ -49,3 +49,16 @@ def test_jump_keeps_running_or_paused() -> None:
     timeline.resume(10.0)
     timeline.jump(0, 12.0)
     assert timeline.position(13.0) == SECOND
+
+
+def test_what_is_due_has_no_wait_and_time_goes_on_from_where_it_stood() -> None:
+    timeline = Timeline(2 * SECOND, 4.0)
+    timeline.resume(10.0)
+    assert not timeline.paused and timeline.position(10.5) == 4 * SECOND
+    assert timeline.wait(4 * SECOND, 10.5) == pytest.approx(0.0)
+    assert timeline.wait(3 * SECOND, 10.5) == pytest.approx(-0.25)
+    timeline.pause(11.0)
+    assert timeline.paused and timeline.position(99.0) == 6 * SECOND
+    timeline.resume(20.0)
+    timeline.jump(0, 20.25)
+    assert timeline.position(20.5) == SECOND

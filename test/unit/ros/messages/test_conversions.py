@@ -201,3 +201,41 @@ def test_an_empty_contact_array_is_refused():
     message.header.frame_id = "palm"
     with pytest.raises(MessageError, match="0 contacts, expected 3"):
         c.contacts_from_ros(message, 3)
+
+
+def test_the_largest_number_is_usable_and_the_next_is_not():
+    beyond = np.nextafter(1e9, np.inf)
+    for sign in (1.0, -1.0):
+        assert c.is_usable(sign * 1e9) and c.all_usable(np.array([sign * 1e9, 0.0]))
+        assert not c.is_usable(sign * beyond)
+        assert not c.all_usable(np.array([0.0, sign * beyond]))
+    assert c.all_usable(np.full(5, -9e8))
+    assert not c.is_usable(np.nan)
+
+
+def test_a_text_is_repeated_up_to_the_length_of_a_line():
+    assert c.shown("x" * 80) == "x" * 80
+    assert c.shown("x" * 81) == "x" * 80 + "..."
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_each_part_of_a_point_counts(place):
+    point, _, turns = [1.0, 2.0, 3.0], *contacts(1)
+    for wrong in (np.nan, np.inf, -1.1e9):
+        point[place] = wrong
+        message = contacts_message(np.array([point]), turns, 1)
+        with pytest.raises(MessageError, match=r"contact 0 is at \("):
+            c.contacts_from_ros(message, 1)
+        with pytest.raises(MessageError, match="position is"):
+            c.pose_from_ros(pose_message(point, turns[0], 1))
+    two = np.full(3, np.nan)
+    two[place] = 1.0
+    with pytest.raises(MessageError, match=r"contact 0 is at \("):
+        c.contacts_from_ros(contacts_message(two[None], turns, 1), 1)
+
+
+def test_another_number_of_rumbles_makes_another_message():
+    message = c.feedback_to_ros((0.5, 0.6))
+    other = c.feedback_to_ros((0.1, 0.2, 0.3), out=message)
+    assert other is not message and len(other.array) == 3
+    assert [round(item.intensity, 6) for item in other.array] == [0.1, 0.2, 0.3]

@@ -263,3 +263,79 @@ def test_no_sender_makes_an_error_long():
     with pytest.raises(MessageError) as frame:
         WrenchCodec("tip").decode(serialize_message(force))
     assert max(len(str(unknown.value)), len(str(frame.value))) < 300
+
+
+BEYOND = math.nextafter(1e9, math.inf)
+"""The first number that is too large for a message."""
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_part_of_a_force_counts_up_to_the_largest_number(place, sign):
+    codec, force = WrenchCodec("tip"), [0.0, 0.0, 0.0]
+    force[place] = sign * 1e9
+    stamp, read = codec.decode(codec.encode(force, 5))
+    assert (stamp, list(read)) == (5, force)
+    for wrong in (sign * BEYOND, sign * 1e200):
+        force[place] = wrong
+        with pytest.raises(UnsafeOutputError):
+            codec.encode(force, 5)
+        with pytest.raises(MessageError, match="expected three finite numbers"):
+            codec.decode(serialize_message(force_message(force, 5, "tip")))
+
+
+def test_three_large_parts_of_a_force_are_as_good_as_one():
+    """Their sum of squares is above the limit, none of them is."""
+    codec, force = WrenchCodec("tip"), (9e8, -9e8, 9e8)
+    assert codec.decode(codec.encode(force, 5)) == (5, force)
+    joints, values = JointCodec(["a", "b", "c"], ("effort",)), np.array(force)
+    np.testing.assert_array_equal(joints.decode(joints.encode(5, values))[1][0], values)
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_any_part_that_is_nan_makes_the_answer_nan_in_the_right_frame(place):
+    force = [1.0, 2.0, 3.0]
+    force[place] = math.nan
+    data = serialize_message(force_message(force, 5, "tip"))
+    stamp, read = WrenchCodec("tip", nan_allowed=True).decode(data)
+    assert stamp == 5 and np.isnan(read).all()
+    stamp, read = WrenchCodec("other", nan_allowed=True, any_frame=True).decode(data)
+    assert stamp == 5 and np.isnan(read).all()
+    with pytest.raises(MessageError, match="frame_id is 'tip', expected 'other'"):
+        WrenchCodec("other", nan_allowed=True).decode(data)
+
+
+@pytest.mark.parametrize("place", range(2))
+def test_each_block_of_numbers_is_checked_before_it_is_sent(place):
+    values = [np.zeros(2), np.zeros(2)]
+    values[place][1] = BEYOND
+    with pytest.raises(UnsafeOutputError, match="was not published"):
+        JointCodec(["a", "b"], ("position", "velocity")).encode(0, *values)
+
+
+@pytest.mark.parametrize("place", range(7))
+def test_each_number_of_a_pose_is_checked_before_it_is_sent(place):
+    numbers_ = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8])
+    numbers_[place] = math.nan
+    with pytest.raises(UnsafeOutputError):
+        PoseCodec().encode(numbers_[:3], numbers_[3:], 5)
+    numbers_[place] = math.inf
+    with pytest.raises(UnsafeOutputError):
+        ContactsCodec(1).encode(numbers_[None, :3], numbers_[None, 3:], 5)
+
+
+def test_a_message_may_have_the_largest_size_and_not_a_byte_more():
+    data = WrenchCodec("tip").encode((1.0, 2.0, 3.0), 5).ljust(LARGEST_MESSAGE, b"\0")
+    assert WrenchCodec("tip").decode(data) == (5, (1.0, 2.0, 3.0))
+    with pytest.raises(MessageError, match=f"{LARGEST_MESSAGE + 1} bytes, expected at most"):
+        WrenchCodec("tip").decode(data + b"\0")
+
+
+@pytest.mark.parametrize("size", range(13))
+def test_a_stamp_needs_twelve_bytes(size):
+    data = clock_bytes(7_000_000_008)[:size]
+    if size == 12:
+        assert stamp_of(data) == 7_000_000_008
+    else:
+        with pytest.raises(MessageError, match=f"{size} bytes, expected"):
+            stamp_of(data)

@@ -43,6 +43,12 @@ def test_the_newest_is_answered_and_few_others(first: int, count: int, period: i
     assert len(kept) <= (period * count).bit_length() + 1
 
 
+def test_ticks_of_one_millisecond_are_all_answered() -> None:
+    """None of them begins anything, so none is rounder than the others."""
+    assert rank(7 * MS + 2, 7 * MS + 1) == -1
+    assert chosen([7 * MS + 1, 7 * MS + 2], 7 * MS) == [7 * MS + 1, 7 * MS + 2]
+
+
 def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
     """Cut what comes into what a slow node finds each time it looks."""
     out, at = [], 0

@@ -74,3 +74,8 @@ def test_inputs_stay_missing_until_a_set_is_complete_and_then_the_time_begins_an
     assert not world.watch.complete()
     assert not world.after(0, TIMEOUT + 1)
     assert not world.after(TIMEOUT - 1, 2 * TIMEOUT)
+
+
+def test_a_time_out_of_seconds_is_one_to_the_nanosecond() -> None:
+    watch = InputWatch(3.0, iter([0, 2_999_999_999, 3_000_000_000]).__next__)
+    assert [watch.triggered(stamp) for stamp in (0, 10**10, 10**10)] == [False, False, True]

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError, TactileHandError
@@ -51,6 +53,7 @@ class Ear:
         self.now = 0
         self.diagnostics = Diagnostics("ear")
         self.callbacks: dict[str, Callable[[bytes], None]] = {}
+        self.subscribed: dict[str, tuple[type, bool]] = {}
         self.heard: list[tuple[Any, ...]] = []
         declared = (
             streams.joints(HAND.joint_names),
@@ -71,6 +74,7 @@ class Ear:
     ) -> None:
         assert options["raw"]
         self.callbacks[topic] = callback
+        self.subscribed[topic] = kind, options["sensor"]
 
     def tick_done(self) -> None:
         self.done = len(self.heard)
@@ -180,6 +184,62 @@ def test_a_tick_has_everything_in_its_place(feels: bool, joints_first: bool) -> 
         assert forces is None and names.wrench(FINGERS[0]) not in ear.callbacks
 
 
+def test_only_what_drivers_publish_may_have_another_qos() -> None:
+    node = Ear()
+    expected = {names.JOINT_STATES: (JointState, True), names.CONTACTS: (PoseArray, True)}
+    expected[names.GRASP_FORCE] = WrenchStamped, False
+    for name in FINGERS:
+        expected[names.optimal_force(name)] = WrenchStamped, False
+        expected[names.wrench(name)] = WrenchStamped, True
+    assert node.subscribed == expected
+    for stream, kind in (
+        (streams.true_contacts(3), PoseArray),
+        (streams.true_sliding(FINGERS), JointState),
+        (streams.true_forces(FINGERS), WrenchStamped),
+        (streams.learned_friction(FINGERS), JointState),
+    ):
+        assert (stream.message_type, stream.from_driver) == (kind, False)
+
+
+def test_an_optimum_without_an_answer_is_nan_and_a_measured_force_never() -> None:
+    no_answer = np.full(3, np.nan)
+    for stream, topic, allowed in (
+        (streams.optimal_forces(FINGERS), names.optimal_force(FINGERS[1]), True),
+        (streams.forces(FINGERS), names.wrench(FINGERS[1]), False),
+        (streams.true_forces(FINGERS), names.true_wrench(FINGERS[1]), False),
+    ):
+        codec = WrenchCodec(names.contact_frame(FINGERS[1]), nan_allowed=True)
+        data = codec.encode(no_answer, 5)
+        if allowed:
+            assert np.isnan(stream.decoders[topic](data)[1]).all()
+        else:
+            with pytest.raises(MessageError):
+                stream.decoders[topic](data)
+
+
+def test_the_squeeze_may_have_any_frame_and_a_force_only_that_of_its_contact() -> None:
+    data = WrenchCodec("elsewhere").encode((1.0, 2.0, 3.0), 5)
+    assert streams.grasp_force().decoders[names.GRASP_FORCE](data) == (5, 2.0)
+    with pytest.raises(MessageError, match="elsewhere"):
+        streams.forces(FINGERS).decoders[names.wrench(FINGERS[0])](data)
+
+
+def test_a_message_is_decoded_once_for_all_nodes_of_a_process() -> None:
+    decoded: list[bytes] = []
+
+    def decode(data: bytes) -> tuple[int, Any]:
+        decoded.append(data)
+        return len(decoded), object()
+
+    assert streams.Once(decode)(b"")[0] == 1  # all empty messages are one object
+    decoded.clear()
+    once, first, equal = streams.Once(decode), bytes([1, 2]), bytes(bytearray([1, 2]))
+    read = once(first)
+    assert once(first) == read and decoded == [first]
+    assert once(equal)[0] == 2  # another message, although its bytes are the same
+    assert once(equal)[0] == 2
+
+
 def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:
     ear.joints(4)
     ear.others(4)
@@ -279,6 +339,12 @@ def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear
     assert ear.kinds() == [("tick", 2)]
 
 
+def test_inputs_that_only_have_not_come_yet_are_not_missing(ear: Ear) -> None:
+    ear.joints(2)
+    ear.inputs.report()
+    assert ear.fault == ""
+
+
 def test_a_stamp_may_be_a_day_ahead_of_the_ticks_and_not_more(ear: Ear) -> None:
     ear.inputs.check_stamp(10**18)  # nobody knows yet
     ear.joints(2)
@@ -297,7 +363,8 @@ def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
     )
     for stamp in range(0, 5000, 4):
         patient.joints(stamp)
-    assert patient.heard == []
+    patient.inputs.report()
+    assert patient.heard == [] and patient.fault == ""
     patient.others(5000)
     patient.joints(5000)
     [(kind, stamp, (joints, grasp_force))] = patient.heard
@@ -390,6 +457,26 @@ def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered(
     node.has_read()
     assert node.kinds() == [("tick", 16), ("tick", 28)]
     assert node.rejected == [(names.JOINT_STATES, "no answer to this tick")]
+
+
+def test_the_first_ticks_of_all_are_answered_also_after_time_started_over() -> None:
+    node = Ear()
+    complete(node, 0, 1)
+    assert node.kinds() == [("tick", 0), ("tick", 1)]
+    complete(node, 0, 1)
+    assert node.kinds() == ["restart", ("tick", 0), ("tick", 1)]
+
+
+def test_the_end_of_answering_is_noted_and_nothing_is_called_skipped() -> None:
+    node = Ear()
+    complete(node, 2, 4)
+    assert node.done == 2
+    node.reads_late = True
+    complete(node, 6)
+    assert node.done == 2
+    node.has_read()
+    assert node.done == 3
+    assert "ticks_left_out" not in {pair.key for pair in node.diagnostics.status().values}
 
 
 def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:

@@ -97,6 +97,29 @@ def test_a_restarted_sender_is_followed():
     assert matcher.put("b", 0, "start") == ("new", "start")
 
 
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("stamp", "restarts"),
+    [(4 * SECOND, False), (4 * SECOND - 1, True), (1, True), (0, True), (5 * SECOND - 1, False)],
+)
+def test_a_set_more_than_a_second_back_is_a_restart(stamp, restarts):
+    matcher = StampMatcher(("a", "b"))
+    for key in ("a", "b"):
+        matcher.put(key, 5 * SECOND, "old")
+    assert matcher.put("b", stamp, "new") is None
+    assert matcher.put("a", stamp, "new") == (("new", "new") if restarts else None)
+    assert matcher.last == (stamp if restarts else 5 * SECOND)
+
+
+def test_a_little_way_back_only_the_first_stamp_of_all_restarts():
+    for stamp, answer in ((2, None), (1, None), (0, ("new",))):
+        matcher = StampMatcher(("a",))
+        matcher.put("a", 3, "old")
+        assert matcher.put("a", stamp, "new") == answer
+
+
 def test_the_first_tick_restarts_whatever_its_distance():
     restarts = []
     matcher = StampMatcher(("a", "b"), on_restart=lambda: restarts.append(matcher.last))
@@ -177,6 +200,36 @@ def test_values_are_never_compared():
     matcher.put("a", 1, value)
     matcher.put("b", 1, value)
     assert matcher.put("c", 1, value) == (value, value, value)
+
+
+def test_just_so_many_incomplete_stamps_are_kept_and_the_first_to_come_goes_first():
+    for memory, options in ((3, {"memory": 3}), (100, {})):
+        matcher = StampMatcher(("a", "b"), **options)
+        for stamp in (1000, *range(memory - 1)):
+            matcher.put("a", stamp, 0)
+        assert matcher.pending == memory and matcher.missing(1000) == ["b"]
+        matcher.put("a", 2000, 0)
+        assert matcher.pending == memory and matcher.missing(1000) == []
+        assert matcher.missing(0) == matcher.missing(2000) == ["b"]
+
+
+def test_later_incomplete_stamps_stay_when_one_is_complete():
+    matcher = StampMatcher(("a", "b"))
+    for stamp in (1, 2, 3, 4):
+        matcher.put("a", stamp, f"a{stamp}")
+    assert matcher.put("b", 2, "b2") == ("a2", "b2")
+    assert matcher.pending == 2
+    assert [matcher.put("b", stamp, "b") for stamp in (3, 4)] == [("a3", "b"), ("a4", "b")]
+
+
+def test_after_a_reset_nothing_is_old_or_far_ahead():
+    matcher = StampMatcher(("a",))
+    matcher.put("a", 10 * SECOND, 0)
+    matcher.reset()
+    assert matcher.last is None
+    assert matcher.put("a", 10 * SECOND - 1, 1) == (1,)
+    matcher.reset()
+    assert matcher.put("a", 100 * SECOND, 2) == (2,)
 
 
 def test_reset_forgets_everything():

@@ -34,3 +34,38 @@ def test_time_that_starts_over_after_a_few_ticks_is_no_second_sender():
     for run in (b"first", b"second", b"third"):
         for tick in range(4):
             assert not made.disagree(tick * TICK, run)
+
+
+def test_a_difference_counts_for_half_a_second_and_not_longer():
+    made = OneSender()
+    made.disagree(7, b"one")
+    assert made.disagree(7, b"other")
+    assert made.disagree(7 + 500_000_000, b"next")
+    assert not made.disagree(7 + 500_000_001, b"next")
+    assert not made.disagree(8, b"over")
+
+
+def test_two_senders_of_the_first_tick_of_all_disagree():
+    made = OneSender()
+    assert not made.disagree(0, b"one")
+    assert made.disagree(0, b"other")
+
+
+def test_time_that_starts_over_ends_a_disagreement():
+    made = OneSender()
+    made.disagree(1, b"one")
+    assert made.disagree(1, b"other")
+    assert not made.disagree(0, b"one")
+    assert not made.disagree(1, b"third")
+
+
+def test_the_oldest_ticks_are_forgotten_first():
+    made = OneSender()
+    for stamp in range(1, 257):
+        made.disagree(stamp, b"one")
+    assert made.disagree(1, b"other")  # 256 ticks are remembered
+    made = OneSender()
+    for stamp in range(1, 258):
+        made.disagree(stamp, b"one")
+    assert not made.disagree(1, b"other")
+    assert made.disagree(257, b"other")

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The YAML file of a hand: what it may say, and how a hand is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_hand_ros.config.hand_config import (
+    HandConfig,
+    MountConfig,
+    find_hand,
+    load_hand_config,
+)
+from tactile_hand_ros.config.model import validate
+from tactile_hand_ros.errors import ConfigurationError, HandModelError
+
+
+def hand(names: list[str], **more: Any) -> HandConfig:
+    fingers = [
+        {"name": name, "tip": f"{name}_tip", "radius": 0.01 * (i + 1)}
+        for i, name in enumerate(names)
+    ]
+    return validate(HandConfig, {"urdf": "hand.urdf", "fingers": fingers, **more})
+
+
+def test_names_and_radii_come_in_the_order_of_the_fingers() -> None:
+    config = hand(["b", "_a1", "C"])
+    assert config.finger_names == ["b", "_a1", "C"]
+    assert config.radii == [0.01, 0.02, 0.03]
+    assert not config.any_inertia and config.palm == "palm" and config.default_layout == ""
+
+
+@pytest.mark.parametrize("count", [2, 3, 32, 33])
+def test_a_hand_has_three_to_32_fingers(count: int) -> None:
+    names = [f"f{i}" for i in range(count)]
+    if 3 <= count <= 32:
+        assert len(hand(names).fingers) == count
+    else:
+        with pytest.raises(ConfigurationError, match="at least 3 items|at most 32 items"):
+            hand(names)
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "é", "a" * 61, "a\n"])
+def test_a_name_that_is_no_part_of_a_topic_is_refused(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="is not a finger's name"):
+        hand([name, "b", "c"])
+    hand(["a" * 60, "b", "c"])
+
+
+def test_names_must_differ() -> None:
+    with pytest.raises(ConfigurationError, match="finger names must differ, got a, b, a"):
+        hand(["a", "b", "a"])
+
+
+def test_layouts_are_chosen_by_name_or_by_default() -> None:
+    layouts = {"wide": {"base": {"xyz": [0.1, 0.0, 0.0]}}, "narrow": {"base": {}}}
+    config = hand(["a", "b", "c"], layouts=layouts, default_layout="narrow")
+    assert config.layout("wide")["base"].xyz == (0.1, 0.0, 0.0)
+    assert config.layout() == config.layout("narrow") == {"base": MountConfig()}
+    with pytest.raises(HandModelError, match="no layout 'tall'; use one of: wide, narrow"):
+        config.layout("tall")
+    assert hand(["a", "b", "c"], layouts=layouts).layout() == {}
+    with pytest.raises(ConfigurationError, match=r"'tall' is not one of the layouts \(wide, narr"):
+        hand(["a", "b", "c"], layouts=layouts, default_layout="tall")
+    with pytest.raises(ConfigurationError, match=r"'tall' is not one of the layouts \(none\)"):
+        hand(["a", "b", "c"], default_layout="tall")
+
+
+def test_mounts_are_turned_in_radians() -> None:
+    with pytest.raises(ConfigurationError, match="rpy is refused: .* angles are in rad"):
+        hand(["a", "b", "c"], layouts={"x": {"base": {"rpy": [0.0, 90.0, 0.0]}}})
+
+
+def test_a_tip_has_a_name_and_a_radius() -> None:
+    for changed in ({"tip": ""}, {"radius": 0.0}, {"radius": -0.01}):
+        finger = {"name": "a", "tip": "t", "radius": 0.01}
+        others = [finger | {"name": name} for name in "bc"]
+        with pytest.raises(ConfigurationError, match=next(iter(changed))):
+            validate(HandConfig, {"urdf": "x", "fingers": [finger | changed, *others]})
+
+
+def test_a_hand_is_a_file_or_one_of_those_that_come_with_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for suffix in (".yaml", ".yml"):
+        file = tmp_path / f"mine{suffix}"
+        file.write_text(
+            "urdf: a.urdf\nfingers:\n"
+            + "".join(f"- {{name: {n}, tip: {n}, radius: 0.01}}\n" for n in "abc")
+        )
+        assert find_hand(str(file)) == file
+        assert load_hand_config(str(file)).folder == tmp_path.resolve()
+        monkeypatch.setenv("HOME", str(tmp_path))
+        assert find_hand(f"~/mine{suffix}") == file
+        with pytest.raises(HandModelError, match="gone.* does not exist"):
+            find_hand(str(tmp_path / f"gone{suffix}"))
+    paper = find_hand("paper")
+    assert paper.name == "paper.yaml" and load_hand_config("paper").folder == paper.resolve().parent
+    with pytest.raises(HandModelError, match="no hand is called 'papr'; use one of: .*paper"):
+        find_hand("papr")

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What nodes put into their diagnostics: facts of the last tick, faults while they last."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from support.grasps import three_faces
+from support.plants import plant
+
+from tactile_hand_ros import names
+from tactile_hand_ros.control.controller import Command, Mode
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    OptimalForces,
+    Status,
+)
+from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
+from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
+from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
+from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+
+CONTACTS = three_faces()
+CONFIG = ForceOptimizerConfig()
+
+
+def values(diagnostics: Diagnostics) -> dict[str, str]:
+    return {pair.key: pair.value for pair in diagnostics.status().values}
+
+
+def optimum() -> OptimalForces:
+    """Return the answer to a grasp that has one."""
+    return ForceOptimizer(CONFIG, 3).solve(CONTACTS)
+
+
+def test_before_the_first_tick_only_the_count_is_known() -> None:
+    diagnostics = Diagnostics("node")
+    OptimizerReport(diagnostics).report()
+    assert values(diagnostics)["unanswered_ticks"] == "0"
+    assert "status" not in values(diagnostics)
+
+
+def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_one() -> None:
+    diagnostics, optimal = Diagnostics("node"), optimum()
+    report = OptimizerReport(diagnostics)
+    none = optimal._replace(status=Status.UNBALANCED, reason="none")
+    assert not none.ok
+    for answer, level, message in (
+        (none, ERROR, "none"),
+        (none, ERROR, "none"),
+        (none._replace(reason="other"), ERROR, "other"),
+        (optimal, OK, "running"),
+    ):
+        report.note(answer, None)
+        report.report()
+        status = diagnostics.status()
+        assert (status.level, status.message) == (level, message)
+    shown = values(diagnostics)
+    assert shown["unanswered_ticks"] == "3" and shown["status"] == optimal.status.value
+    assert float(shown["solve_time_us"]) == pytest.approx(1e6 * optimal.solve_time, rel=1e-3)
+
+
+def test_f_outside_the_learned_cones_at_most_ticks_is_told_with_the_worst_margin() -> None:
+    """A reserve that is used up, or a blink, is no reason to warn."""
+    diagnostics, optimal = Diagnostics("node"), optimum()
+    report = OptimizerReport(diagnostics)
+    outside = optimal._replace(cone_margin=-0.1)
+    narrow, wide = (Cones(np.full(3, mu), np.zeros((3, 3))) for mu in (1e-3, 9.0))
+    depth = narrow.margin(optimal.forces)
+    assert depth < -1e-3 < wide.margin(optimal.forces)
+    for answers, warns in (
+        ([(outside, narrow)], True),
+        ([(outside, narrow), (outside, wide), (outside, wide)], False),
+        ([(outside, narrow), (outside, narrow), (outside, wide)], True),
+        ([(outside, wide)], False),
+        ([(optimal, narrow)], False),  # inside with its reserve: not looked at
+        ([(outside, None)], False),
+    ):
+        for answer, cones in answers:
+            report.note(answer, cones)
+        report.report()
+        status = diagnostics.status()
+        assert status.level == (WARN if warns else OK)
+        assert (f"margin {depth:.3g} per unit" in status.message) == warns
+
+
+@dataclass
+class Regulator:
+    """What the report asks of a regulator."""
+
+    config: SlipRegulatorConfig
+    needed: float = 5.0
+    grasp_force: float = 8.0
+    learned_friction: Any = field(default_factory=lambda: np.array([0.4, 0.5, 0.6]))
+    slip_likelihood: Any = field(default_factory=lambda: np.array([0.1, 0.2, 0.3]))
+
+
+def noted(report: RegulatorReport, regulator: Regulator, *grips: tuple[int, int, int]) -> None:
+    for number, grip in enumerate(grips):
+        friction, evidence = regulator.learned_friction, regulator.slip_likelihood
+        state = GripState(friction, evidence, np.array(grip))
+        report.note(regulator, 2_000_000 * number, CONTACTS, np.ones((3, 3)), state)  # type: ignore[arg-type]
+
+
+STUCK = (Grip.STICK, Grip.STICK, Grip.STICK)
+
+
+def test_slips_are_counted_by_finger_and_facts_are_those_of_the_last_tick() -> None:
+    diagnostics = Diagnostics("node")
+    report = RegulatorReport(diagnostics, ["a", "b", "c"])
+    regulator = Regulator(SlipRegulatorConfig(mode="auto"))
+    slip = int(Grip.SLIP)
+    noted(report, regulator, STUCK, (slip, 1, 1), (slip, 1, slip), (1, 1, 1), (slip, 1, 0))
+    report.report(regulator)  # type: ignore[arg-type]
+    shown = values(diagnostics)
+    assert [shown[f"slips {name}"] for name in "abc"] == ["2", "0", "1"] and shown["slips"] == "3"
+    assert [shown[f"grip {name}"] for name in "abc"] == ["slip", "stick", "unknown"]
+    assert [shown[f"friction {name}"] for name in "abc"] == ["0.4", "0.5", "0.6"]
+    assert [shown[f"slip_evidence {name}"] for name in "abc"] == ["0.1", "0.2", "0.3"]
+    assert (shown["mode"], shown["needed_force_n"], shown["grasp_force_n"]) == ("auto", "5", "8")
+    report.reset()
+    report.report(regulator)  # type: ignore[arg-type]
+    shown = values(diagnostics)
+    assert shown["slips"] == "0" and shown["grip a"] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("mode", "needed", "limit", "shape"),
+    [
+        ("auto", 30.0, False, False),
+        ("auto", 30.5, True, False),
+        ("shared", 30.5, True, False),
+        ("user", 30.5, False, False),
+        ("auto", math.inf, False, True),
+        ("user", math.inf, False, False),
+    ],
+)
+def test_a_squeeze_at_its_end_is_told(mode: Any, needed: float, limit: bool, shape: bool) -> None:
+    diagnostics = Diagnostics("node")
+    report = RegulatorReport(diagnostics, ["a", "b", "c"])
+    regulator = Regulator(SlipRegulatorConfig(mode=mode, maximum=30.0), needed)
+    noted(report, regulator, STUCK, STUCK)
+    report.report(regulator)  # type: ignore[arg-type]
+    shown = values(diagnostics)
+    assert ("fault limit" in shown, "fault shape" in shown) == (limit, shape)
+    assert diagnostics.status().level == (WARN if limit or shape else OK)
+    if limit:
+        assert "needs a squeeze of 30.5 N, but the limit is 30 N" in shown["fault limit"]
+    regulator.needed = 5.0
+    noted(report, regulator, STUCK)
+    report.report(regulator)  # type: ignore[arg-type]
+    assert diagnostics.status().level == OK
+
+
+def test_the_largest_squeeze_that_was_needed_is_told_once() -> None:
+    diagnostics = Diagnostics("node")
+    report = RegulatorReport(diagnostics, ["a", "b", "c"])
+    regulator = Regulator(SlipRegulatorConfig(mode="auto", maximum=30.0))
+    for squeezes, told in (((90.0, 40.0), "90 N"), ((40.0, math.inf, 50.0), "50 N")):
+        for regulator.needed in squeezes:
+            noted(report, regulator, STUCK)
+        report.report(regulator)  # type: ignore[arg-type]
+        assert f"needs a squeeze of {told}" in values(diagnostics)["fault limit"]
+
+
+class ControllerNode:
+    """A node as its report sees it."""
+
+    def __init__(self) -> None:
+        self.diagnostics = Diagnostics("controller")
+        self.lines: list[str] = []
+        self.rejected: list[tuple[str, str]] = []
+
+    def get_logger(self) -> ControllerNode:
+        return self
+
+    def info(self, line: str) -> None:
+        self.lines.append(line)
+
+    def reject(self, topic: str, reason: str) -> None:
+        self.rejected.append((topic, reason))
+
+
+def command(mode: Mode, reason: str = "", pose: AuxiliaryPose | None = None) -> Command:
+    return Command(np.zeros(9), mode, pose, reason)
+
+
+def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts() -> None:
+    node, state = ControllerNode(), plant().state
+    report = ControllerReport(node, plant().hand)  # type: ignore[arg-type]
+    for said, level, contacts in (
+        (command(Mode.DRIVE), OK, state.contacts),
+        (command(Mode.HOLD, "no contact"), ERROR, state.contacts),
+        (command(Mode.DRIVE), OK, state.contacts),
+        (command(Mode.HOLD, "no touch"), OK, None),  # that inputs are missing is known already
+        (command(Mode.OPEN, "asked to"), WARN, state.contacts),
+        (command(Mode.DISABLED, "asked to"), WARN, state.contacts),
+        (command(Mode.DRIVE), OK, state.contacts),
+    ):
+        report.note(said, state.theta, contacts)
+        assert node.diagnostics.status().level == level, said
+    assert node.lines == [
+        "drive -> hold: no contact",
+        "hold -> drive",
+        "drive -> hold: no touch",
+        "hold -> open: asked to",
+        "open -> disabled: asked to",
+    ]  # no more than five a second
+    assert node.rejected == []
+    for _ in range(2):  # a pose for later whose time has come, and that is out of reach
+        report.note(command(Mode.DRIVE, "out of reach"), state.theta, state.contacts)
+    assert node.rejected == [(names.DESIRED_POSE, "out of reach")]
+
+
+def test_margins_are_those_of_the_grasp_and_unknown_without_one() -> None:
+    node, state = ControllerNode(), plant().state
+    report = ControllerReport(node, plant().hand)  # type: ignore[arg-type]
+    report.report(None)
+    assert not any(key.startswith("A") for key in values(node.diagnostics))
+    pose = AuxiliaryPose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    target = Target(np.array([0.1, 0.5, 0.7]), np.eye(3))
+    report.note(command(Mode.DRIVE, pose=pose), state.theta, state.contacts)
+    report.report(None)
+    assert "position_error_m" not in values(node.diagnostics)
+    report.report(target)
+    shown = values(node.diagnostics)
+    assert (shown["mode"], shown["position_error_m"]) == ("drive", "0.5")
+    assert shown["A1 face_travel_m"] == "0" and float(shown["A7 collinearity_margin"]) > 0.1
+    assert float(shown["A5 joint_singularity_margin_m_per_rad"]) > 0.0
+    report.note(command(Mode.HOLD, "no touch"), state.theta, None)
+    report.report(target)
+    shown = values(node.diagnostics)
+    assert shown["A2 hemisphere_margin_rad"] == "nan"
+    assert shown["mode"] == "hold" and shown["A7 collinearity_margin"] == "0"

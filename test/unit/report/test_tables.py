@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers as text: with their units, without digits that do not matter, and unknown where NaN."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactile_hand_ros.report import facts, tables
+from tactile_hand_ros.report.pack import pack
+from tactile_hand_ros.report.ticks import shown
+from tactile_hand_ros.run.bag_metrics import BagMetrics, TopicCount
+from tactile_hand_ros.run.ledger import Assumption
+from tactile_hand_ros.run.metrics import Metrics
+from tactile_hand_ros.run.settling import Settling
+
+METRICS = Metrics(
+    ticks=500,
+    simulated_time_s=1.0,
+    final_position_error_m=0.0012345,
+    final_rotation_error_rad=0.02,
+    settling_time_s=0.5,
+    peak_joint_rate_rad_per_s=2.5,
+    final_grasp_force_N=10.0,
+    final_normal_forces_N={"a": 5.0, "b": 3.0},
+    optimal_normal_forces_N={"a": 4.0, "b": math.nan},
+    worst_normal_force_relative_error=0.25,
+    normal_force_sum_N=8.0,
+    normal_force_sum_relative_error=0.2,
+    peak_normal_force_N=6.0,
+    final_required_friction={"a": 0.1, "b": 0.2},
+    max_required_friction={"a": 0.3, "b": 0.4},
+    contacts_lost_ticks=3,
+    first_contact_loss_s=0.25,
+    max_object_displacement_in_grasp_m=0.001,
+    max_object_rotation_in_grasp_rad=0.01,
+    max_slip_distance_m=0.002,
+    slip_count=4,
+    slip_alarm_count=5,
+    dropped_at_s=math.nan,
+    goal_reached=True,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "unknown"),
+        (math.nan, "unknown"),
+        (0.0, "0 mm"),
+        (-0.99e-9, "0 mm"),
+        (1e-9, "< 0.001 mm"),
+        (-0.99e-6, "< 0.001 mm"),
+        (1e-6, "0.001 mm"),
+        (-0.0123456, "-12.35 mm"),
+    ],
+)
+def test_lengths_are_in_thousandths(value: float | None, text: str) -> None:
+    assert tables.milli(value, "m") == text
+
+
+def test_numbers_have_four_digits_and_their_unit() -> None:
+    texts = [tables.number(1.23456, "N"), tables.number(12345.6), tables.number(math.nan, "N")]
+    assert texts == ["1.235 N", "1.235e+04", "unknown"]
+
+
+def test_metrics_of_a_run_that_held() -> None:
+    assert tables.metrics_rows(METRICS) == [
+        ["simulated time", "1 s in 500 ticks"],
+        ["final position error", "1.234 mm"],
+        ["final orientation error |r_d|", "0.02 rad"],
+        ["settling time", "0.5 s"],
+        ["k_f", "10 N"],
+        ["sum of f_n", "8 N  (20 % off k_f)"],
+        ["f_n of a", "5 N  (k_f f*_n 4 N)"],
+        ["f_n of b", "3 N  (k_f f*_n unknown)"],
+        ["peak joint rate", "2.5 rad/s"],
+        ["beta of a, final / largest", "0.1 / 0.3"],
+        ["beta of b, final / largest", "0.2 / 0.4"],
+        ["ticks without a contact", "3, first at 0.25 s"],
+        ["largest motion of the object in the grasp", "1 mm, 0.01 rad"],
+        ["longest slip", "2 mm"],
+        ["slips, detected", "4, 5"],
+        ["goal", "reached"],
+    ]
+
+
+def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
+    """What is unknown is left out, and so is what a held object alone has."""
+    nan = math.nan
+    dropped = replace(
+        METRICS, dropped_at_s=0.75, max_object_rotation_in_grasp_rad=nan, max_slip_distance_m=nan,
+        slip_count=None, goal_reached=None, contacts_lost_ticks=0, first_contact_loss_s=nan,
+    )  # fmt: skip
+    assert tables.metrics_rows(dropped) == [
+        ["simulated time", "1 s in 500 ticks"],
+        ["object", "dropped at 0.750 s"],
+        ["peak joint rate", "2.5 rad/s"],
+        ["beta of a, final / largest", "0.1 / 0.3"],
+        ["beta of b, final / largest", "0.2 / 0.4"],
+        ["ticks without a contact", "0"],
+        ["slips, detected", "5"],
+    ]
+    rows = dict(tables.metrics_rows(replace(METRICS, goal_reached=False, normal_force_sum_N=nan,
+                                            normal_force_sum_relative_error=nan)))  # fmt: skip
+    assert (rows["goal"], rows["sum of f_n"]) == ("not reached", "unknown")
+
+
+@pytest.mark.parametrize(
+    ("share", "count", "text"),
+    [
+        (math.nan, 0, "not judged"),
+        (1.0, 0, "throughout"),
+        (0.9, 1, "90.0 %, not from 1.00 to 1.50 s"),
+        (0.5, 3, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s"),
+        (0.5, 5, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s and 2 more"),
+    ],
+)
+def test_when_an_assumption_held(share: float, count: int, text: str) -> None:
+    broken = [(1.0 + i, 1.5 + i) for i in range(count)]
+    line = Assumption("A1", "rigid", "travel", 0.5, math.nan, False, share, broken)
+    assert tables.ledger_rows([line]) == [["A1", "rigid", "travel", "0.5", "none known", text]]
+    limits = [replace(line, limit=2.0, below=below) for below in (True, False)]
+    assert [row[4] for row in tables.ledger_rows(limits)] == ["< 2", "> 2"]
+
+
+def test_how_complete_a_bag_is() -> None:
+    counts = {"/a": TopicCount(9, 7, True), "/b": TopicCount(8, 6, False)}
+    counts["/c"] = TopicCount(1, 1, None)
+    bag = BagMetrics(99, counts, ["/d"], False, 2, 1.0, 250.0, 0.001, 0.002, math.nan)
+    assert tables.bag_rows(bag) == [
+        ["messages", "99"],
+        ["speed", "250 ticks/s"],
+        ["command latency, median / p99 / longest", "1 ms / 2 ms / unknown"],
+        ["ticks sent again", "2"],
+        ["recording", "incomplete"],
+        ["  /b", "6 ticks"],
+        ["  /d", "absent"],
+    ]
+    assert ["recording", "complete"] in tables.bag_rows(replace(bag, complete=True))
+
+
+def test_recoveries_are_rows_and_tables_stand_side_by_side() -> None:
+    rows = tables.recovery_rows([Settling(2.0, 0.01, 0.5, 0.0), Settling(5.0, 0.02, math.inf, 0.1)])
+    assert rows == [
+        ["event at 2 s", "10 mm away, back after 0.50 s"],
+        ["event at 5 s", "20 mm away, not back"],
+    ]
+    joined = tables.side_by_side([[["a", "1"], ["b", "2"]], [["c", "3"], ["a", "4"]]])
+    assert joined == [["a", "1", "4"], ["b", "2", ""], ["c", "", "3"]]
+    assert (
+        tables.markdown(["x", "y"], [["a|b", "c"]]) == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
+    )
+    assert tables.plain("[red]") == "\\[red]"
+
+
+class Squeezes:
+    """A record of four ticks."""
+
+    grasp_force = np.array([1.0, np.nan, 12.0, 3.0])
+
+    def __len__(self) -> int:
+        return 4
+
+
+def judged(**changes: Any) -> Any:
+    """Return what tiles ask of a run."""
+    scenario = SimpleNamespace(
+        goal=SimpleNamespace(position_error=0.002, rotation_error=0.02, slip_distance=0.002)
+    )
+    run = SimpleNamespace(
+        metrics=METRICS,
+        bag_metrics=SimpleNamespace(ticks_per_second=250.0, messages=1),
+        record=Squeezes(),
+        scenario=scenario,
+        steered=False,
+        summary=SimpleNamespace(custom_data={"lost_messages": "3"}),
+    )
+    run.record = type(
+        "Record", (), {"grasp_force": run.record.grasp_force, "__len__": lambda _: 4}
+    )()
+    run.__dict__.update(changes)
+    return run
+
+
+def shown_as(run: Any) -> list[tuple[Any, ...]]:
+    return [
+        (t["label"], t["value"], t["unit"], t["note"], t.get("passed")) for t in facts.tiles(run)
+    ]
+
+
+def test_the_headline_of_a_run_that_held() -> None:
+    assert shown_as(judged()) == [
+        ("position error", "1.23", "mm", "goal 2 mm", True),
+        ("orientation error", "20", "mrad", "goal 20 mrad", True),
+        ("settled after", "0.5", "s", "both errors inside", None),
+        ("squeeze", "10", "N", "peak 12 N", None),
+        ("longest slip", "2", "mm", "goal 2 mm, 4 slips, 5 detected", True),
+        ("speed", "250", "ticks/s", "4 ticks", None),
+        ("recorded", "3", "lost", "of 1 message", None),
+    ]
+
+
+def test_the_headline_of_a_run_that_nothing_judges() -> None:
+    for changes in ({"steered": True}, {"scenario": None}):
+        tiles = {tile[0]: tile[1:] for tile in shown_as(judged(**changes))}
+        assert tiles["position error"] == ("1.23", "mm", "at the end", None)
+        assert tiles["longest slip"] == ("2", "mm", "4 slips, 5 detected", None)
+        assert ("settled after" in tiles) == ("scenario" in changes)
+    one = {tile[0]: tile for tile in shown_as(judged(metrics=replace(METRICS, slip_count=1)))}
+    assert one["longest slip"][3] == "goal 2 mm, 1 slip, 5 detected"
+
+
+def test_the_headline_of_a_real_hand_that_dropped_the_object() -> None:
+    metrics = replace(METRICS, dropped_at_s=0.75, slip_count=None, final_grasp_force_N=math.nan)
+    told = SimpleNamespace(custom_data={})
+    assert shown_as(judged(metrics=metrics, summary=told))[:3] == [
+        ("object dropped", "0.75", "s", "fewer than two fingers touch it", False),
+        ("squeeze", "unknown", "", "peak 12 N", None),
+        ("slips", "5", "", "5 detected", None),
+    ]
+    assert shown_as(judged(summary=told))[-1] == ("recorded", "1", "", "messages", None)
+    assert facts.passed(judged(metrics=metrics)) is False and facts.passed(judged()) is True
+
+
+@pytest.mark.parametrize("limit", [5, 8, 20, 60, 99])
+def test_of_many_ticks_first_last_peaks_and_events_are_shown(limit: int) -> None:
+    up, down = np.zeros(100), np.zeros(100)
+    up[37], down[61], up[3] = 5.0, -5.0, np.nan
+    rows = shown(100, limit, [up, down], np.array([42]))
+    assert {0, 37, 42, 61, 99} <= set(rows.tolist()) and (np.diff(rows) > 0).all()
+    assert len(rows) <= max(limit, 9) + 9
+    np.testing.assert_array_equal(shown(100, 100, [up], np.array([42])), np.arange(100))
+
+
+def test_whole_numbers_are_packed_with_a_mark_for_nan() -> None:
+    assert pack(np.array([0.0, np.nan, 254.0]), "u1") == {
+        "type": "u1", "shape": [3], "data": "AP/+",
+    }  # fmt: skip
+    assert pack(np.array([[1.0]])) == {"type": "f4", "shape": [1, 1], "data": "AACAPw=="}

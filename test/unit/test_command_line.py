@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command ends with one sentence and the code that belongs to it."""
+
+from __future__ import annotations
+
+import errno
+import io
+import signal
+import sys
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tactile_hand_ros.command_line import LastingOutput, nearest, os_sentence, run_command, say
+from tactile_hand_ros.errors import BagError
+
+
+def failing(error: BaseException) -> Callable[[], Any]:
+    def command() -> None:
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(("answer", "code"), [(None, 0), ("text", 0), (0, 0), (3, 3), (True, 1)])
+def test_what_a_command_returns_is_its_code_if_it_is_a_number(answer: Any, code: int) -> None:
+    assert run_command("program", lambda: answer) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "sentence"),
+    [
+        (BagError("no bag."), 2, "program: no bag.\n"),
+        (OSError(errno.ENOENT, "Gone", "file"), 2, "program: 'file' cannot be used: Gone.\n"),
+        (KeyboardInterrupt(), 130, "program: interrupted.\n"),
+    ],
+)
+def test_an_error_is_one_sentence(
+    error: BaseException, code: int, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command("program", failing(error)) == code
+    assert capsys.readouterr() == ("", sentence)
+
+
+def test_a_defect_is_not_hidden() -> None:
+    with pytest.raises(ZeroDivisionError):
+        run_command("program", failing(ZeroDivisionError()))
+
+
+def test_an_input_that_ended_too_early_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    error = RuntimeError("x")
+    error.__cause__ = EOFError()
+    assert run_command("program", failing(error)) == 2
+    assert "the input ended too early" in capsys.readouterr().err
+
+
+class UsageError(Exception):
+    """As Click raises it."""
+
+    exit_code = 7
+
+    def __init__(self, text: str, **more: Any) -> None:
+        super().__init__(text)
+        self.__dict__.update(more)
+
+    def format_message(self) -> str:
+        return str(self)
+
+
+CONTEXT = SimpleNamespace(
+    command_path="hand run",
+    command=SimpleNamespace(params=[SimpleNamespace(opts=["name"]), SimpleNamespace(opts=["--x"])]),
+)
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (UsageError("Bad."), "program: Bad.\n"),
+        (UsageError("Bad", ctx=CONTEXT), "program: Bad. See `hand run --help`.\n"),
+        (UsageError("Did you?", ctx=None), "program: Did you?\n"),
+        (UsageError(""), ""),
+        (
+            UsageError("x", possibilities=[], option_name="--y", ctx=CONTEXT),
+            "program: there is no option --y, did you mean '--x'? See `hand run --help`.\n",
+        ),
+    ],
+)
+def test_a_wrong_option_has_the_code_of_its_error(
+    error: Exception, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command("program", failing(error)) == 7
+    assert capsys.readouterr().err == sentence
+
+
+def test_ctrl_c_is_handled_while_a_command_runs_and_only_then() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert run_command("program", lambda: signal.raise_signal(signal.SIGINT)) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        assert run_command("program", lambda: signal.raise_signal(signal.SIGINT)) == 0
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(errno.ENOSPC, "Full", "a"), "'a' cannot be used: Full; free some space or write"),
+        (OSError(errno.EACCES, "No"), "it cannot be read or written: No; check the permissions."),
+        (OSError(errno.EROFS, "No"), "it cannot be read or written: No; write elsewhere."),
+        (OSError("words"), "it cannot be read or written: words."),
+        (TimeoutError(), "it cannot be read or written: TimeoutError."),
+    ],
+)
+def test_what_the_system_refuses_is_explained(error: OSError, sentence: str) -> None:
+    assert os_sentence(error).startswith(sentence) and os_sentence(error).endswith(".")
+
+
+def test_the_nearest_name_is_offered() -> None:
+    assert nearest("pape", ["gravity", "paper", "papers"]) == ", did you mean 'paper'?"
+    assert nearest("xyz", ["gravity", "paper"]) == "."
+
+
+def test_nothing_is_said_without_words(capsys: pytest.CaptureFixture[str]) -> None:
+    say("program", "")
+    assert capsys.readouterr().err == ""
+
+
+def test_without_an_output_a_command_is_not_begun(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert run_command("program", failing(ZeroDivisionError())) == 2
+    assert "the standard output is closed" in capsys.readouterr().err
+
+
+class Full(io.StringIO):
+    """An output that cannot be written, on a descriptor of its own."""
+
+    encoding = "ascii"  # type: ignore[assignment]
+
+    def __init__(self, file: Any, error: OSError) -> None:
+        super().__init__()
+        self._file, self._error = file, error
+
+    def fileno(self) -> int:
+        return int(self._file.fileno())
+
+    def write(self, text: str) -> int:
+        raise self._error
+
+
+@pytest.mark.parametrize(
+    ("error", "is_told"), [(OSError(errno.ENOSPC, "Full"), True), (BrokenPipeError(), False)]
+)
+def test_work_goes_on_when_nothing_can_be_written(
+    error: OSError, is_told: bool, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "file").open("w") as file:
+        monkeypatch.setattr(sys, "stdout", Full(file, error))
+        output = LastingOutput()
+        assert output.write("four") == 4 and output.problem is (error if is_told else None)
+        output.write("more")
+        assert output.problem is (error if is_told else None)
+        assert (output.encoding, output.isatty(), output.fileno()) == (
+            "ascii",
+            False,
+            file.fileno(),
+        )
+        file.write("lost")  # what the descriptor leads to now
+        file.flush()
+    assert (tmp_path / "file").read_text() == ""

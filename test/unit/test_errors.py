@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors say how many, where, and which library is missing."""
+
+import pytest
+
+from tactile_hand_ros.errors import CollinearContactsError, ConfigurationError, counted
+from tactile_hand_ros.extras import MissingLibraryError, optional
+
+
+def test_one_is_singular_and_all_others_are_plural():
+    texts = [counted(number, "tick") for number in (0, 1, 2, -1)]
+    assert texts == ["0 ticks", "1 tick", "2 ticks", "-1 ticks"]
+
+
+def test_an_error_of_a_configuration_knows_its_place():
+    error = ConfigurationError("bad", source="file", place="a.b")
+    assert (str(error), error.source, error.place) == ("bad", "file", "a.b")
+    assert (ConfigurationError("bad").source, ConfigurationError("bad").place) == ("", "")
+
+
+def test_contacts_on_a_line_are_listed():
+    error = CollinearContactsError.of([(0.0, 1.0, 0.25), (1.0, 2.0, 3.0)])
+    assert "(0.0000, 1.0000, 0.2500), (1.0000, 2.0000, 3.0000) lie on one line" in str(error)
+
+
+def test_a_missing_library_is_named_and_what_it_lacks_itself_is_not_hidden(tmp_path, monkeypatch):
+    assert optional("json.decoder", "x").JSONDecoder
+    with pytest.raises(MissingLibraryError, match=r"A figure needs .* no_such_lib, .* `pip inst"):
+        optional("no_such_lib", "A figure")
+    with pytest.raises(MissingLibraryError, match="library no_such_lib,"):
+        optional("no_such_lib.part", "A figure")
+    (tmp_path / "broken_lib.py").write_text("import no_such_lib")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="no_such_lib"):
+        optional("broken_lib", "A figure")
