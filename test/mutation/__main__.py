@@ -59,11 +59,10 @@ def main() -> int:
         console.print(f"mutate: {error}", style="red", markup=False)
         return 2
     keys = {trial: _key(trial) for trial in trials}
-    _print_survivors(trials, keys, console)
     found = scores(trials, keys, total)
     _print_scores(found, console)
     if args.keep:
-        keep(found, args.seed)
+        keep(found, args.seed, args.sample)
     return int(any(score.killed < score.tried for score in found.values()))
 
 
@@ -86,15 +85,16 @@ def _chosen(args: argparse.Namespace) -> tuple[list[Mutant], dict[str, int]]:
 
 
 def _files(packages: list[str]) -> list[Path]:
-    """Return the files below the named folders, all that have a score by default."""
+    """Return the files of the named packages, folders or files; by default all with a score."""
     base = ROOT / "tactile_hand_ros"
+    owners = {path: package_of(str(path.relative_to(ROOT))) for path in sorted(base.rglob("*.py"))}
     if not packages:
-        every = sorted(base.rglob("*.py"))
-        return [path for path in every if package_of(str(path.relative_to(ROOT)))]
+        return [path for path, owner in owners.items() if owner]
     found = []
     for name in packages:
-        inside = [base / name] if name.endswith(".py") else sorted((base / name).rglob("*.py"))
-        if not inside or not inside[0].is_file():
+        inside = [path for path, owner in owners.items() if owner == name]
+        inside = inside or [p for p in owners if p == base / name or base / name in p.parents]
+        if not inside:
             raise FileNotFoundError(f"{name}: no such folder or file below tactile_hand_ros/")
         found += inside
     return sorted(set(found))
@@ -107,8 +107,12 @@ def _try(
     console.print(f"{len(chosen)} mutants, {args.jobs} processes")
     counts: collections.Counter[str] = collections.Counter()
 
+    known = equivalents()
+
     def on_trial(trial: Trial) -> None:
         counts[trial.verdict] += 1
+        if trial.verdict != KILLED and _key(trial) not in known:
+            _print_survivor(trial, console)
         done = sum(counts.values())
         if done % 20 == 0 or done == len(chosen):
             told = ", ".join(f"{number} {verdict}" for verdict, number in sorted(counts.items()))
@@ -125,14 +129,11 @@ def _key(trial: Trial) -> str:
     return "" if trial.verdict == KILLED else trial.mutant.key(_source(trial))
 
 
-def _print_survivors(trials: list[Trial], keys: dict[Trial, str], console: Console) -> None:
-    known = equivalents()
-    for trial in trials:
-        if trial.verdict != KILLED and keys[trial] not in known:
-            mutant = trial.mutant
-            place = f"{mutant.path}:{mutant.line} {mutant.function}: {trial.verdict}"
-            console.print(place, style="yellow", markup=False, highlight=False)
-            console.print(mutant.diff(_source(trial)), markup=False, highlight=False)
+def _print_survivor(trial: Trial, console: Console) -> None:
+    mutant = trial.mutant
+    place = f"{mutant.path}:{mutant.line} {mutant.function}: {trial.verdict}"
+    console.print(place, style="yellow", markup=False, highlight=False)
+    console.print(mutant.diff(_source(trial)), markup=False, highlight=False)
 
 
 def _print_scores(found: dict[str, Score], console: Console) -> None:

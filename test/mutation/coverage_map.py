@@ -3,16 +3,33 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-# Slower tests, without compilation and with coverage, are left out [s].
+# Slower tests, with coverage and often without compilation, are left out [s].
 _SLOW = 15
+# Tests of nodes that are served by the process of the test.
+_SPINNING = {
+    "ros": ("test_direct", "test_node", "test_parameters", "test_spinning"),
+    "nodes": ("test_graph_nodes", "test_raw_topic"),
+}
+_RECORDER = "test/mutation/recorder.py"
+# Tests of other folders that look closely at this one.
+_ELSEWHERE = {
+    "hand": ("control/test_reach_cost", "simulation/test_calibration"),
+    "closed_loop": ("control/test_own_law", "simulation/test_calibration"),
+}
+# What was compiled from this tree; changes of what is not compiled leave it as it is.
+_COMPILED = Path(__file__).resolve().parents[2] / ".mutation" / "compiled"
+_OWN_VARIABLES = ("TACTILE_HAND_INTERPRETED", "NUMBA_CACHE_DIR", "PYTHONPATH")
 
 
 @dataclass(frozen=True)
@@ -33,9 +50,8 @@ class CoverageMap:
         A line at the top of a module runs on import, in no test: all tests of the file count.
         """
         lines = self.tests.get(path, {})
-        found = lines.get(line, [])
-        if not found and not in_function:
-            found = sorted({test for tests in lines.values() for test in tests})
+        every = {test for tests in lines.values() for test in tests}
+        found = lines.get(line, []) if in_function else every
         return sorted(found, key=lambda test: (self.durations.get(test, 0.0), test))
 
 
@@ -45,20 +61,34 @@ def coverage_map(root: Path, folders: set[str], cache: Path) -> CoverageMap:
     Args:
         root: The project.
         folders: Folders of the package, such as `control`; `""` for the modules beside them.
-        cache: Where the answers are kept, by the digest of sources and tests.
+        cache: Where the answers are kept: a file for each file of tests. A change of a test costs
+            its file, a change of the sources all of them.
     """
     cache.mkdir(parents=True, exist_ok=True)
+    common = _digest_of_sources(root)
     whole = CoverageMap({}, {})
     for folder in sorted(folders):
-        kept = cache / f"{folder or 'top'}-{_digest(root)}.json"
-        if not kept.is_file():
-            _measure(root, folder, kept)
-        tests, durations = json.loads(kept.read_text())
-        for path, lines in tests.items():
-            if folder_of(path) == folder:
-                whole.tests[path] = {int(line): names for line, names in lines.items()}
-        whole.durations.update(durations)
+        kept = {test: cache / _name(root, test, folder, common) for test in _suites(root, folder)}
+        missing = [test for test in kept if not kept[test].is_file()]
+        if missing:
+            _measure(root, folder, missing, kept)
+        for file in kept.values():
+            _add(whole, folder, *json.loads(file.read_text()))
     return whole
+
+
+def _add(
+    whole: CoverageMap,
+    folder: str,
+    tests: Mapping[str, Mapping[str, list[str]]],
+    durations: Mapping[str, float],
+) -> None:
+    whole.durations.update(durations)
+    for path, lines in tests.items():
+        if folder_of(path) == folder:
+            known = whole.tests.setdefault(path, {})
+            for line, names in lines.items():
+                known.setdefault(int(line), []).extend(names)
 
 
 def folder_of(path: str) -> str:
@@ -68,40 +98,100 @@ def folder_of(path: str) -> str:
 
 
 def _suites(root: Path, folder: str) -> list[str]:
-    """Return the tests of a folder. Real processes load the installed, unchanged package."""
-    if not folder:
-        return sorted(str(path.relative_to(root)) for path in root.glob("test/unit/test_*.py"))
-    mirrored = [f"test/unit/{folder}"] if (root / "test/unit" / folder).is_dir() else []
-    return [*mirrored, "test/property"]
+    """Return the files of tests of a folder, those that run it in their own process.
+
+    Processes that are started load the installed, unchanged package.
+    """
+    top = root / "test/unit"
+    mirrored = (top / folder).rglob("test_*.py") if folder else top.glob("test_*.py")
+    # Those of `jit` compile whatever they import.
+    common = (root / "test/property").glob("test_*.py") if folder not in ("", "jit") else ()
+    spinning = [root / "test/integration" / f"{name}.py" for name in _SPINNING.get(folder, ())]
+    elsewhere = [top / f"{name}.py" for name in _ELSEWHERE.get(folder, ())]
+    found = [*mirrored, *common, *spinning, *elsewhere]
+    return sorted(str(path.relative_to(root)) for path in found)
 
 
-def _digest(root: Path) -> str:
+def _digest_of_sources(root: Path) -> bytes:
     digest = hashlib.sha256()
-    for folder in ("tactile_hand_ros", "test", "config"):
-        for path in sorted((root / folder).rglob("*")):
-            if path.suffix in (".py", ".yaml", ".urdf") and "mutation" not in path.parts:
+    for folder in ("tactile_hand_ros", "config", "test/support", "test/conftest.py", _RECORDER):
+        above = root / folder
+        for path in sorted(above.rglob("*")) if above.is_dir() else [above]:
+            if path.suffix in (".py", ".yaml", ".urdf"):
                 digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.digest()
 
 
-def environment(root: Path) -> dict[str, str]:
+def _name(root: Path, test: str, folder: str, common: bytes) -> str:
+    mode = b"interpreted" if is_interpreted(folder) else b"compiled"
+    digest = hashlib.sha256(common + mode + test.encode() + (root / test).read_bytes())
+    return f"{Path(test).stem}-{digest.hexdigest()[:16]}.json"
+
+
+def is_interpreted(folder: str) -> bool:
+    """Return whether the tests of a folder run without compilation.
+
+    No line is seen to run, and no change seen, inside machine code.
+    """
+    return folder in ("", "hand", "control", "simulation")
+
+
+def environment(root: Path, folder: str) -> dict[str, str]:
     """Return the environment in which tests import the tree instead of the installed package."""
-    paths = os.pathsep.join([str(root), str(root / "test")])
-    return {**os.environ, "PYTHONPATH": paths, "TACTILE_HAND_INTERPRETED": "1"}
+    made = {name: value for name, value in os.environ.items() if name not in _OWN_VARIABLES}
+    made["PYTHONPATH"] = os.pathsep.join([str(root), str(root / "test")])
+    if is_interpreted(folder):
+        return made | {"TACTILE_HAND_INTERPRETED": "1"}
+    return made | {"NUMBA_CACHE_DIR": str(_COMPILED)}
 
 
-def _measure(root: Path, folder: str, to: Path) -> None:
-    """Write the tests by file and line, and their durations."""
-    suites = _suites(root, folder)
-    print(f"running {' '.join(suites)} once, to see which test runs which line", flush=True)
-    command = [
-        *(sys.executable, "-m", "pytest", "-q", "--tb=no", *suites, "-p", "no:cacheprovider"),
-        *("-p", "mutation.recorder", f"--lines-by-test={to}", f"--timeout={_SLOW}"),
-    ]
-    ended = subprocess.run(
-        command, cwd=root, env=environment(root), check=False, capture_output=True, text=True
-    )
-    # 1: some tests were slow, or need compiled functions. They are left out.
-    if ended.returncode not in (0, 1) or not to.is_file():
-        raise RuntimeError(f"the tests cannot run: {ended.stdout[-2000:]}{ended.stderr[-2000:]}")
-    print(ended.stdout.strip().splitlines()[-1], flush=True)
+def _measure(root: Path, folder: str, suites: list[str], kept: Mapping[str, Path]) -> None:
+    """Run files of tests, and keep for each of them its tests by line and their durations."""
+    variables = environment(root, folder)
+    if not is_interpreted(folder):
+        warm_up = [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"]
+        subprocess.run(warm_up, cwd=root, env=variables, check=False)
+    print(f"running {len(suites)} files of tests, to see which test runs which line", flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        to = Path(scratch) / "lines.json"
+        command = [
+            *(sys.executable, "-m", "pytest", "-q", "--tb=no", *suites, "-p", "no:cacheprovider"),
+            *("-p", "mutation.recorder", f"--lines-by-test={to}", f"--timeout={_SLOW}"),
+        ]
+        ended = subprocess.run(
+            command, cwd=root, env=variables, check=False, capture_output=True, text=True
+        )
+        # 1: some tests were slow, or need compiled functions. They are left out.
+        if ended.returncode not in (0, 1) or not to.is_file():
+            said = ended.stdout[-2000:] + ended.stderr[-2000:]
+            raise RuntimeError(f"the tests cannot run: {said}")
+        print(ended.stdout.strip().splitlines()[-1], flush=True)
+        tests, durations = json.loads(to.read_text())
+    tests = {path: _whole_statements(root / path, lines) for path, lines in tests.items()}
+    for suite in suites:
+        mine = {name: each for name, each in durations.items() if name.startswith(f"{suite}::")}
+        lines = {path: _of_suite(by_line, mine) for path, by_line in tests.items()}
+        kept[suite].write_text(json.dumps([lines, mine]))
+
+
+def _whole_statements(source: Path, by_line: Mapping[str, list[str]]) -> dict[str, list[str]]:
+    """Return the tests by line, where a test that runs a line of a statement runs all of them.
+
+    Python does not report every line of a statement that stands on several.
+    """
+    found = {line: set(names) for line, names in by_line.items()}
+    for node in ast.walk(ast.parse(source.read_bytes())):
+        if isinstance(node, ast.stmt):
+            body, end = getattr(node, "body", None), node.end_lineno or node.lineno
+            last = max(body[0].lineno - 1, node.lineno) if body else end
+            lines = [str(line) for line in range(node.lineno, last + 1)]
+            # A function is defined on import; its defaults count where it runs.
+            where = range(node.lineno, (end if isinstance(node, ast.FunctionDef) else last) + 1)
+            names = set[str]().union(*(found.get(str(line), ()) for line in where))
+            found |= dict.fromkeys(lines, names) if names else {}
+    return {line: sorted(names) for line, names in found.items()}
+
+
+def _of_suite(by_line: Mapping[str, list[str]], mine: Container[str]) -> dict[str, list[str]]:
+    found = {line: [name for name in names if name in mine] for line, names in by_line.items()}
+    return {line: names for line, names in found.items() if names}

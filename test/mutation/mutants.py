@@ -7,7 +7,7 @@ import ast
 import difflib
 import functools
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,17 +98,25 @@ def _functions(node: ast.AST, prefix: str) -> Iterator[tuple[int, int, str]]:
         yield from _functions(child, name)
 
 
+_NEVER = ("TYPE_CHECKING", "__name__ == '__main__'")
+"""Conditions that are false where tests import a module."""
+
+
 def _silent(tree: ast.AST) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-    """Yield what never runs, changes words only, or is data: a parameter with its default."""
+    """Yield what never runs, changes words only, or declares: parameters, what is frozen."""
     for node in ast.walk(tree):
         parts: list[ast.AST | None] = []
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            parts = [node.returns, *(each.annotation for each in _arguments(node.args))]
+            yield from _header(node)
         elif isinstance(node, ast.AnnAssign):
             parts = [node.annotation, _declaration(node.value)]
+        elif isinstance(node, ast.ClassDef):  # test_architecture.py looks at what is frozen
+            parts = [each for each in node.decorator_list if isinstance(each, ast.Call)]
         elif isinstance(node, ast.JoinedStr):
             parts = [node]
-        elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "zip":  # an assertion
+            parts = [each.value for each in node.keywords if each.arg == "strict"]
+        elif isinstance(node, ast.If) and ast.unparse(node.test) in _NEVER:
             parts = [node]
         for part in parts:
             if part is not None:
@@ -121,8 +129,16 @@ def _declaration(value: ast.expr | None) -> ast.expr | None:
     return value if declares else None
 
 
-def _arguments(args: ast.arguments) -> Iterable[ast.arg]:
-    return [*args.posonlyargs, *args.args, *args.kwonlyargs]
+def _header(
+    node: ast.FunctionDef | ast.AsyncFunctionDef,
+) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Yield what stands between `def` and the body, without the defaults: names and types."""
+    defaults = [*node.args.defaults, *(each for each in node.args.kw_defaults if each)]
+    at = node.lineno, node.col_offset
+    for each in sorted(defaults, key=lambda each: (each.lineno, each.col_offset)):
+        yield at, (each.lineno, each.col_offset)
+        at = int(each.end_lineno or 0), int(each.end_col_offset or 0)
+    yield at, (node.body[0].lineno, node.body[0].col_offset)
 
 
 @functools.cache

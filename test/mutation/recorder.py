@@ -58,7 +58,10 @@ def _tests_by_line(root: Path, passed: set[str]) -> dict[str, dict[int, list[str
     found: dict[str, dict[int, list[str]]] = defaultdict(dict)
     for measured in data.measured_files():
         path = str(Path(measured).relative_to(root))
-        for line, contexts in data.contexts_by_lineno(measured).items():
-            if tests := passed.intersection(contexts):
+        by_line = data.contexts_by_lineno(measured)
+        every = passed & {name for contexts in by_line.values() for name in contexts}
+        for line, contexts in by_line.items():
+            # What only runs on import counts for every test of the file.
+            if tests := passed.intersection(contexts) or every:
                 found[path][line] = sorted(tests)
     return found

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +90,14 @@ def scores(trials: list[Trial], keys: dict[Trial, str], total: dict[str, int]) -
     return dict(found)
 
 
-def keep(found: dict[str, Score], seed: int) -> None:
-    """Write the scores of the packages that were tried; those of others stay."""
+def keep(found: dict[str, Score], seed: int, sample: int | None) -> None:
+    """Write the scores of the packages that were tried; those of others stay.
+
+    Args:
+        found: The scores.
+        seed: Which sample.
+        sample: Its size, None if everything was tried.
+    """
     kept = yaml.safe_load(SCORES.read_text(encoding="utf-8")) if SCORES.is_file() else {}
     for name, score in found.items():
         kept[name] = {
@@ -99,7 +106,9 @@ def keep(found: dict[str, Score], seed: int) -> None:
             "tried": score.tried,
             "equivalent": score.equivalent,
             "mutants": score.of,
+            "sample": sample or "all",
             "seed": seed,
+            "date": datetime.date.today().isoformat(),
         }
-    text = '# Written by `make mutate ARGS="--keep ..."`. tried < mutants: a random sample.\n'
-    SCORES.write_text(text + yaml.safe_dump(dict(sorted(kept.items()))), encoding="utf-8")
+    text = '# Written by `make mutate ARGS="--all --sample N --seed S --keep"`.\n'
+    SCORES.write_text(text + yaml.safe_dump(dict(sorted(kept.items())), sort_keys=False))

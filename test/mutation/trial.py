@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from mutation.coverage_map import CoverageMap, environment
+from mutation.coverage_map import CoverageMap, environment, folder_of
 from mutation.mutants import Mutant
 
 # Loaded once by the server that forks the processes; the package itself is loaded in each.
@@ -63,19 +63,19 @@ def run_trials(
     Raises:
         RuntimeError: If the tests fail on the unchanged code.
     """
-    os.environ.update(environment(root))
+    os.environ.update(environment(root, ""))
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["mutation.trial", *_LIBRARIES])
     copies: SimpleQueue[Path] = SimpleQueue()
     for number in range(jobs):
         copies.put(_copy(root, scratch / f"tree-{number}"))
 
-    def passes(names: list[str], change: Mutant | None) -> bool:
+    def passes(names: list[str], folder: str, change: Mutant | None = None) -> bool:
         copy = copies.get()
-        expected = sum(tests.durations.get(name, 0.0) for name in names)
+        timeout = 10.0 + 5.0 * sum(tests.durations.get(name, 0.0) for name in names)
         try:
             with _changed(change, copy) if change else contextlib.nullcontext():
-                return _passes(context, names, copy, timeout=20.0 + 10.0 * expected)
+                return _passes(context, names, copy, folder, timeout)
         finally:
             copies.put(copy)
 
@@ -83,11 +83,18 @@ def run_trials(
         names = _within(tests, mutant, budget)
         if not names:
             return Trial(mutant, UNCOVERED)
-        return Trial(mutant, SURVIVED if passes(names, mutant) else KILLED)
+        has_passed = passes(names, folder_of(mutant.path), mutant)
+        return Trial(mutant, SURVIVED if has_passed else KILLED)
 
-    unchanged = [name for name in tests.durations if tests.durations[name] < 1.0]
-    if not passes(unchanged, None):
-        raise RuntimeError("the tests fail on the unchanged code: a failure would prove nothing")
+    for folder in sorted({folder_of(each.path) for each in mutants}):
+        own = [each for each in mutants if folder_of(each.path) == folder]
+        unchanged = sorted({name for each in own for name in _within(tests, each, budget)})
+        if unchanged and not passes(unchanged, folder):
+            failing = [name for name in unchanged if not passes([name], folder)]
+            raise RuntimeError(
+                "the tests fail on the unchanged code, so that a failure would prove nothing: "
+                f"{', '.join(failing) or 'together, but not alone'}"
+            )
     done = []
     with ThreadPoolExecutor(jobs) as pool:
         for trial in pool.map(attempt, mutants):
@@ -122,9 +129,13 @@ def _copy(root: Path, to: Path) -> Path:
 
 
 def _passes(
-    context: multiprocessing.context.ForkServerContext, names: list[str], copy: Path, timeout: float
+    context: multiprocessing.context.ForkServerContext,
+    names: list[str],
+    copy: Path,
+    folder: str,
+    timeout: float,
 ) -> bool:
-    process = context.Process(target=_run_tests, args=(copy, names, timeout))
+    process = context.Process(target=_run_tests, args=(copy, folder, names, timeout))
     process.start()
     process.join(timeout)
     passed = process.exitcode == 0
@@ -149,13 +160,15 @@ def _changed(mutant: Mutant, copy: Path) -> Iterator[None]:
         path.write_text(original, encoding="utf-8")
 
 
-def _run_tests(copy: Path, names: list[str], timeout: float) -> None:
+def _run_tests(copy: Path, folder: str, names: list[str], timeout: float) -> None:
     """Run tests quietly and end the process with pytest's answer."""
     os.setsid()
     os.chdir(copy)
     sys.dont_write_bytecode = True
     sys.path[:0] = [str(copy), str(copy / "test")]
-    os.environ.update(environment(copy))
+    variables = environment(copy, folder)
+    os.environ.clear()
+    os.environ.update(variables)
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
