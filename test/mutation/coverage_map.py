@@ -22,6 +22,11 @@ _SPINNING = {
     "nodes": ("test_graph_nodes", "test_raw_topic"),
 }
 _RECORDER = "test/mutation/recorder.py"
+# Tests of other folders that look closely at this one.
+_ELSEWHERE = {
+    "hand": ("control/test_reach_cost", "simulation/test_calibration"),
+    "closed_loop": ("control/test_own_law", "simulation/test_calibration"),
+}
 # What was compiled from this tree; changes of what is not compiled leave it as it is.
 _COMPILED = Path(__file__).resolve().parents[2] / ".mutation" / "compiled"
 _OWN_VARIABLES = ("TACTILE_HAND_INTERPRETED", "NUMBA_CACHE_DIR", "PYTHONPATH")
@@ -102,7 +107,9 @@ def _suites(root: Path, folder: str) -> list[str]:
     # Those of `jit` compile whatever they import.
     common = (root / "test/property").glob("test_*.py") if folder not in ("", "jit") else ()
     spinning = [root / "test/integration" / f"{name}.py" for name in _SPINNING.get(folder, ())]
-    return sorted(str(path.relative_to(root)) for path in [*mirrored, *common, *spinning])
+    elsewhere = [top / f"{name}.py" for name in _ELSEWHERE.get(folder, ())]
+    found = [*mirrored, *common, *spinning, *elsewhere]
+    return sorted(str(path.relative_to(root)) for path in found)
 
 
 def _digest_of_sources(root: Path) -> bytes:

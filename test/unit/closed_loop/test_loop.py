@@ -158,3 +158,62 @@ def test_what_is_true_of_a_finger_in_the_air_is_nan_without_force():
     reading = true_reading(loop.plant.state)
     assert np.isnan(reading.positions[:2]).all() and np.isnan(reading.quaternions[:2]).all()
     assert not reading.forces.any() and np.isfinite(reading.positions[2]).all()
+
+
+def test_progress_of_a_long_run_is_told_a_hundred_times():
+    told = []
+    ClosedLoop(load_scenario("paper", {"targets": []})).run(250, told.append)
+    assert told == list(range(2, 251, 2))
+
+
+def test_the_user_s_squeezes_are_taken_in_order_of_time_at_their_tick():
+    asked = [{"time": 0.008, "force": 14.0}, {"time": 0.004, "force": 8.0}]
+    loop = ClosedLoop(load_scenario("paper", {"user_forces": asked, "targets": []}))
+    record, goals = Record.empty(6, loop.plant.hand.finger_names, loop.plant.hand.joint_names), []
+    for row in range(6):
+        loop.tick(record, row)
+        goals.append(loop.regulator.goal)
+    assert goals == [10.0, 10.0, 8.0, 8.0, 14.0, 14.0]
+    assert (np.diff(record.grasp_force) < 0.0).tolist() == [False, True, True, False, False]
+
+
+def test_the_optimizer_gets_its_share_of_the_learned_friction_where_it_looks_at_cones():
+    plain = ClosedLoop(load_scenario("paper"))
+    contacts, forces = plain.state.contacts, np.tile([0.1, 3.0, 0.2], (3, 1))
+    assert plain._cones(contacts, forces) is None
+    changes = {"force_optimizer.cones": True, "force_optimizer.cone_share": 0.7}
+    cones = ClosedLoop(load_scenario("paper", changes))._cones(contacts, forces)
+    np.testing.assert_allclose(cones.usable_friction, 0.7 * 0.4, rtol=1e-15)
+
+
+def test_what_is_recorded_of_a_tick_is_what_the_blocks_say():
+    loop = ClosedLoop(load_scenario("paper", {"slip_regulator.mode": "auto"}))
+    hand = loop.plant.hand
+    record = Record.empty(60, hand.finger_names, hand.joint_names)
+    for row in range(60):
+        state, stamp = loop.state, loop.stamp
+        command = loop.answer(record, row)
+        assert record.stamps[row] == stamp == loop.scenario.plant.tick * row
+        expected = {
+            "theta": state.theta,
+            "rates": state.rates,
+            "torque": state.torque,
+            "command": command.torque,
+            "object_position": state.position,
+            "true_positions": state.contacts.positions,
+            "true_forces": state.forces,
+            "true_slid": state.slid,
+            "true_sliding": np.hypot(state.sliding[:, 0], state.sliding[:, 1]),
+            "friction": loop.regulator.learned_friction,
+            "slip_evidence": loop.regulator.slip_likelihood,
+            "grip": loop.regulator.state,
+            "grasp_force": loop.regulator.grasp_force,
+        }
+        if row % 20 == 5:
+            for name, value in expected.items():
+                np.testing.assert_array_equal(getattr(record, name)[row], value, err_msg=name)
+            turn = Rotation.from_quat(record.object_quaternion[row]).as_matrix()
+            np.testing.assert_allclose(turn, state.rotation, atol=1e-12)
+            believed = Rotation.from_quat(record.auxiliary_quaternion[row]).as_matrix()
+            np.testing.assert_allclose(believed, command.pose.orientation, atol=1e-12)
+        loop.advance(command.torque)

@@ -6,6 +6,7 @@ import pytest
 
 from tactile_hand_ros.control import joint_guard
 from tactile_hand_ros.control.joint_guard import GuardConfig, JointGuard, TorqueCommand
+from tactile_hand_ros.control.joint_hold import JointHold, JointTerms
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -216,3 +217,98 @@ def test_reset_forgets_everything():
     made.reset()
     assert not made.reason and not made.holding and made.held == 0 and made.age == -1
     np.testing.assert_array_equal(step(made, 0, TORQUE), TORQUE)
+
+
+def moving(seed=3, ticks=8):
+    """Return joint rates and torques of some ticks."""
+    random = np.random.default_rng(seed)
+    return 0.1 * random.standard_normal((ticks, 9)), TORQUE + random.standard_normal((ticks, 9))
+
+
+def test_what_the_contacts_press_with_follows_from_the_last_ticks():
+    """From as many as may be late and two; of a hold that goes on, from the last one alone."""
+    made, (rates, torques) = guard(age_limit=1), moving()
+    for tick in range(6):
+        step(made, tick, torques[tick], rates=rates[tick])
+    tips, inertia, bias = HAND.dynamics(THETA, rates[6])
+    pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - bias
+    hold, terms = JointHold(made._config.hold, HAND, 0.002), JointTerms(tips, inertia, bias)
+    hold.engage(THETA, rates[6], pressed)
+    held = step(made, 6, rates=rates[6])
+    np.testing.assert_allclose(held, hold.step(THETA, rates[6], terms, pressed), rtol=1e-12)
+    terms = JointTerms(*HAND.dynamics(THETA, rates[7]))
+    pressed = held - terms.inertia @ (rates[7] - rates[6]) / 0.002 - terms.bias
+    found = step(made, 7, rates=rates[7])
+    np.testing.assert_allclose(found, hold.step(THETA, rates[7], terms, pressed), rtol=1e-12)
+    assert np.abs(found).max() < 20.0 and made.held == 2
+
+
+def test_where_no_time_has_passed_nothing_presses():
+    made, pressing = guard(**{"hold.reserve": 0.0}), TORQUE + 1.0
+    made.step(5 * TICK, THETA, STILL, TorqueCommand(5 * TICK, pressing))
+    held = made.step(5 * TICK, THETA, STILL, None)
+    np.testing.assert_allclose(held, HAND.gravity_torque(THETA), atol=1e-12)
+
+
+def test_commands_take_over_by_equal_shares():
+    made, other = guard(blend_time=0.008), TORQUE + np.linspace(1.0, 2.0, 9)
+    tick = follow(made) + 9
+    held = step(made, tick, TORQUE, answers=0)
+    for more in range(1, 4):
+        expected = held + 0.25 * more * (other - held)
+        np.testing.assert_allclose(step(made, tick + more, other), expected, rtol=1e-9)
+        assert made.holding and not made.reason
+    np.testing.assert_array_equal(step(made, tick + 4, other), other)
+    assert not made.holding
+
+
+def test_a_joint_is_too_fast_above_its_limit_and_slow_again_at_four_fifths_of_it():
+    made, joint = guard(speed_limit=1.0), (np.arange(9) == 3).astype(float)
+    step(made, 0, TORQUE, rates=-joint)
+    assert not made.reason
+    step(made, 1, TORQUE, rates=-np.nextafter(1.0, 2.0) * joint)
+    assert made.reason == joint_guard.TOO_FAST
+    step(made, 2, TORQUE, rates=-np.nextafter(0.8, 1.0) * joint)
+    assert made.reason == joint_guard.TOO_FAST
+    step(made, 3, TORQUE, rates=-0.8 * joint)
+    assert not made.reason
+    limits = guard()
+    step(limits, 0, TORQUE, rates=HAND.velocity_limits)
+    assert not limits.reason
+    step(limits, 1, TORQUE, rates=np.nextafter(HAND.velocity_limits, np.inf))
+    assert limits.reason == joint_guard.TOO_FAST
+
+
+def test_a_hold_keeps_inside_the_limits_of_the_joints():
+    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    last = follow(made)
+    step(made, last)
+    far = step(made, last + 1, theta=THETA + 1.0)
+    assert np.abs(far).max() == 20.0 and (far == -20.0).sum() > 2
+
+
+def test_a_change_is_limited_from_the_torque_before_and_not_after_a_hold():
+    made = guard(torque_rate=50.0, blend_time=0.002)
+    last = follow(made)
+    down = TORQUE - np.linspace(0.0, 0.5, 9)
+    expected = TORQUE - np.minimum(np.linspace(0.0, 0.5, 9), 0.1)
+    np.testing.assert_allclose(step(made, last, down), expected, atol=1e-12)
+    step(made, last + 1)
+    np.testing.assert_array_equal(step(made, last + 2, TORQUE + 3.0), TORQUE + 3.0)
+
+
+def test_holds_are_counted_by_reason_when_they_begin_and_ticks_always():
+    made = guard(patience=0.0)
+    tick = follow(made)
+    for more in range(3):
+        step(made, tick + more, TORQUE, refused="another sender")
+    assert made.holds == {"another sender": 1} and made.held == 3
+    step(made, tick + 3)
+    assert made.holds == {"another sender": 1, joint_guard.NO_COMMAND: 1} and made.held == 4
+    assert made.reason == joint_guard.NO_COMMAND
+
+
+def test_before_anything_was_seen_blind_joints_get_no_torque():
+    made = guard()
+    np.testing.assert_array_equal(step(made, 0, TORQUE, rates=np.full(9, np.inf)), np.zeros(9))
+    assert made.reason == joint_guard.BLIND and made.held == 1

@@ -104,3 +104,82 @@ def test_fingers_that_do_not_press_are_not_made_to():
     made.engage(THETA, STILL, STILL)
     load = joint_torque(TIPS, np.tile([0.0, 0.0, -5.0], (3, 1)))
     assert_allclose(made.step(THETA, STILL, terms(THETA, STILL), load), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("tick", "bandwidth"), [(0.002, 100.0), (0.005, 50.0), (0.0025, 100.0)])
+def test_a_posture_returns_like_a_critically_damped_spring_no_faster_than_the_ticks_allow(
+    tick, bandwidth
+):
+    made, rates, off = hold(tick, reserve=0.0), np.linspace(-0.5, 0.4, 9), np.linspace(0.0, 0.01, 9)
+    made.engage(THETA, STILL, PRESSED)
+    model = terms(THETA + off, rates)
+    wanted = -2.0 * bandwidth * rates - bandwidth**2 * off
+    found = made.step(THETA + off, rates, model, None)
+    assert_allclose(found, PRESSED + model.bias + model.inertia @ wanted, rtol=1e-12)
+
+
+def test_moving_joints_follow_a_smooth_way_to_rest():
+    """With q' = v (1 + x) exp(-x), x = t / T: here integrated and differentiated by steps."""
+    made, start = hold(0.002, stopping_time=0.004), np.linspace(-0.5, 0.5, 9)
+    made.engage(THETA, start, STILL)
+    time = np.linspace(0.0, 0.02, 20001)
+    speed = (1.0 + time / 0.004) * np.exp(-time / 0.004)
+    way = np.concatenate([[0.0], np.cumsum(0.5e-6 * (speed[1:] + speed[:-1]))])
+    slope = np.gradient(speed, time)
+    model = terms(THETA, STILL)
+    for tick in range(6):
+        at = 2000 * tick
+        factor = slope[at] + 200.0 * speed[at] + 1e4 * way[at]
+        found = np.linalg.solve(model.inertia, made.step(THETA, STILL, model, None) - model.bias)
+        tolerance = 0.2 if tick == 0 else 1e-3
+        assert_allclose(found, factor * start, rtol=1e-5, atol=tolerance)
+
+
+def test_a_load_is_felt_with_its_time_constant():
+    """5 ms: after n ticks of 2 ms 1 - exp(-0.4 n) of it is there."""
+    total = np.linalg.norm(SQUEEZE, axis=1).sum()
+    for ticks in (1, 2, 5):
+        made = hold(reserve=0.0, friction=0.5)
+        felt = 3.0 * (1.0 - np.exp(-0.4 * ticks))
+        expected = 1.0 + felt / (0.5 * total)
+        squeeze = made.engage(THETA, STILL, PRESSED) or squeeze_under(made, -1.0, ticks)
+        assert squeeze == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("total", [0.049, 0.051])
+def test_a_twentieth_of_a_newton_in_all_is_the_least_squeeze(total):
+    share = total / np.linalg.norm(SQUEEZE, axis=1).sum()
+    made = hold(reserve=0.5)
+    made.engage(THETA, STILL, share * PRESSED)
+    pressed = share * PRESSED + joint_torque(TIPS, np.tile([0.0, 0.0, -2.0], (3, 1)))
+    found = made.step(THETA, STILL, terms(THETA, STILL), pressed)
+    grown = 6.0 * (1.0 - np.exp(-0.4))
+    factor = 1.0 if total < 0.05 else max(1.5, 1.0 + grown / (0.2 * total))
+    assert_allclose(found, factor * share * PRESSED, rtol=1e-9, atol=1e-12)
+
+
+def test_the_squeeze_is_kept_in_the_room_that_each_joint_has():
+    """Of which one presses already; a joint that does not squeeze limits nothing."""
+    load = joint_torque(TIPS, np.tile([0.0, 0.0, 3.0], (3, 1)))
+    made = hold(reserve=2.0, squeeze_limit=1e4)
+    made.engage(THETA, STILL, 4.0 * PRESSED + load)
+    room = HAND.effort_limits - np.abs(4.0 * PRESSED + load)
+    moved = np.abs(4.0 * PRESSED)
+    most = 1.0 + np.min(room[moved > 1e-9] / moved[moved > 1e-9])
+    found = made.step(THETA, STILL, terms(THETA, STILL), None)
+    assert_allclose(found, 4.0 * PRESSED + load + (min(3.0, most) - 1.0) * 4.0 * PRESSED, atol=1e-9)
+    heavy = 15.0 / np.abs(PRESSED).max()
+    made.engage(THETA, STILL, heavy * PRESSED)
+    found = made.step(THETA, STILL, terms(THETA, STILL), None)
+    assert np.abs(found).max() == pytest.approx(HAND.effort_limits.max())
+
+
+def test_it_brakes_again_from_another_posture_with_the_squeeze_as_it_is():
+    made = hold(reserve=0.5)
+    made.engage(THETA, np.full(9, 0.1), PRESSED)
+    for _ in range(3):
+        made.step(THETA, STILL, terms(THETA, STILL), None)
+    other = THETA + 0.02
+    made.brake(other, STILL)
+    found = made.step(other, STILL, terms(other, STILL), None)
+    assert_allclose(found, 1.5 * PRESSED, atol=1e-9)

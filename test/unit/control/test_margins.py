@@ -12,6 +12,7 @@ from tactile_hand_ros.control.margins import (
     REACTION,
     GraspWatch,
     SlipWatch,
+    angles_between,
     cone_distances,
     local_normals,
 )
@@ -194,3 +195,9 @@ def test_unknown_is_not_well(grasp):
     watch = SlipWatch()
     note(watch, 0, grasp[1], grip=LOOSE)
     assert np.isnan(watch.evidence) and np.isnan(watch.cone)
+
+
+def test_rounding_beyond_opposite_and_equal_directions_is_no_angle():
+    longer = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]]) * (1.0 + 1e-12)
+    np.testing.assert_array_equal(angles_between(longer, -longer), np.pi)
+    np.testing.assert_array_equal(angles_between(longer, longer), 0.0)

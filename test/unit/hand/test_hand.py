@@ -293,3 +293,69 @@ def test_a_hand_file_is_checked(tmp_path):
 def test_two_fingers_are_too_few(tmp_path):
     with pytest.raises(ConfigurationError, match="fingers"):
         load_hand_config(str(write_hand(tmp_path, [3, 3])))
+
+
+def test_angles_speeds_and_efforts_without_a_limit_are_unlimited(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text()
+    speed = text.split('velocity="')[1].split('"')[0]
+    hand = Hand.load(str(path))
+    np.testing.assert_array_equal(hand.velocity_limits, np.full(9, float(speed)))
+    np.testing.assert_array_equal(hand.effort_limits, np.full(9, 30.0))
+    urdf.write_text(text.replace(f'velocity="{speed}"', 'velocity="0"', 1))
+    limits = Hand.load(str(path)).velocity_limits
+    assert np.isinf(limits[0]) and (limits[1:] == float(speed)).all()
+
+
+def test_tips_frames_and_dynamics_agree_however_they_are_asked_for(mixed):
+    theta, rates = random_posture(mixed, 7)
+    tips, inertia, bias = mixed.dynamics(theta, rates)
+    raw = mixed.raw_dynamics(theta, rates)
+    np.testing.assert_array_equal(np.triu(raw.inertia), np.triu(inertia))
+    np.testing.assert_array_equal(raw.bias, bias)
+    for found in (raw.centres, mixed.tip_positions(theta), mixed.fingertips(theta).positions):
+        np.testing.assert_allclose(found, tips.positions, atol=1e-15)
+    np.testing.assert_allclose(mixed.fingertips(theta).linear, tips.linear, atol=1e-15)
+    np.testing.assert_allclose(mixed.tip_rotations(theta), orientation_of_tips(mixed, theta))
+    before = bias.copy()
+    mixed.dynamics(theta, 2.0 * rates)
+    np.testing.assert_array_equal(bias, before)
+
+
+def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
+    """Twice as long, the same masses: gravity has twice the lever, also about the first joint."""
+    path, down = str(write_hand(tmp_path, [3, 4, 5])), np.array([0.0, 0.0, -9.81])
+    plain = Hand.load(path, gravity=down)
+    long = Hand.load(path, gravity=down, link_lengths=2.0, tip_radii=1.5)
+    theta, _ = random_posture(plain, 2)
+    torque = plain.gravity_torque(theta)
+    np.testing.assert_allclose(long.gravity_torque(theta), 2.0 * torque, atol=1e-12)
+    assert np.abs(torque).max() > 0.1
+    np.testing.assert_allclose(long.radii, 1.5 * plain.radii)
+    reach, longer = (h.tip_positions(theta) - h.bases for h in (plain, long))
+    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
+
+
+def test_chains_have_a_place_for_each_joint_and_the_tip(mixed):
+    theta, _ = random_posture(mixed, 3)
+    chains = mixed.joint_positions(theta)
+    assert [len(chain) for chain in chains] == [3, 4, 5, 6]
+    for chain, base, tip in zip(chains, mixed.bases, mixed.tip_positions(theta), strict=True):
+        np.testing.assert_allclose(chain[0], base, atol=1e-15)
+        np.testing.assert_allclose(chain[-1], tip, atol=1e-15)
+
+
+def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
+    """A link of a trillionth of the mass behind its joint can be moved by nothing."""
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text, count = urdf.read_text(), 0
+    for key in ("ixx", "iyy", "izz", "mass value"):
+        start = text.rindex(f'{key}="')
+        end = text.index('"', start + len(key) + 2)
+        text, count = text[:start] + f'{key}="1e-18"' + text[end + 1 :], count + 1
+    urdf.write_text(text)
+    assert count == 4
+    with pytest.raises(HandModelError, match="inertia matrix with the eigenvalue"):
+        Hand.load(str(path))

@@ -11,10 +11,15 @@ from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
     Body,
     HandTerms,
+    _closing,
+    _response,
+    _since,
+    _strikes,
     half_step,
     no_past,
     observed,
     step,
+    velocity_map,
 )
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -213,3 +218,100 @@ def test_only_what_touches_or_is_pushed_is_seen():
     np.testing.assert_allclose(frames[seen][:, :, 1], -(faces @ rotation.T)[seen], atol=1e-12)
     expected = position + (on_face + gaps[:, None] * faces) @ rotation.T
     np.testing.assert_allclose(points[seen], expected[seen], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gap", "speed"),
+    [(6e-4, 0.6), (0.0, 0.0), (-1e-5, -2e-3), (-2.4e-5, -4.8e-3), (-2.6e-5, -5e-3), (-1.0, -5e-3)],
+)
+def test_a_gap_may_close_in_a_step_and_a_fifth_of_a_penetration_is_left(gap, speed):
+    assert _closing(gap, 1e-3) == pytest.approx(speed, rel=1e-12)
+    assert _closing(2.0 * gap, 2e-3) == pytest.approx(speed, rel=1e-12)
+
+
+def test_a_push_on_a_contact_that_was_not_settled_strikes():
+    pushes = np.array([[9.0, 0.0, 9.0], [0.0, 0.1, 0.0]])
+    settled = np.array([False, True, False, True])
+    assert not _strikes(pushes, np.array([0, 1]), settled)
+    assert _strikes(pushes, np.array([0, 2]), settled)
+    assert not _strikes(pushes, np.array([2, 3]), settled)
+    assert _strikes(pushes[::-1].copy(), np.array([2, 3]), settled)
+    assert not _strikes(0.0 * pushes, np.array([0, 2]), settled)
+
+
+def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next():
+    """Pushed and settled, pushed only, not pushed, and one whose frame has jumped round."""
+    random, m = np.random.default_rng(2), 4
+    frames = [rotation_from_vector(0.3 * random.standard_normal(3)) for _ in range(4)]
+    turned = [rotation_from_vector(0.1 * random.standard_normal(3)) @ f for f in frames]
+    turned[3] = rotation_from_vector([0.0, 0.8, 0.0]) @ frames[3]
+    before, now = (random.standard_normal((4, 3, m + 6)) for _ in range(2))
+    before[:, :, m : m + 3] = np.swapaxes(frames, 1, 2)
+    now[:, :, m : m + 3] = np.swapaxes(turned, 1, 2)
+    v, slid = random.standard_normal(m + 6), np.array([1.0, 2.0, 3.0, 4.0])
+    impulses = np.array([[0.1, 1.0, 0.1], [0.1, 1e-9, 0.1], [0.1, 0.0, 0.1], [0.1, 1.0, 0.1]])
+    past = no_past(4, v)._replace(
+        rows=before, impulses=impulses, settled=np.array([True, False, True, True]), slid=slid
+    )
+    turning, found = _since(H, v, now, past)
+    new, old = now @ v, before @ v
+    np.testing.assert_allclose(turning[0], 0.5 * (new - old)[0], rtol=1e-12)
+    assert not turning[1:].any()
+    way = 0.5 * H * np.hypot(*(new + old)[:, [0, 2]].T)
+    np.testing.assert_allclose(found - slid, [way[0], way[1], 0.0, 0.0], rtol=1e-9)
+    np.testing.assert_array_equal(slid, [1.0, 2.0, 3.0, 4.0])
+
+
+def test_without_contact_hand_and_object_move_by_newton_and_euler():
+    """Against the equations in one matrix, for any posture, spin, torque and wrench."""
+    scene = Scene(object__mass=0.3, object__inertia=(1e-3, 2e-3, 2.5e-3))
+    random = np.random.default_rng(4)
+    v = random.standard_normal(15)
+    terms = scene.hand.raw_dynamics(scene.theta + 0.1, v[:9])
+    torque, wrench = random.standard_normal(9), random.standard_normal(6)
+    hand = HandTerms(scene.theta, *terms, torque, scene.hand.radii)
+    spin, rotation = random.standard_normal(3), rotation_from_vector([0.4, -0.8, 0.3])
+    body = Body(scene.position, rotation, spin, scene.mass, scene.inertia, wrench)
+    rows = random.standard_normal((6, 15))
+    inverse_times, free = _response(H, v, hand, body, rotation, rows)
+    matrix, turning = np.zeros((15, 15)), rotation @ scene.inertia @ rotation.T
+    matrix[:9, :9] = np.triu(terms.inertia) + np.triu(terms.inertia, 1).T
+    matrix[9:12, 9:12], matrix[12:, 12:] = 0.3 * np.eye(3), turning
+    forces = np.concatenate([torque - terms.bias, wrench])
+    forces[12:] -= np.cross(spin, turning @ spin)
+    np.testing.assert_allclose(free, v + H * np.linalg.solve(matrix, forces), rtol=1e-9)
+    np.testing.assert_allclose(inverse_times, np.linalg.solve(matrix, rows.T), rtol=1e-8)
+
+
+def test_a_step_that_nothing_touches_follows_its_own_mean_velocity():
+    scene = Scene(**FAR)
+    rates, velocity = np.linspace(-1.0, 1.0, 9), np.array([0.3, -0.2, 0.1])
+    v = np.concatenate([rates, velocity, np.zeros(3)])
+    theta, ahead = half_step(H, scene.theta, v, 0.5 * v)
+    np.testing.assert_allclose(theta, scene.theta + 0.5 * H * rates, rtol=1e-15)
+    np.testing.assert_allclose(ahead, 1.25 * v, rtol=1e-15)
+    scene.torque = np.linspace(0.5, -0.5, 9)
+    after = scene.step(velocity, rates=rates)
+    end = after.velocities
+    np.testing.assert_allclose(after.theta, scene.theta + 0.5 * H * (rates + end[:9]), rtol=1e-14)
+    np.testing.assert_allclose(after.position, scene.position + H * velocity, rtol=1e-14)
+    assert after.residual == 0.0 and after.outcome == 0
+    np.testing.assert_array_equal(after.past.velocities, v)
+    assert not after.past.settled.any() and not after.past.impulses.any()
+
+
+def test_what_settles_is_pushed_and_closed():
+    """A contact that strikes has no past to extrapolate its velocities from."""
+    scene = Scene()
+    scene.press(5.0, 5.0, 5.0)
+    first = scene.step()
+    assert first.past.settled.all() and (first.past.impulses[:, 1] > 0.0).all()
+    np.testing.assert_array_equal(first.past.velocities, first.velocities)
+    second = scene.follow(first)
+    np.testing.assert_array_equal(second.past.velocities, first.velocities)
+    points = scene.contacts.positions
+    terms = scene.hand.raw_dynamics(scene.theta, np.zeros(9))
+    hand = HandTerms(scene.theta, *terms, scene.torque, scene.hand.radii)
+    rows = velocity_map(hand, scene.position, points, scene.contacts.rotations)
+    normal = (rows @ first.velocities)[:, 1]
+    np.testing.assert_allclose(normal, 0.0, atol=1e-5)  # closed contacts stay closed

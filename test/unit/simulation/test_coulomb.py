@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.simulation.coulomb import solve_contacts
+from tactile_hand_ros.simulation.alart_curnier import contact_laws
+from tactile_hand_ros.simulation.coulomb import _without_gain, solve_contacts
 
 EYE = np.eye(3)
 
@@ -90,3 +91,14 @@ def test_two_contacts_that_cannot_tell_their_load_apart_share_it():
     solved = solve_contacts(delassus, free, np.zeros(2), np.ones(2), np.zeros((2, 3)))
     assert np.isfinite(solved.impulses).all() and (solved.impulses[:, 1] >= -1e-9).all()
     np.testing.assert_allclose(solved.velocities, 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("impulse", "share"),
+    [(0.5, 1.0), (1.0, 1.0), (2.0, 0.5), (4.0, 0.25), (-1.0, 0.0), (0.0, 0.0)],
+)
+def test_impulses_that_would_add_energy_are_shortened_until_they_add_none(impulse, share):
+    """Against a speed of 1 along n with W = 2: p works -p + p^2, nothing where p is 1."""
+    laws = contact_laws(2.0 * EYE, np.array([0.0, -1.0, 0.0]), np.ones(1))
+    p = np.array([0.0, impulse, 0.0])
+    np.testing.assert_allclose(_without_gain(laws, p), share * p, rtol=1e-15)

@@ -8,7 +8,12 @@ from support.grasps import HALF
 
 from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
+from tactile_hand_ros.simulation.skin import (
+    BandNoise,
+    TactileReading,
+    TactileSensor,
+    TactileSensorConfig,
+)
 
 RADII = np.array([0.06, 0.03, 0.05])
 TICK = 2_000_000
@@ -343,3 +348,106 @@ def test_after_a_long_silence_or_a_late_start_vibration_goes_on():
     for stamp in (10**18, 10**18 + 100_000, 10**18 + 10**15):
         felt = skin.step(stamp, still, speeds).forces - still.forces
         assert 0.0 < np.abs(felt).max() < 1.5
+
+
+def band(white, low, high, rate):
+    """Return band-limited noise out of white noise, shape (n, ...), by filters of SciPy."""
+    quick, slow = (1.0 - np.exp(-2.0 * np.pi * corner / rate) for corner in (high, low))
+
+    def passed(signal):
+        first = lfilter([quick], [1.0, quick - 1.0], signal, axis=0)
+        return first - lfilter([slow], [1.0, slow - 1.0], first, axis=0)
+
+    return passed(white) / np.linalg.norm(passed(np.eye(1, 2000)[0]))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rate", "corners"),
+    [
+        (60.0, 400.0, 2000.0, (60.0, 400.0)),
+        (60.0, 400.0, 500.0, (60.0, 250.0)),  # no more than half the rate
+        (300.0, 400.0, 500.0, (225.0, 250.0)),
+    ],
+)
+def test_vibration_is_white_noise_through_two_passes(low, high, rate, corners):
+    white = np.random.default_rng(1).standard_normal((50, 2, 3))
+    noise = BandNoise((2, 3), low, high, rate, 0.0)
+    found = np.array([noise.step(white[i : i + 1]) for i in range(50)])
+    np.testing.assert_allclose(found, band(white, *corners, rate), atol=1e-12)
+    newest = BandNoise((2, 3), low, high, rate, 0.0)
+    for i in range(0, 50, 5):  # samples that are passed over leave their mark
+        np.testing.assert_allclose(newest.step(white[i : i + 5]), found[i + 4], atol=1e-12)
+
+
+def test_samples_count_for_what_the_bandwidth_leaves_of_them():
+    white = np.random.default_rng(2).standard_normal((8, 2, 3))
+    found = BandNoise((2, 3), 60.0, 400.0, 2000.0, 100.0).step(white)
+    weights = np.exp(-2.0 * np.pi * 100.0 / 2000.0) ** np.arange(8)[::-1]
+    expected = np.tensordot(weights / weights.sum(), band(white, 60.0, 400.0, 2000.0), axes=1)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_all_that_a_skin_adds_to_a_force_adds_up_in_order():
+    """Vibration, bandwidth, drift and noise, each of its own numbers out of the one seed."""
+    period, ticks, speeds = 1e-3, 40, np.array([0.02, 0.0, 0.3])
+    skin = sensor(
+        **{"rate": 1000.0, "seed": 7, "force_noise": 0.05, "bias_drift": 0.3, "bandwidth": 90.0},
+        vibration={"gain": 10.0, "limit": 0.2, "low": 60.0, "high": 400.0},
+    )
+    found = forces_of(skin, ticks, lambda i: constant(i) * (1.0 + 0.1 * i), speeds)
+    random = np.random.default_rng(7)
+    drawn = [(random.standard_normal((4, 3, 3)), random.random(3))[0] for _ in range(ticks)]
+    shaking = band(np.array(drawn)[:, 1], 60.0, 400.0, 1000.0)
+    rms = 0.2 * (1.0 - np.exp(-10.0 / 0.2 * speeds))
+    share, zero, before = 1.0 - np.exp(-2.0 * np.pi * 90.0 * period), np.zeros((3, 3)), None
+    for i in range(ticks):
+        force = constant(i) * (1.0 + 0.1 * i) + rms[:, None] * shaking[i]
+        before = force if before is None else before + share * (force - before)
+        zero = zero + 0.3 * np.sqrt(period) * drawn[i][2]
+        np.testing.assert_allclose(found[i], before + zero + 0.05 * drawn[i][3], atol=1e-12)
+
+
+@pytest.mark.parametrize(("pause", "unread"), [(5, 4), (100, 99), (101, 99), (700, 99)])
+def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread):
+    skin = sensor(rate=100.0, seed=4, vibration={"gain": 10.0, "limit": 0.2})
+    sliding, still = np.ones(3), truth()
+    skin.step(0, still, sliding)
+    found = skin.step(pause * 10_000_000, still, sliding).forces - still.forces
+    read, others = np.random.default_rng(4), np.random.default_rng([4, 1])
+    first = read.standard_normal((4, 3, 3))[1:2]
+    read.random(3)
+    last = read.standard_normal((4, 3, 3))[1:2]
+    white = np.concatenate([first, others.standard_normal((unread, 3, 3)), last])
+    expected = 0.2 * (1.0 - np.exp(-50.0)) * band(white, 45.0, 50.0, 100.0)[-1]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_location_is_displaced_then_rounded_then_smoothed():
+    skin = sensor(
+        **{"rate": 1000.0, "seed": 9, "location_noise": 0.003, "location_resolution": 0.002},
+        location_bandwidth=50.0,
+    )
+    normals, random, before = truth().contacts.normals, np.random.default_rng(9), None
+    centres = truth().positions - RADII[:, None] * normals
+    share = 1.0 - np.exp(-2.0 * np.pi * 50.0 * 1e-3)
+    for i in range(20):
+        found = skin.step(i * 1_000_000, truth())
+        white = random.standard_normal((4, 3, 3))[0]
+        random.random(3)
+        arms = 0.002 * np.rint((RADII[:, None] * normals + 0.003 * white) / 0.002)
+        before = arms if before is None else before + share * (arms - before)
+        seen = before / np.linalg.norm(before, axis=1)[:, None]
+        np.testing.assert_allclose(found.positions, centres + RADII[:, None] * seen, atol=1e-12)
+        frames = np.array([contact_frame(n) for n in seen])
+        np.testing.assert_allclose(found.contacts.rotations, frames, atol=1e-9)
+
+
+def test_a_sample_is_lost_where_its_luck_is_below_the_chance():
+    skin, random = sensor(rate=1000.0, seed=3, dropout=0.4), np.random.default_rng(3)
+    last = np.zeros(3)
+    for i in range(60):
+        random.standard_normal((4, 3, 3))
+        luck = random.random(3)
+        last = np.where((luck < 0.4) & (i > 0), last, 5.0 + 0.001 * i)
+        found = skin.step(i * 1_000_000, truth(0.001 * i)).forces[:, 1]
+        np.testing.assert_allclose(found, last, atol=1e-12)

@@ -28,7 +28,9 @@ def problem(contacts, values=(10.0, 1.0, 10.0)):
 def test_every_start_ends_at_the_same_forces(grasp, start):
     balance, weights = problem(grasp())
     expected, _, _ = solve_exactly(balance, weights, 0.0, np.zeros(3, dtype=bool))
-    x, y, systems = solve_exactly(balance, weights, 0.0, np.array(start))
+    held = np.array(start)
+    x, y, systems = solve_exactly(balance, weights, 0.0, held)
+    np.testing.assert_array_equal(y[7:][~held], 0.0)
     np.testing.assert_allclose(x, expected, atol=1e-13)
     assert systems and max(optimality(x, y, balance, weights, 0.0)) < 1e-13
 

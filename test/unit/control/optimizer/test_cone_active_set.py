@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The squeeze inside friction cones, solved exactly: certified, the same from any start."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.grasps import grasps, three_faces
 
-from tactile_hand_ros.control.optimizer.cone_active_set import Problem, solve_problem, violation
+from tactile_hand_ros.control.optimizer.cone_active_set import (
+    Problem,
+    _direction,
+    solve_problem,
+    violation,
+)
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.equalities import least_cost
 from tactile_hand_ros.control.optimizer.force_optimizer import scaled_balance
 
 WEIGHTS = (10.0, 1.0, 10.0)
@@ -130,3 +138,100 @@ def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_
     assert missing < 1e-4
     np.testing.assert_allclose(twice.T @ forces.ravel(), 0.0, atol=1e-4)
     np.testing.assert_allclose(optimizer.solve(balance, cones)[0], expected, atol=1e-12)
+
+
+def uneven(seed, n=4, m=7):
+    """Return a problem of uneven numbers with a point inside, and its optimum by brute force."""
+    random = np.random.default_rng(seed)
+    weights, price = random.uniform(0.3, 4.0, n), 6.0 * random.standard_normal(n)
+    equal, rows, inside = (random.standard_normal(shape) for shape in ((1, n), (m, n), n))
+    bounds = rows @ inside + random.uniform(0.0, 0.5, m)
+    problem = Problem(weights, price, equal, equal @ inside, rows, bounds)
+    best, lowest = None, np.inf
+    for held in itertools.product([False, True], repeat=m):
+        held = np.array(held)
+        if held.sum() >= n:
+            continue
+        a, b = np.vstack([equal, rows[held]]), np.append(problem.right, bounds[held])
+        zeros = np.zeros((len(a), len(a)))
+        system = np.block([[np.diag(2.0 * weights), a.T], [a, zeros]])
+        x = np.linalg.solve(system, np.append(-price, b))[:n]
+        cost = x @ (weights * x) + price @ x
+        if (rows @ x <= bounds + 1e-9).all() and cost < lowest:
+            best, lowest = (x, held), cost
+    return problem, *best
+
+
+# Linear systems that each of the problems takes from nothing, one a step of the method.
+TAKEN = {0: 5, 1: 7, 2: 7, 3: 5, 4: 3, 5: 5}
+
+
+@pytest.mark.parametrize("seed", TAKEN)
+def test_uneven_problems_have_the_optimum_of_all_sets_in_known_steps(seed):
+    problem, expected, active = uneven(seed)
+    held = np.zeros(7, dtype=bool)
+    x, y, systems = solve_problem(problem, held)
+    np.testing.assert_allclose(x, expected, atol=1e-11)
+    np.testing.assert_array_equal(held, active)
+    np.testing.assert_array_equal(y[1:] > 0.0, active)
+    assert systems == TAKEN[seed]
+    random = np.random.default_rng(seed)
+    for _ in range(4):
+        held = random.random(7) < 0.4
+        x, _, systems = solve_problem(problem, held)
+        assert systems
+        np.testing.assert_allclose(x, expected, atol=1e-11)
+        np.testing.assert_array_equal(held, active)
+
+
+def test_the_violation_is_the_largest_of_all_conditions():
+    for seed in range(8):
+        problem, *_ = uneven(seed)
+        random = np.random.default_rng(seed)
+        x, y = random.standard_normal(4), (0.1 if seed % 2 else 2.0) * random.standard_normal(8)
+        if seed > 3:
+            problem = problem._replace(bounds=problem.bounds + 20.0, right=20.0 + problem.right)
+        slopes = 2.0 * problem.weights * x + problem.price + problem.equal[0] * y[0]
+        slopes += problem.rows.T @ y[1:]
+        parts = (
+            np.abs(problem.equal @ x - problem.right).max(),
+            (problem.rows @ x - problem.bounds).max(),
+            np.abs(slopes).max(),
+        )
+        assert violation(problem, x, y) == pytest.approx(max(parts), rel=1e-12)
+
+
+def test_the_least_cost_under_equalities_is_that_of_its_optimality_conditions():
+    random = np.random.default_rng(1)
+    rows, right = random.standard_normal((3, 6)), random.standard_normal(3)
+    weights, price = random.uniform(0.2, 5.0, 6), random.standard_normal(6)
+    system = np.block([[np.diag(2.0 * weights), rows.T], [rows, np.zeros((3, 3))]])
+    expected = np.linalg.solve(system, np.append(-price, right))
+    x = np.full(6, np.nan)
+    y, determined = least_cost(rows, right, weights, price, x)
+    assert determined
+    np.testing.assert_allclose(np.append(x, y), expected, rtol=1e-12)
+    rows[2] = rows[0] - rows[1]
+    assert not least_cost(rows, right, weights, price, x)[1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_way_back_from_a_bound_is_that_of_the_projected_row(seed):
+    problem, *_ = uneven(seed)
+    random, w = np.random.default_rng(seed), problem.weights
+    held = np.zeros(7, dtype=bool)
+    held[random.choice(6, seed % 3, replace=False)] = True
+    rows, row = np.vstack([problem.equal, problem.rows[held]]), problem.rows[6]
+    shares = np.linalg.solve(rows / w @ rows.T, rows / w @ row)
+    left = row - rows.T @ shares
+    fall, gain = _direction(problem, held, row)
+    np.testing.assert_allclose(fall[held], shares[1:], rtol=1e-9)
+    assert not fall[~held].any()
+    assert gain == pytest.approx(0.5 * (left**2 / w).sum(), rel=1e-9)
+    # A row that hardly differs from one that holds does not let the optimum move.
+    same = problem.equal[0] - (shares[1:] @ problem.rows[held] if held.any() else 0.0)
+    other = np.eye(4)[0] - rows.T @ np.linalg.solve(rows / w @ rows.T, rows / w @ np.eye(4)[0])
+    whole, aside = (same**2 / w).sum(), (other**2 / w).sum()
+    for share, moves in ((1e-14, False), (1e-12, True)):
+        nearly = same + other * np.sqrt(share * whole / aside)
+        assert (_direction(problem, held, nearly)[1] > 0.0) == moves

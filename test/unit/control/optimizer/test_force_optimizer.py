@@ -9,6 +9,7 @@ from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import collinearity_margin
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
+from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -250,3 +251,44 @@ def test_each_residual_judges_its_own_condition():
     assert optimality(x, y, balance, W, 0.2)[3] == pytest.approx(0.2 - 1.0 / 13.0)
     y[7] = -1.0
     assert optimality(x, y, balance, W, 0.0)[3] == pytest.approx(6.0 / 13.0 / 10.0)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 30.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_residuals_are_those_of_the_conditions_in_matrices(size, seed):
+    """Any forces and multipliers; relative to the largest force where that is above 1 N."""
+    random = np.random.default_rng(seed)
+    balance, least = random.standard_normal((12, 6)), 0.1
+    weights, x = random.uniform(0.5, 12.0, 12), size * random.standard_normal(12)
+    y = 10.0 ** random.uniform(-2.0, 2.0) * random.standard_normal(11)
+    push = np.minimum(y[7:], 0.0)
+    slope = 2.0 * weights * x + balance @ y[:6]
+    slope[1::3] += y[6] + push
+    above, relative = x[1::3] - least, max(1.0, np.abs(x).max())
+    pull = max(np.abs(y).max(), weights.max())
+    expected = (
+        np.abs(balance.T @ x).max(),
+        abs(x[1::3].sum() - 1.0),
+        np.abs(slope).max() / weights.max(),
+        max(-above.min(), np.abs(push * above).max() / pull),
+    )
+    found = optimality(x, y, balance, weights, least)
+    np.testing.assert_allclose(found, np.array(expected) / relative, rtol=1e-12)
+
+
+def test_torques_are_taken_about_the_centroid_per_size_of_the_grasp():
+    grasp = moved(beside(), rotation_from_vector([0.3, -0.8, 0.5]), np.array([0.2, 0.1, -0.4]))
+    arms = grasp.positions - grasp.positions.mean(axis=0)
+    arms = arms / np.sqrt((arms**2).sum(axis=1).mean())
+    axes = np.swapaxes(grasp.rotations, 1, 2)
+    expected = np.concatenate([axes, np.cross(arms[:, None], axes)], axis=2).reshape(9, 6)
+    found = scaled_balance(grasp.positions, grasp.rotations)
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("solver", ["exact", "osqp"])
+def test_osqp_shapes_f_only_where_it_is_asked_for(solver):
+    made, cones = optimizer(solver=solver), Cones(np.full(3, 0.05), np.zeros((3, 3)))
+    found = made.solve(three_faces(), cones)
+    assert found.shaped and found.cone_margin > -1e-6
+    assert (made._shaper._solver is None) == (solver == "exact")

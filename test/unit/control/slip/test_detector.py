@@ -313,3 +313,110 @@ def test_sliding_is_found_while_the_load_rises(late, seed):
     told = pulled(late, seed, slides=True)
     assert not (told[:300] == Grip.SLIP).any()
     assert (told[300:310] == Grip.SLIP).any()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_force_with_a_component_that_is_not_known_is_not_known(axis):
+    """And it takes three samples more until a second difference is."""
+    detector, ramp = SlipDetector(SlipDetectorConfig(settling_time=0.0), 1), EVEN[:, 0]
+    assert (run(ramp[:10], detector)[3:] == Grip.STICK).all()
+    lost = ramp[10].copy()
+    lost[axis] = np.nan
+    assert run([lost], detector) == Grip.UNKNOWN and not detector.fresh[0]
+    np.testing.assert_array_equal(run(ramp[11:20], detector), [Grip.UNKNOWN] * 2 + [Grip.STICK] * 7)
+
+
+def ramped(steps, kink=(0.0, 0.0, 0.0)):
+    """Return a detector after a force that grows evenly in time, with a kink in its last sample.
+
+    Steps are multiples of 2^-10 s, so that before it no second difference is anything but 0.
+    """
+    detector, time = SlipDetector(SlipDetectorConfig(noise=1e-6, settling_time=0.0), 1), 0.0
+    for i, ticks in enumerate(steps):
+        time += ticks / 1024.0
+        force = np.array([1.0 + 2.0 * time, 5.0, -time])
+        if i == len(steps) - 1:
+            assert detector.evidence[0] == 0.0
+            force += kink
+        detector.step(force[None], NORMAL, 0.0, ticks / 1024.0, np.array([np.inf]))
+    return detector
+
+
+@pytest.mark.parametrize(
+    ("before", "last"), [(1.0, 1.0), (1.0, 2.0), (2.0, 1.0), (4.0, 1.0), (2.0, 5.0), (1.5, 3.0)]
+)
+def test_a_kink_counts_by_how_unevenly_its_samples_came(before, last):
+    """Its second difference is the kink itself, of noise that 1 + (1 + q)^2 + q^2 weighs."""
+    detector = ramped([1.0, 2.0, 1.0, 1.5, 2.0, before, last], [3.0 * FLOOR[1], 0.0, 0.0])
+    q = last / before
+    gain = 1.0 + (1.0 + q) ** 2 + q * q
+    assert detector.fresh[0]
+    expected = max(0.0, evidence(9.0 * 6.0 / gain))
+    assert detector.evidence[0] == pytest.approx(expected, rel=1e-6)
+    assert detector.agrees[0] == (expected > 0.0)
+
+
+@pytest.mark.parametrize(("last", "counts"), [(2.5, True), (2.501953125, False)])
+def test_a_gap_is_more_than_two_and_a_half_steps(last, counts):
+    """After it two more samples are needed; the differences begin with the time between them."""
+    steps = [1.0, 1.0, 1.0, 1.0, last]
+    kink = [9.0 * FLOOR[1], 0.0, 0.0]
+    assert (ramped(steps, kink).evidence[0] > 0.0) == counts == ramped(steps).fresh[0]
+    after = ramped([*steps, 1.0], kink)
+    assert (after.evidence[0] > 0.0) == counts == after.fresh[0]
+    assert ramped([*steps, 1.0, 1.0], kink).evidence[0] == pytest.approx(7.0)
+
+
+def test_samples_without_a_time_between_them_count_as_even():
+    detector = ramped([1.0, 1.0, 1.0, 1.0])
+    time = 4.0 / 1024.0
+    force = np.array([[1.0 + 2.0 * (time + 1.0 / 1024.0), 5.0, -time - 1.0 / 1024.0]])
+    detector.step(force, NORMAL, 0.0, 0.0, np.array([np.inf]))
+    assert detector.fresh[0] and detector.evidence[0] == 0.0
+
+
+@pytest.mark.parametrize("step", [0.01, 0.02, 0.5])
+def test_time_counts_for_no_more_than_a_fiftieth_of_a_second_at_once(step):
+    """Of the patience, after which what lasts is noise, and of the time to settle."""
+    detector, counted = SlipDetector(SlipDetectorConfig(settling_time=0.05), 1), min(step, 0.02)
+    told = [detector.step(EVEN[:1, 0], NORMAL, 0.0, step, np.array([9.0]))[0] for _ in range(9)]
+    # The first two samples have no second difference; then each counts until 50 ms are over.
+    told = at_stamps(EVEN[:12, 0], [1e3 * step] * 12)
+    first = int(np.argmax(told == Grip.STICK))
+    assert first == 2 + int(np.floor(0.05 / counted + 1e-9))
+
+
+def learned(steps, **values):
+    """Return the variance after each of some samples of white noise, and as it should be."""
+    config = SlipDetectorConfig(noise=0.01, **values)
+    detector, mu = SlipDetector(config, 1), np.array([np.inf])
+    forces = sticking(len(steps), 0.01, seed=8)
+    variance, touched, found, expected = 6e-4, 0.0, [], []
+    for i, (force, dt) in enumerate(zip(forces, steps, strict=True)):
+        detector.step(force[None], NORMAL, 0.0, dt, mu)
+        if i >= 2:
+            touched += dt
+            q = dt / steps[i - 1]
+            bend = force - forces[i - 1] - q * (forces[i - 1] - forces[i - 2])
+            power = 6.0 * (bend[0] ** 2 + bend[2] ** 2) / (1.0 + (1.0 + q) ** 2 + q * q)
+            share = min(1.0, dt / max(min(config.learning_time, touched), 10.0 * dt))
+            bounded = min(0.5 * power, 3.0 * variance) / (1.0 - np.exp(-3.0))
+            variance += share * (bounded - variance)
+        found.append(detector._memory["variance"][0])
+        expected.append(variance)
+    return found, expected
+
+
+@pytest.mark.parametrize("settling", [0.0, 0.03])
+def test_noise_is_learned_quickly_at_first_and_bounded_by_three_times_itself(settling):
+    steps = np.tile([0.001, 0.002, 0.0015], 40)
+    found, expected = learned(steps, learning_time=0.05, settling_time=settling)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_contact_that_was_lost_settles_again():
+    detector = SlipDetector(SlipDetectorConfig(), 1)
+    assert run(sticking(200), detector)[-1] == Grip.STICK
+    run([NOTHING], detector)
+    told = run(sticking(100, seed=2), detector)
+    assert (told[:50] == Grip.UNKNOWN).all() and told[-1] == Grip.STICK

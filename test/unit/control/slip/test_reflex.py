@@ -76,3 +76,71 @@ def test_without_any_contact_it_comes_back():
     assert gone[0] > 1.9 * START and gone[-1] == pytest.approx(START, rel=0.01)
     # What closes again, finger by finger, does not take that for another loss.
     assert run(reflex, 100, touching=TWO).max() < 1.01 * START
+
+
+def step(reflex, needed=math.nan, slips=False, slides=False, touching=ALL, dt=0.0125):
+    return reflex.step(needed, slips, slides, touching, LIMIT, dt)
+
+
+def fresh(**values):
+    return Reflex(ReflexConfig(rise_rate=1e6, **values), START)
+
+
+@pytest.mark.parametrize(("needed", "fall"), [(5.9, 1.0), (5.5, 1.0), (5.4, 1.2), (1.0, 10.0)])
+def test_it_falls_by_its_least_rate_or_a_share_of_the_excess(needed, fall):
+    reflex = fresh(release_rate=1.0, release_time=0.5)
+    assert step(reflex, needed) == pytest.approx(START - 0.0125 * fall, rel=1e-12)
+    for _ in range(2):
+        step(reflex, 5.999)
+    assert step(fresh(), 5.999) == 5.999  # no farther than it has to
+
+
+@pytest.mark.parametrize(("ticks", "settled"), [(4, START), (5, 10.0)])
+def test_after_a_twentieth_of_a_second_a_slip_is_met_from_the_present_squeeze(ticks, settled):
+    reflex = fresh(first_rise=1.5)
+    for _ in range(ticks):  # four of them are 50 ms, to the bit
+        assert step(reflex, 10.0) == 10.0
+    assert step(reflex, slips=True) == max(10.0, 1.5 * settled)
+
+
+def test_only_a_grasp_that_is_whole_settles():
+    reflex = fresh(first_rise=3.0)
+    for _ in range(10):
+        assert step(reflex, 10.0, touching=TWO) == 10.0
+    assert step(reflex, slips=True, touching=TWO) == 3.0 * START
+
+
+@pytest.mark.parametrize(("dt", "growth"), [(0.0125, 2.0**1.25), (0.02, 4.0), (0.5, 4.0)])
+def test_over_a_pause_it_doubles_twice_at_most(dt, growth):
+    reflex = fresh(first_rise=1.5, doubling_time=0.01)
+    assert step(reflex, slips=True, slides=True, dt=dt) == pytest.approx(growth * 1.5 * START)
+
+
+def test_a_slide_grows_from_the_present_squeeze_and_another_begins_again():
+    reflex = fresh(first_rise=1.5, doubling_time=0.0125, release_time=0.5, release_rate=1.0)
+    assert step(reflex, 10.0) == 10.0
+    assert step(reflex, 6.0, slips=True, slides=True) == pytest.approx(20.0)
+    assert step(reflex, 6.0, slips=True) == pytest.approx(20.0)  # it asks for that until it ends
+    after = step(reflex, 6.0)
+    assert after == pytest.approx(20.0 - 0.0125 * 14.0 / 0.5)
+    again = step(reflex, 6.0, slips=True)
+    assert again == pytest.approx(after - 0.0125 * (after - 1.5 * START) / 0.5)
+
+
+def test_a_contact_is_lost_until_all_are_back_or_none_is_left():
+    reflex = fresh(first_rise=1.5, release_time=0.5, release_rate=1.0)
+    step(reflex, START)
+    for _ in range(3):
+        assert step(reflex, 0.0, touching=TWO) == 1.5 * START
+    none = step(reflex, 20.0, touching=NONE)  # what is needed does not count, what was held does
+    assert none == pytest.approx(9.0 - 0.0125 * 3.0 / 0.5)
+    assert step(reflex, none, touching=TWO) == none
+
+
+def test_it_starts_over_from_another_squeeze():
+    reflex = fresh(first_rise=1.5)
+    step(reflex, START)
+    step(reflex, slips=True, slides=True)
+    reflex.start(4.0)
+    assert reflex.squeeze == step(reflex, touching=TWO) == 4.0  # nothing is lost
+    assert step(reflex, slips=True) == 6.0

@@ -222,7 +222,8 @@ def test_a_change_of_mode_makes_no_jump():
     assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
 
 
-def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
+@pytest.mark.parametrize(("tick", "bends"), [(TICK, 4), (TICK // 2, 4), (TICK // 4, 8)])
+def test_the_detector_gets_the_sharpest_bend_of_the_last_four_or_of_four_milliseconds(tick, bends):
     """Up and down in turns; a detector that is told as much says the same."""
     slip = regulator(grasp_force=5.0, rise_rate=400.0, fall_rate=250.0, smoothing=0.01)
     detector = SlipDetector(SlipDetectorConfig(), 3)
@@ -232,12 +233,12 @@ def test_the_detector_hears_the_sharpest_bend_of_the_last_six_squeezes():
         if i % 37 == 0:
             slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
         forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.learned_friction
-        squeezed.append(slip.step(i * TICK, three_faces(), forces))
-        bends = np.abs(np.diff(squeezed[:-1][-6:], n=2))
-        bent.append(max(bends, default=0.0))
-        detector.step(forces, normals, bent[-1], 1e-9 * TICK if i else 0.0, friction)
+        squeezed.append(slip.step(i * tick, three_faces(), forces))
+        newest = np.abs(np.diff(squeezed[:-1][-bends - 2 :], n=2))
+        bent.append(max(newest, default=0.0))
+        detector.step(forces, normals, bent[-1], 1e-9 * tick if i else 0.0, friction)
         np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
-    assert max(bent) > 0.3 and np.count_nonzero(bent) > 100
+    assert max(bent) > 0.07 and np.count_nonzero(bent) > 60
 
 
 def test_with_a_contact_lost_the_squeeze_grows_while_the_others_are_at_their_edge():
@@ -266,3 +267,25 @@ def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():
         jerk = random.standard_normal() if i > 50 else 0.0
         slip.step(i * TICK, three_faces(), (10.0 + jerk) * shape)
     assert (slip.state == Grip.STICK).all() and not slip.slip_likelihood.any()
+
+
+def test_a_reserve_is_kept_up_to_four_fifths_of_the_limit_and_a_need_to_all_of_it():
+    slip = regulator(mode="auto", maximum=40.0, reflex={"need": {"reserve": {"floor": 1e3}}})
+    for i in range(60):
+        slip.step(i * TICK, three_faces(), FELT)
+    assert slip.grasp_force == pytest.approx(32.0, rel=1e-12) and slip.ready > 100.0
+    heavy = FELT + np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [0.0, 0.0, 0.0]])
+    for i in range(60, 120):
+        slip.step(i * TICK, three_faces(), heavy)
+    assert slip.grasp_force == 40.0 < slip.needed
+
+
+def test_a_contact_exactly_at_its_edge_is_not_strained():
+    slip = regulator(mode="auto", reflex={"margin": 0.0})
+    positions = three_faces().positions
+    positions[0] = np.nan
+    left = Contacts(positions, three_faces().rotations)
+    edge = np.array([[9.0, 0.0, 0.0], [0.8, 2.0, 0.0], [0.0, 2.0, 0.0]])
+    assert slip.learned_friction[1] * 2.0 == 0.8
+    assert not slip._strained(left.touching, edge)
+    assert slip._strained(left.touching, edge + [0.0, -1e-12, 0.0])

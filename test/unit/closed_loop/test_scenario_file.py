@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenario files as plain data: laid over each other, changed by keys, and their limits."""
+
+import pytest
+
+from tactile_hand_ros.closed_loop.scenario import Scenario, _overlap, load_scenario
+from tactile_hand_ros.closed_loop.scenario_file import merged, put_changes, read_layers
+from tactile_hand_ros.errors import ConfigurationError, GraspError
+
+
+def chain(folder, layers):
+    """Write scenarios that extend each other; return the last of them."""
+    for i in range(layers):
+        extends = f"extends: s{i - 1}\n" if i else "hand: paper\n"
+        (folder / f"s{i}.yaml").write_text(f"{extends}seed: {i}\n")
+    return folder / f"s{layers - 1}.yaml"
+
+
+@pytest.mark.parametrize("layers", [8, 9])
+def test_eight_scenarios_may_extend_each_other(tmp_path, layers):
+    path = chain(tmp_path, layers)
+    if layers == 8:
+        assert read_layers(path) == {"hand": "paper", "seed": 7}
+    else:
+        with pytest.raises(ConfigurationError, match="more than 8 scenarios extend each other"):
+            read_layers(path)
+
+
+def test_mappings_are_laid_over_each_other_and_all_else_is_replaced():
+    under = {"a": {"b": 1, "c": {"d": 2, "e": 3}}, "f": [1, 2], "g": {"h": 4}, "i": 5}
+    over = {"a": {"c": {"d": 6}}, "f": [7], "g": 8, "i": {"j": 9}}
+    expected = {"a": {"b": 1, "c": {"d": 6, "e": 3}}, "f": [7], "g": 8, "i": {"j": 9}}
+    assert merged(under, over) == expected
+    assert under["a"] == {"b": 1, "c": {"d": 2, "e": 3}}
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "found"),
+    [
+        ("plant.rate", "plant.rate", True),
+        ("plant.rate", "plant", True),
+        ("plant", "plant.rate", True),
+        ("plant.rates", "plant.rate", False),
+        ("plant.rate", "plant.rates", False),
+        ("targets[0].time", "targets", True),
+        ("targets[0].time", "targets.time", False),
+        ("seed", "plant", False),
+        ("", "plant", False),
+    ],
+)
+def test_a_place_belongs_to_a_change_that_is_part_of_it_or_that_it_is_part_of(place, key, found):
+    assert _overlap(place, key) == found
+
+
+def test_a_law_may_be_named_in_four_ways(tmp_path):
+    path = tmp_path / "mine.yaml"
+    for text in (
+        "law: contact\n",
+        "law: {name: contact}\n",
+        "manipulation_controller: {law: contact}\n",
+        "manipulation_controller: {law: {name: contact}}\n",
+    ):
+        path.write_text(text)
+        law = {"name": "contact", "folder": ""}
+        assert read_layers(path) == {"manipulation_controller": {"law": law}}
+    path.write_text("law: contact\nmanipulation_controller: {law: contact}\n")
+    with pytest.raises(ConfigurationError, match="'law' is given twice, at the top and in"):
+        read_layers(path)
+    path.write_text("law: contact\nmanipulation_controller: 7\n")
+    assert read_layers(path) == {"manipulation_controller": 7, "law": "contact"}
+    path.write_text("manipulation_controller: {hold: {stiffness: 2.0}}\n")
+    assert read_layers(path) == {"manipulation_controller": {"hold": {"stiffness": 2.0}}}
+    path.write_text("law: 7\n")
+    assert read_layers(path) == {"manipulation_controller": {"law": 7}}
+
+
+def test_changes_are_put_where_their_keys_say():
+    data = {"hand": "paper", "layout": "pinch", "plant": {"rate": 1.0}}
+    changes = {"plant.rate": 2.0, "plant.object.mass": 3.0, "law.k_p": 4.0, "seed": 5}
+    places = put_changes(data, changes)
+    assert data == {
+        "hand": "paper",
+        "layout": "pinch",
+        "plant": {"rate": 2.0, "object": {"mass": 3.0}},
+        "manipulation_controller": {"law": {"k_p": 4.0}},
+        "seed": 5,
+    }
+    assert places == {
+        "plant.rate": "plant.rate",
+        "plant.object.mass": "plant.object.mass",
+        "manipulation_controller.law.k_p": "law.k_p",
+        "seed": "seed",
+    }
+    put_changes(data, {"law": "contact", "layout": "three_faces", "hand": "other"})
+    assert (data["hand"], data["layout"]) == ("other", "three_faces")  # the hand came first
+    law = {"k_p": 4.0, "folder": "", "name": "contact"}
+    assert data["manipulation_controller"]["law"] == law
+    put_changes(data, {"hand": "other"})
+    assert data["layout"] == "three_faces"
+    put_changes(data, {"hand": "paper"})
+    assert "layout" not in data
+    with pytest.raises(ConfigurationError, match="'seed.a.b' cannot be set: 'seed' has no keys"):
+        put_changes(data, {"seed.a.b": 1})
+
+
+def test_targets_come_in_order_and_before_the_end():
+    def times(*values):
+        return Scenario().changed(
+            {"duration": 2.0, "targets": [{"time": t, "position": [0, 0, 0.4]} for t in values]}
+        )
+
+    assert [target.stamp for target in times(0.5, 0.5, 1.999).targets] == [
+        500_000_000,
+        500_000_000,
+        1_999_000_000,
+    ]
+    with pytest.raises(ConfigurationError, match=r"in order of time, got \[1.0, 0.5\]"):
+        times(1.0, 0.5)
+    with pytest.raises(ConfigurationError, match="comes at 2.0 s, but the run ends at 2.0 s"):
+        times(0.5, 2.0)
+    assert Scenario().changed({"duration": 0.3, "plant.rate": 500.0}).ticks == 151
+
+
+def test_an_orientation_that_is_kept_needs_a_grasp():
+    keep = {"targets": [{"position": [0.0, 0.0, 0.4], "rotation": "keep"}]}
+    smaller = {"plant.object.size": [0.24, 0.2604, 0.2604]}
+    with pytest.raises(GraspError, match="rotation: keep needs a grasp at the start"):
+        load_scenario("paper", {**keep, **smaller})
