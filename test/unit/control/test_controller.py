@@ -41,7 +41,7 @@ class Bench:
         changes = {name.replace("__", "."): value for name, value in values.items()}
         # Contacts of these tests move without the joints.
         self.controller = Controller(
-            ControllerConfig().changed({"touch_tolerance": 1.0, **changes})
+            ControllerConfig().changed({"touch_tolerance": 10.0, **changes})
         )
         self.theta, self.contacts, self.rates = state.theta, state.contacts, REST
         self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces

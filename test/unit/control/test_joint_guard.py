@@ -95,8 +95,8 @@ def test_torques_stay_inside_the_limits_of_the_urdf():
 def test_a_limited_change_is_followed_at_that_rate():
     made = guard(torque_rate=50.0)  # 0.1 N m a tick
     last = follow(made)
-    np.testing.assert_allclose(step(made, last, TORQUE + 1.0), TORQUE + 0.1)
-    np.testing.assert_allclose(step(made, last + 1, TORQUE + 1.0), TORQUE + 0.2)
+    np.testing.assert_allclose(step(made, last, TORQUE - 1.0), TORQUE - 0.1)
+    np.testing.assert_allclose(step(made, last + 1, TORQUE - 1.0), TORQUE - 0.2)
 
 
 def test_a_fast_joint_is_held_until_it_is_clearly_slower():
@@ -137,7 +137,7 @@ def test_commands_take_over_without_a_jump():
     made = guard(blend_time=0.02)
     tick = follow(made) + 9
     torques = [step(made, tick, TORQUE, answers=0)]
-    wanted = TORQUE + 1.0
+    wanted = TORQUE - 1.0
     for more in range(1, 12):
         torques.append(step(made, tick + more, wanted))
     assert np.abs(np.diff(torques, axis=0)).max() < 0.15

@@ -186,7 +186,7 @@ class Bench:
 
     def __init__(self):
         state = plant().state
-        self.controller = Controller(ControllerConfig())
+        self.controller = Controller(ControllerConfig().changed({"touch_tolerance": 10.0}))
         self.theta, self.contacts, self.stamp = state.theta, state.contacts, 0
         self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
 

@@ -65,7 +65,7 @@ def test_a_force_that_repeats_is_doubted_when_the_torques_change_and_not_at_rest
 
 def test_a_new_grasp_starts_without_a_past():
     watch = PressWatch()
-    seen = FORCES, torque(3.0 * FORCES)
+    seen = FORCES, torque(0.2 * FORCES)
     assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
     assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3)
     watch.reset()

@@ -55,6 +55,8 @@ def test_wrong_values_can_be_read():
 
 def test_each_component_with_a_tap_has_topics_in_it():
     for cell in space.cells():
+        if cell.is_signal:  # which needs no tap
+            continue
         topics = taps.topics_of(cell.component, FINGERS)
         assert set(topics) <= set(taps.tapped(cell.tap, FINGERS))
-        assert bool(topics) == bool(cell.tap) or cell.is_signal
+        assert bool(topics) == bool(cell.tap)
