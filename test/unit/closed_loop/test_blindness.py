@@ -79,6 +79,7 @@ def test_no_input_of_a_blind_block_is_the_truth(method):
         "optimal_forces",
         "grasp_force",
         "forces",
+        "applied",
         "cones",
         "target",
     }

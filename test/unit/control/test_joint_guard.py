@@ -222,7 +222,9 @@ def test_reset_forgets_everything():
 def moving(seed=3, ticks=8):
     """Return joint rates and torques of some ticks."""
     random = np.random.default_rng(seed)
-    return 0.1 * random.standard_normal((ticks, 9)), TORQUE + random.standard_normal((ticks, 9))
+    return 0.1 * random.standard_normal((ticks, 9)), TORQUE + 0.1 * random.standard_normal(
+        (ticks, 9)
+    )
 
 
 def test_what_the_contacts_press_with_follows_from_the_last_ticks():
@@ -294,7 +296,7 @@ def test_a_change_is_limited_from_the_torque_before_and_not_after_a_hold():
     expected = TORQUE - np.minimum(np.linspace(0.0, 0.5, 9), 0.1)
     np.testing.assert_allclose(step(made, last, down), expected, atol=1e-12)
     step(made, last + 1)
-    np.testing.assert_array_equal(step(made, last + 2, TORQUE + 3.0), TORQUE + 3.0)
+    np.testing.assert_array_equal(step(made, last + 2, TORQUE - 3.0), TORQUE - 3.0)
 
 
 def test_holds_are_counted_by_reason_when_they_begin_and_ticks_always():
