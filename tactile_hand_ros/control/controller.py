@@ -47,7 +47,6 @@ they are due. A pose out of reach takes milliseconds, and a flood of them must n
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
-_SHY = "forces were wrong a moment ago; holding until k_f and f* have forgotten them"
 _STANDING = 0.2  # share of the tolerance of touch that contacts may move under standing joints
 
 _LONGEST_GAP = 0.05  # s; over a longer pause nothing is integrated and no reference moves on
@@ -91,14 +90,6 @@ class ControllerConfig(Config):
         "largest error of the measured forces against the joint torques, as a share, 0 for any",
         live=True,
         ge=0.0,
-    )
-    force_doubt: float = param(
-        4.0,
-        "time for which the hand is held after forces were wrong, until k_f and f* forget them",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=100.0,
     )
     grasp_force_limit: float = param(
         0.0, "largest k_f that is believed, 0 for any", unit="N", live=True, ge=0.0
@@ -208,7 +199,6 @@ class Controller:
         self._law.reset()
         self._press.reset()
         self._joint_watch.reset()
-        self._false_forces: int | None = None  # last tick with forces that were wrong
         self._reference.reset()
         self._hold.release()
         self._squeeze = self._carry = np.zeros(self.hand.joints)
@@ -334,6 +324,7 @@ class Controller:
             return self._open(theta, rates, contacts, stamp)
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
+            self._press.reset()
             return self.hold(theta, rates, problem, grasp_force, applied)
         tips, problem = self._seen(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
@@ -435,9 +426,6 @@ class Controller:
             terms = self.hand.dynamics(theta, rates)
             tips, touch = terms[0], (contacts, forces, applied)
             problem = self._press.step(stamp, rates, terms, *touch, c.force_tolerance)
-            problem = problem or self._shy(stamp)
-            if problem != _SHY:
-                self._false_forces = stamp if problem else None
         else:
             tips = self.hand.fingertips(theta)
         if 0.0 < c.grasp_force_limit < grasp_force:
@@ -447,12 +435,6 @@ class Controller:
         touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)
         stands = self._joint_watch.step(theta, contacts, _STANDING * c.touch_tolerance)
         return tips, problem or touch_gap or stands
-
-    def _shy(self, stamp: int) -> str:
-        """Return why the hand is held although forces are right again; empty if it is not."""
-        last = self._false_forces
-        is_over = last is None or 1e-9 * (stamp - last) >= self.config.force_doubt
-        return "" if is_over else _SHY
 
     @property
     def _feels(self) -> bool:
@@ -493,6 +475,7 @@ class Controller:
         self._regrasp.finish()
         self._open_stamp = None
         self._law.reset()
+        self._press.reset()
         self._reference.reset()
         self.target = self._in_reach = None
         self._queue = [queued._replace(judged=False) for queued in self._queue]

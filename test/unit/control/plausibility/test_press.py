@@ -6,7 +6,6 @@ import pytest
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.plausibility.press import PressWatch
 
 TICK = 2_000_000
@@ -70,18 +69,3 @@ def test_a_new_grasp_starts_without_a_past():
     assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3)
     watch.reset()
     assert watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
-
-
-def test_after_wrong_forces_the_hand_is_held_until_others_have_forgotten_them():
-    config = ControllerConfig().changed({"law.observer.time": 0.02, "force_doubt": 0.1})
-    controller, optimal = Controller(config), FORCES / FORCES[:, 1].sum()
-    touch = CONTACTS, optimal, 10.0
-    weight = controller.hand.dynamics(STATE.theta, np.zeros(9))[2]
-    applied, modes = torque(FORCES) - TERMS[2] + weight, []
-    for tick in range(120):
-        felt = FORCES * (ONE if 20 <= tick < 30 else 1.0)
-        command = controller.step(tick * TICK, STATE.theta, np.zeros(9), *touch, felt, applied)
-        modes.append((command.mode, command.withheld))
-    assert modes[:20] == [(Mode.DRIVE, False)] * 20
-    assert modes[21:80] == [(Mode.HOLD, True)] * 59
-    assert modes[-20:] == [(Mode.DRIVE, False)] * 20

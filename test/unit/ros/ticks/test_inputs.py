@@ -108,7 +108,7 @@ class Ear:
         self.heard.append(("repeat",))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
-        self.heard.append(("blind", stamp, *joints, reason))
+        self.heard.append(("blind", stamp, *joints[:2], reason))
 
     def on_restart(self) -> None:
         self.heard.append(("restart",))
