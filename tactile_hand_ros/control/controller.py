@@ -429,7 +429,8 @@ class Controller:
         else:
             tips = self.hand.fingertips(theta)
         if 0.0 < c.grasp_force_limit < grasp_force:
-            problem = f"k_f = {grasp_force:.3g} N is above {c.grasp_force_limit:g} N; holding"
+            limit = f"grasp_force_limit = {c.grasp_force_limit:g} N"
+            problem = f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
         if c.law.name == "optimal":
             problem = problem or implausible_shape(optimal_forces)
         touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)
