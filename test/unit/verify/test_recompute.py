@@ -540,7 +540,7 @@ def test_audit_knows_an_optimizer_that_ignores_its_cones(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("shape_time", 0.03), ("reserve.floor", 1.0), ("squeeze_share", 0.8)]
+    ("key", "value"), [("shape_time", 0.03), ("reserve.floor", 1.0), ("squeeze_share", 0.5)]
 )
 def test_audit_knows_an_f_that_follows_otherwise(key: str, value: float, tmp_path: Path) -> None:
     """It is balanced and inside the cones, but neither the optimum nor on the way there."""
