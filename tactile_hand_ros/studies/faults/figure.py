@@ -35,14 +35,15 @@ def _draw_drops(axes: Axes, known: Sequence[Outcome]) -> None:
     parts = list(space.FAULTS_OF)
     for i, way in enumerate(space.WAYS):
         mine = [o for o in known if o.way == way and o.fault != space.NONE]
+        name: str | None = way
         for row, part in enumerate(parts):
             drops = [o.dropped for o in mine if o.component == part]
             if drops:
                 middle, low, high = (100.0 * value for value in share(drops))
                 at = row + 0.22 * (i - 1)
                 axes.plot([low, high], [at, at], color=finger_color(i), linewidth=1.2)
-                name = way if row == 0 else None
                 axes.plot([middle], [at], "o", color=finger_color(i), markersize=3.5, label=name)
+                name = None
     axes.set_yticks(range(len(parts)), parts)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)
