@@ -184,6 +184,15 @@ def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
+def test_a_skin_that_is_too_late_to_be_believed_costs_no_tick(tmp_path: Path) -> None:
+    """For 20 ms nothing is felt although the motors press; time waits for the controller's hold."""
+    late = {"tactile_sensor.latency": 0.02, "targets": [], "duration": 0.1}
+    scenario = short("gravity", **late)
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        recorded = Run(record(graph, tmp_path / "bag")).record
+    assert_same(recorded, ClosedLoop(scenario).run())
+
+
 def test_one_process_gives_the_bytes_of_five(bags: dict[str, Path], tmp_path: Path) -> None:
     with (
         isolated_domain() as domain,

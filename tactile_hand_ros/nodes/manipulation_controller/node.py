@@ -108,6 +108,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report = ControllerReport(self, self._controller.hand)
         self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._sent = b""
+        self._is_withheld = self._time_waits = False
         self._unanswered: tuple[int, Joints] | None = None
         self._accepted = Accepted(self, names.CONTROLLER, requests=True)
         self._begin()
@@ -213,7 +214,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         command = self._controller.step(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
-        if not command.withheld:
+        self._is_withheld = command.withheld and not self._time_waits
+        if self._is_withheld:
+            self._sent = self._encoded(stamp, command)
+        else:
             self._answer(stamp, command)
         self._publish_accepted(stamp)
         self._report.note(command, joints.theta, contacts)
@@ -250,7 +254,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self.on_blind_tick(stamp, joints, reason)
 
     def on_repeat(self) -> None:
-        """Give the last answer again."""
+        """Give the last answer again, or that which was withheld: in lockstep time waits for it."""
+        self._time_waits = self._is_withheld
         self._command_publisher.publish(self._sent)
 
     def on_restart(self) -> None:
@@ -272,7 +277,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._accepted.request(names.JOINT_HOLD, True)
 
     def _answer(self, stamp: int, command: Command) -> None:
-        self._sent = self._commands.encode(stamp, self._limited(command.torque))
+        self._sent = self._encoded(stamp, command)
         self._unanswered = None
         self._command_publisher.publish(self._sent)
         self._accepted.take_effect(stamp)
@@ -280,6 +285,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if command.pose is not None:
             turn = quaternion_from_rotation(command.pose.orientation)
             self._pose_publisher.publish(self._poses.encode(command.pose.position, turn, stamp))
+
+    def _encoded(self, stamp: int, command: Command) -> bytes:
+        return self._commands.encode(stamp, self._limited(command.torque))
 
     def _limited(self, torque: Array) -> Array:
         """Return a torque inside the joints' effort limits, and warn where it was not."""
