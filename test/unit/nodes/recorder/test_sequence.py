@@ -107,7 +107,7 @@ def test_older_ones_are_expected_before_younger_ones() -> None:
     assert tracker.lost == 0
     tracker.see(3)
     assert tracker.lost == 2
-    tracker.see(100)  # nobody else is expected: a gap of the nearest below
+    tracker.see(100)  # no other one is expected: a gap of the nearest below
     assert tracker.lost == 2 + 49
 
 
