@@ -63,7 +63,7 @@ def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> Non
         assert told[-1]
         graph.kill("tactile_sensor")  # so that no answer ends the hold before it is known
         graph.start("manipulation_controller")
-        graph.wait(lambda: graph.hears("manipulation_controller", names.JOINT_HOLD), "its ear")
+        graph.wait(lambda: graph.hears("manipulation_controller", names.JOINT_HOLD), "its reader")
         graph.start("tactile_sensor")
         graph.wait(lambda: graph.says("plant", "mode", "running"), "commands")
         graph.wait(lambda: graph.hears("manipulation_controller", "desired_pose"), "its readiness")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag tells which versions made it."""
+"""A bag names the versions that made it."""
 
 from __future__ import annotations
 

@@ -766,7 +766,7 @@ def test_there_is_nothing_to_continue_without_a_broken_bag(tmp_path: Path) -> No
 
 
 def test_a_bag_that_lost_its_header_is_continued(tmp_path: Path) -> None:
-    """Nothing says that it is somebody else's."""
+    """Nothing marks it as another's."""
     file = small(tmp_path / "run")
     file.write_bytes(file.read_bytes()[:8])
     earlier = continue_bag(tmp_path / "run")
