@@ -16,6 +16,7 @@ import psutil
 from tactile_hand_ros import names
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _PERIOD = 0.5  # s between two samples
@@ -76,6 +77,7 @@ def soak(
     seconds: float,
     *,
     composed: bool,
+    priority: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Soak:
     """Run the nodes for a time and look at them twice a second.
@@ -84,12 +86,13 @@ def soak(
         scenario: What they run.
         seconds: How long, by the wall clock.
         composed: Whether in one process.
+        priority: Of the nodes under SCHED_FIFO; 0 for ordinary scheduling.
         progress: Called at each look.
     """
-    seen = Soak()
+    seen, scheduling = Soak(), Scheduling(priority)
     with (
         tempfile.TemporaryDirectory() as folder,
-        RunningHand(scenario, Path(folder), "", composed=composed) as hand,
+        RunningHand(scenario, Path(folder), "", composed=composed, scheduling=scheduling) as hand,
     ):
         nodes = {name: psutil.Process(process.pid) for name, process in hand.processes.items()}
         hand.begin()

@@ -68,7 +68,8 @@ def bench(
         float | None, typer.Option(help="With --scenarios, simulated time [s].", min=0.1)
     ] = None,
     priority: Annotated[
-        int, typer.Option(help="With --scenarios, priority under SCHED_FIFO.", min=0, max=99)
+        int,
+        typer.Option(help="With --scenarios and --soak, priority under SCHED_FIFO.", min=0, max=99),
     ] = 0,
     limit: Annotated[
         float, typer.Option(help="With --scenarios, begin no run after so long [min].", min=0.0)
@@ -107,7 +108,7 @@ def bench(
     elif sizes:
         results, draw = _bench_sizes(ticks, repeats)
     elif soak is not None:
-        results = _bench_soak(soak)
+        results = _bench_soak(soak, priority)
     else:
         results = _bench_all(ticks, repeats, blocks)
     _finish(results, file, show, in_full=not realtime)
@@ -210,14 +211,20 @@ def _bench_realtime(
     return r.results(runs), lambda: realtime_figure(runs)
 
 
-def _bench_soak(seconds: float) -> list[Result]:
+def _bench_soak(seconds: float, priority: int) -> list[Result]:
     """Run for a long time at 500 Hz in one process, then at 250 Hz in six."""
     from tactile_hand_ros.bench import soak as s
 
     results: list[Result] = []
     for where, rate, composed in (("composed", 500.0, True), ("processes", 250.0, False)):
         with Progress(f"soak, {where}", 2 * round(seconds)) as advance:
-            seen = s.soak(s.soak_scenario(rate), seconds, composed=composed, progress=advance)
+            seen = s.soak(
+                s.soak_scenario(rate),
+                seconds,
+                composed=composed,
+                priority=priority,
+                progress=advance,
+            )
         results += s.results(seen, where)
     return results
 

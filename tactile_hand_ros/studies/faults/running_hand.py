@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,6 +39,7 @@ from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.studies.faults import taps
 from tactile_hand_ros.studies.faults.fault_node import CONTROL
@@ -67,7 +69,15 @@ class RunningHand:
         events: Everything that was received since the start of the run.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, tap: str, *, composed: bool) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        tap: str,
+        *,
+        composed: bool,
+        scheduling: Scheduling = Scheduling(),
+    ) -> None:
         """Prepare; entering the block starts the processes.
 
         Args:
@@ -75,8 +85,11 @@ class RunningHand:
             folder: For parameter files and the recording.
             tap: Topics that pass the fault node; empty for none.
             composed: Whether the nodes share one process.
+            scheduling: How the nodes run; in real time they prepare for it in any case.
         """
         self.scenario, self._folder, self._tap = scenario, folder, tap
+        real_time = scenario.plant.pacing == "realtime"
+        self._scheduling = replace(scheduling, real_time=real_time)
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.processes: dict[str, CapturedProcess] = {}
@@ -131,7 +144,7 @@ class RunningHand:
             self._launch(name, (name,))
 
     def _launch(self, executable: str, nodes: tuple[str, ...]) -> None:
-        arguments = ["--ros-args"]
+        arguments = [*self._scheduling.arguments, "--ros-args"]
         for name in nodes:
             file = self._folder / f"{name}.yaml"
             file.write_text(to_params_yaml(self.scenario.node_config(name), name))
