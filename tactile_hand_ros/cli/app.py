@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, bench, measure, runs, scenarios, steer, sweep
+from tactile_hand_ros.cli import bags, bench, measure, replay, runs, scenarios, steer, sweep
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.prefix import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -40,6 +40,7 @@ for _command in (
     *runs.COMMANDS,
     *sweep.COMMANDS,
     *bags.COMMANDS,
+    replay.replay,
     measure.reproduce,
     bench.bench,
     measure.fuzz,

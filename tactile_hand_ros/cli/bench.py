@@ -6,17 +6,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from tactile_hand_ros.cli.output import (
-    FormatOption,
-    Progress,
-    check_file,
-    check_writable,
-    figure_formats,
-)
+from tactile_hand_ros.cli.bench_options import BenchOptions
+from tactile_hand_ros.cli.output import Progress, check_file, check_writable, figure_formats
+from tactile_hand_ros.command_options import with_options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,109 +21,34 @@ if TYPE_CHECKING:
     from tactile_hand_ros.bench.realtime.outcomes import Outcome
     from tactile_hand_ros.bench.results import Result
 
-FOLDER = Path("runs/bench")
 _INTERRUPTED = 130
 
 
-def bench(
-    out: Annotated[
-        Path | None,
-        typer.Option(help=f"File for the results; by default one of each kind in {FOLDER}."),
-    ] = None,
-    ticks: Annotated[
-        int | None, typer.Option(help="Shorter runs, for a quick look.", min=2)
-    ] = None,
-    repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 3,
-    blocks: Annotated[
-        bool, typer.Option("--blocks", help="Function calls only: no processes, no peers.")
-    ] = False,
-    sizes: Annotated[
-        bool, typer.Option("--sizes", help="Only the cost against fingers, joints and steps.")
-    ] = False,
-    realtime: Annotated[
-        bool, typer.Option("--realtime", help="Only real time: which rate is sustained?")
-    ] = False,
-    rates: Annotated[
-        str, typer.Option(help="Rates for --realtime and --scenarios [Hz], as 250,500,1000.")
-    ] = "",
-    seconds: Annotated[
-        float, typer.Option(help="With --realtime, length of each run [s].", min=1.0)
-    ] = 20.0,
-    loaded: Annotated[
-        bool, typer.Option("--loaded", help="With --realtime, also beside a busy loop per core.")
-    ] = False,
-    soak: Annotated[
-        float | None,
-        typer.Option(help="Only a long run in real time, composed and in processes [s].", min=5.0),
-    ] = None,
-    scenarios: Annotated[
-        str, typer.Option(help="Only scenarios in lockstep and in real time: all, or pull,gravity.")
-    ] = "",
-    runs: Annotated[int, typer.Option(help="With --scenarios, runs of each case.", min=1)] = 10,
-    duration: Annotated[
-        float | None, typer.Option(help="With --scenarios, simulated time [s].", min=0.1)
-    ] = None,
-    priority: Annotated[
-        int,
-        typer.Option(help="With --scenarios and --soak, priority under SCHED_FIFO.", min=0, max=99),
-    ] = 0,
-    limit: Annotated[
-        float, typer.Option(help="With --scenarios, begin no run after so long [min].", min=0.0)
-    ] = 600.0,
-    fresh: Annotated[
-        bool, typer.Option("--fresh", help="With --scenarios, forget the runs that are kept.")
-    ] = False,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print tables as Markdown, for a page.")
-    ] = False,
-    figures: Annotated[
-        Path | None, typer.Option(help="Folder for figures, with --realtime and --sizes.")
-    ] = None,
-    formats: FormatOption = None,
-) -> None:
+@with_options
+def bench(options: BenchOptions) -> None:
     """Measure speed, compare it with the goals and with the last run, and save it."""
-    figure_formats(formats)
-    kind = _kind(
-        blocks=blocks,
-        sizes=sizes,
-        realtime=realtime,
-        soak=soak is not None,
-        scenarios=bool(scenarios),
-    )
-    file = out or FOLDER / f"{kind}.{'jsonl' if scenarios else 'json'}"
-    check_file(file)
-    if figures is not None:
-        check_writable(figures)
-    show = _markdown_table if markdown else _terminal_table
-    if scenarios:
-        _bench_scenarios(scenarios, rates, runs, duration, priority, limit, file, show, fresh=fresh)
+    formats = figure_formats(options.formats)
+    check_file(options.file)
+    if options.figures is not None:
+        check_writable(options.figures)
+    show = _markdown_table if options.markdown else _terminal_table
+    if options.scenarios:
+        _bench_scenarios(options, show)
         return
     draw: Callable[[], Figure] | None = None
-    if realtime:
-        results, draw = _bench_realtime(rates, seconds, show, loaded=loaded)
-    elif sizes:
-        results, draw = _bench_sizes(ticks, repeats)
-    elif soak is not None:
-        results = _bench_soak(soak, priority)
+    if options.realtime:
+        results, draw = _bench_realtime(options, show)
+    elif options.sizes:
+        results, draw = _bench_sizes(options.ticks, options.repeats)
+    elif options.soak is not None:
+        results = _bench_soak(options.soak, options.priority)
     else:
-        results = _bench_all(ticks, repeats, blocks)
-    _finish(results, file, show, in_full=not realtime)
-    if figures is not None and draw is not None:
+        results = _bench_all(options.ticks, options.repeats, options.blocks)
+    _finish(results, options.file, show, in_full=not options.realtime)
+    if options.figures is not None and draw is not None:
         from tactile_hand_ros.report.style import save
 
-        print(*save(draw(), figures, kind, figure_formats(formats)))
-
-
-def _kind(**asked: bool) -> str:
-    """Return what is measured.
-
-    Raises:
-        typer.BadParameter: If several kinds are asked for.
-    """
-    chosen = [name for name, is_asked in asked.items() if is_asked]
-    if len(chosen) > 1:
-        raise typer.BadParameter(f"--{chosen[0]} and --{chosen[1]} are measured separately.")
-    return chosen[0] if chosen else "bench"
+        print(*save(draw(), options.figures, options.kind, formats))
 
 
 def _log(line: str) -> None:
@@ -187,20 +108,18 @@ def _bench_all(ticks: int | None, repeats: int, blocks: bool) -> list[Result]:
     return results
 
 
-def _bench_realtime(
-    rates: str, seconds: float, show: Show, *, loaded: bool
-) -> tuple[list[Result], Callable[[], Figure]]:
+def _bench_realtime(options: BenchOptions, show: Show) -> tuple[list[Result], Callable[[], Figure]]:
     """Measure which rates are sustained; return results and what draws them."""
     from tactile_hand_ros.bench.figures import realtime_figure
     from tactile_hand_ros.bench.realtime import cases as r
     from tactile_hand_ros.bench.realtime import rates as table
 
-    asked = table.parse_rates(rates) if rates else r.RATES
-    cases = r.cases(asked, loaded=loaded)
+    asked = table.parse_rates(options.rates) if options.rates else r.RATES
+    cases = r.cases(asked, loaded=options.loaded)
     runs: list[RealtimeRun] = []
     with Progress("real time", len(cases)) as advance:
         try:
-            for run in r.run_cases(cases, seconds, advance):
+            for run in r.run_cases(cases, options.seconds, advance):
                 runs.append(run)
                 _log(f"{len(runs)} of {len(cases)}: {run.case}")
         except KeyboardInterrupt:
@@ -240,34 +159,25 @@ def _bench_sizes(ticks: int | None, repeats: int) -> tuple[list[Result], Callabl
     return s.results(costs), lambda: sizes_figure(costs)
 
 
-def _bench_scenarios(
-    names: str,
-    rates: str,
-    runs: int,
-    duration: float | None,
-    priority: int,
-    limit: float,
-    file: Path,
-    show: Show,
-    *,
-    fresh: bool,
-) -> None:
+def _bench_scenarios(options: BenchOptions, show: Show) -> None:
     """Run scenarios until all is done, the time is over, or Ctrl-C, and show what there is."""
     from tactile_hand_ros.bench.realtime import outcomes as o
     from tactile_hand_ros.bench.realtime.rates import parse_rates
     from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
     from tactile_hand_ros.closed_loop.scenario import scenario_names
 
+    names, file = options.scenarios, options.file
     chosen = scenario_names() if names == "all" else names.split(",")
-    asked = parse_rates(rates) if rates else []
-    plan = planned(o.scenario_cases(chosen, asked, duration, priority), runs)
-    if fresh:
+    rates = parse_rates(options.rates) if options.rates else []
+    cases = o.scenario_cases(chosen, rates, options.duration, options.priority)
+    plan = planned(cases, options.runs)
+    if options.fresh:
         file.unlink(missing_ok=True)
     done: list[Outcome] = []
     stopped = False
     with Progress("scenarios", len(plan)) as advance:
         try:
-            for outcome in run_planned(plan, file, 60.0 * limit, advance):
+            for outcome in run_planned(plan, file, 60.0 * options.limit, advance):
                 done.append(outcome)
                 _log(f"{len(done)} of {len(plan)}: {outcome}")
         except KeyboardInterrupt:

@@ -13,6 +13,7 @@ from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
     Progress,
+    SeedOption,
     folder_for_results,
     print_files,
     print_table,
@@ -62,7 +63,7 @@ def slip(
     out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
     jobs: JobsOption = -1,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    seed: SeedOption = 0,
     roc: Annotated[
         bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
     ] = False,
@@ -138,7 +139,7 @@ def faults(
     runs: Annotated[
         int, typer.Option(help="Number of injections; 0 only draws what is stored.", min=0)
     ] = 500,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    seed: SeedOption = 0,
     way: Annotated[
         list[str] | None,
         typer.Option(help="calls, lockstep, composed or processes; may be repeated."),

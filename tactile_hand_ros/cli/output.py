@@ -15,6 +15,10 @@ from tactile_hand_ros.errors import TactileHandError, counted
 if TYPE_CHECKING:
     from rich.console import Console
 
+EXIT_DIFFERS = 1
+"""Exit code when a bag does not agree with what was computed from it."""
+
+BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
 NamespaceOption = Annotated[
     str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
 ]
@@ -36,6 +40,9 @@ JobsOption = Annotated[
         help="Number of processes; -1 for one on each core.", callback=_number_of_processes
     ),
 ]
+
+
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 
 
 def figure_formats(given: list[str] | None) -> tuple[str, ...]:

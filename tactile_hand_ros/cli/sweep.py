@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,12 +17,14 @@ import typer
 
 from tactile_hand_ros.cli.output import (
     FormatOption,
+    SeedOption,
     check_writable,
     console,
     figure_formats,
     folder_for_results,
     print_table,
 )
+from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
@@ -29,82 +32,105 @@ if TYPE_CHECKING:
     from tactile_hand_ros.studies.engine.keep import Tally
     from tactile_hand_ros.studies.sweep.sweep import Sweep
 
+ClusterOption = Annotated[
+    str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
+]
+
 _LOOK = 0.2  # s between two looks at the progress
 
 
-def sweep(
+@dataclass(frozen=True)
+class SweepOptions:
+    """The options of `tactile-hand sweep`."""
+
     targets: Annotated[
         list[str],
         typer.Argument(metavar="SCENARIO...", help="Scenarios, or the folder of a study."),
-    ],
+    ]
     over: Annotated[
-        list[str] | None,
+        list[str],
         typer.Option(
             metavar="PATH=VALUES",
             help="What is varied: LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or A,B,C.",
         ),
-    ] = None,
+    ] = field(default_factory=list)
     changes: Annotated[
-        list[str] | None,
+        list[str],
         typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
-    ] = None,
-    runs: Annotated[int, typer.Option(help="Number of runs.", min=1)] = 100,
+    ] = field(default_factory=list)
+    runs: Annotated[int, typer.Option(help="Number of runs.", min=1)] = 100
     sampler: Annotated[
         str, typer.Option(help="grid, latin, sobol, random or saltelli (for Sobol' indices).")
-    ] = "",
+    ] = ""
     metric: Annotated[
-        list[str] | None,
+        list[str],
         typer.Option(
             help="outcome, slip, error, peak_force, margin, settling_time or module:function; may "
             "be repeated. By default all that have a name."
         ),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
-    cluster: Annotated[
-        str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
-    ] = "",
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep"),
+    ] = field(default_factory=list)
+    seed: SeedOption = 0
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1
+    cluster: ClusterOption = ""
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
     rerun: Annotated[
         int | None, typer.Option(help="Replay one run of a study as a recorded run, by its number.")
-    ] = None,
-    formats: FormatOption = None,
-) -> None:
+    ] = None
+    formats: FormatOption = None
+
+    @property
+    def folder(self) -> Path:
+        """Where the results are: the folder of a study where one is given."""
+        return Path(self.targets[0]) if self.goes_on else self.out
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the target is the folder of a study that is there already."""
+        return len(self.targets) == 1 and (Path(self.targets[0]) / "study.json").is_file()
+
+    def asked(self) -> Sweep:
+        """Return what is asked for.
+
+        Raises:
+            TactileHandError: If the options do not go together, or a value is refused.
+        """
+        from tactile_hand_ros.config.model import parse_changes
+        from tactile_hand_ros.studies.sweep.metrics import METRICS
+        from tactile_hand_ros.studies.sweep.sweep import make_sweep, read_sweep
+
+        if self.goes_on:
+            if self.over or self.changes or self.metric:
+                raise TactileHandError(
+                    f"{self.folder} is the folder of a study, which says what it varies; leave "
+                    "--over, --set and --metric away."
+                )
+            return read_sweep(self.folder)
+        if self.rerun is not None:
+            raise TactileHandError("--rerun was given, expected the folder of a study before it.")
+        return make_sweep(
+            self.targets,
+            self.over,
+            parse_changes(self.changes),
+            self.metric or list(METRICS),
+            sampler=self.sampler,
+            runs=self.runs,
+            seed=self.seed,
+        )
+
+
+@with_options
+def sweep(options: SweepOptions) -> None:
     """Run scenarios over ranges of their parameters; table, summary and figures.
 
     Give the folder of a study alone to go on with it, with --rerun to replay one of its runs.
     """
-    from tactile_hand_ros.config.model import parse_changes
-    from tactile_hand_ros.studies.sweep.metrics import METRICS
-    from tactile_hand_ros.studies.sweep.sweep import make_sweep, read_sweep
-
-    figure_formats(formats)
-    is_folder = len(targets) == 1 and (Path(targets[0]) / "study.json").is_file()
-    if is_folder:
-        if over or changes or metric:
-            raise TactileHandError(
-                f"{targets[0]} is the folder of a study, which says what it varies; leave --over, "
-                "--set and --metric away."
-            )
-        out = Path(targets[0])
-        asked = read_sweep(out)
-    else:
-        if rerun is not None:
-            raise TactileHandError("--rerun was given, expected the folder of a study before it.")
-        asked = make_sweep(
-            targets,
-            over or [],
-            parse_changes(changes or []),
-            metric or list(METRICS),
-            sampler=sampler,
-            runs=runs,
-            seed=seed,
-        )
-    if rerun is not None:
-        raise typer.Exit(_rerun(asked, out, rerun))
-    check_writable(out)
-    _run(asked, out, jobs, cluster)
-    _show(asked, out, figure_formats(formats))
+    formats = figure_formats(options.formats)
+    asked, folder = options.asked(), options.folder
+    if options.rerun is not None:
+        raise typer.Exit(_rerun(asked, folder, options.rerun))
+    check_writable(folder)
+    _run(asked, folder, options.jobs, options.cluster)
+    _show(asked, folder, formats)
 
 
 def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
@@ -234,10 +260,8 @@ def robustness(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
     jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
-    cluster: Annotated[
-        str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
-    ] = "",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    cluster: ClusterOption = "",
+    seed: SeedOption = 0,
     formats: FormatOption = None,
 ) -> None:
     """Map how far each scenario survives that the hand knows something wrongly."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from tactile_hand_ros.command_line import run_command, say
+from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
@@ -22,108 +22,25 @@ from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 if TYPE_CHECKING:
     from tactile_hand_ros.orchestrator.processes import Launcher
 
-_DEFAULT = "paper"
-
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-def _scenarios(incomplete: str) -> list[str]:
-    """Complete the name of a scenario in a shell."""
-    from tactile_hand_ros.config.paths import scenario_names
-
-    return [name for name in scenario_names() if name.startswith(incomplete)]
-
-
 @app.command()
-def run(
-    context: typer.Context,
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            help="Scenario by name or YAML file, 'paper' by default.",
-            autocompletion=_scenarios,
-            show_default=False,
-        ),
-    ] = "",
-    named: Annotated[
-        str, typer.Option("--scenario", help="The same as an option.", show_default=False)
-    ] = "",
-    interactive: Annotated[
-        bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
-    ] = False,
-    duration: Annotated[
-        float | None, typer.Option(help="Simulated time [s], instead of the scenario's.")
-    ] = None,
-    pacing: Annotated[
-        str | None, typer.Option(help="lockstep or realtime, instead of the scenario's.")
-    ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Another value, as plant.rate=250."),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs"),
-    record: Annotated[bool, typer.Option(help="Record a bag.")] = True,
-    report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True,
-    open_report: Annotated[
-        bool, typer.Option("--open", help="Open the report in a browser at the end.")
-    ] = False,
-    composed: Annotated[
-        bool | None,
-        typer.Option(
-            "--composed/--processes",
-            help="Run all nodes in one process, or each in its own; by default one process in "
-            "real time and several in lockstep.",
-            show_default=False,
-        ),
-    ] = None,
-    separate_recorder: Annotated[
-        bool,
-        typer.Option(
-            "--separate-recorder", help="Record in another process than that of --composed."
-        ),
-    ] = False,
-    namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = "",
-    startup_timeout: Annotated[
-        float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
-    ] = 30.0,
-    priority: Annotated[
-        int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")
-    ] = 0,
-    cpus: Annotated[
-        str, typer.Option(help="Processors for the nodes, as 0,2-3; not for the recorder.")
-    ] = "",
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
-) -> None:
+@with_options
+def run(context: typer.Context, request: Request) -> None:
     """Run a scenario: start the nodes, record them, command the poses, sum up.
 
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
     by SIGINT, SIGTERM.
     """
-    if scenario and named:
+    if request.scenario and request.named:
         raise ConfigurationError(
-            f"the scenario is given twice, as '{scenario}' and as --scenario '{named}'; give one"
+            f"the scenario is given twice, as '{request.scenario}' and as --scenario "
+            f"'{request.named}'; give one"
         )
-    if open_report and not (record and report):
+    if request.open_report and not (request.record and request.report):
         raise ConfigurationError("--open shows the report: leave --no-record and --no-report out")
-    request = Request(
-        scenario=scenario or named or _DEFAULT,
-        interactive=interactive,
-        duration=duration,
-        pacing=pacing,
-        changes=tuple(changes or ()),
-        out=out,
-        record=record,
-        report=report,
-        open_report=open_report,
-        composed=composed,
-        separate_recorder=separate_recorder,
-        namespace=namespace,
-        startup_timeout=startup_timeout,
-        priority=priority,
-        cpus=cpus,
-        quiet=quiet,
-    )
     raise typer.Exit(_run(context, request))
 
 

@@ -84,7 +84,7 @@ def _checked(request: Request) -> Scenario:
     options = {key: value for key, value in own.items() if value is not None}
     changes = {**options, **parse_changes(request.changes)}
     labels = {key: f"--{key.rpartition('.')[2]}" for key in options}
-    scenario = load_scenario(request.scenario, changes, labels)
+    scenario = load_scenario(request.wanted, changes, labels)
     check_scenario(scenario)
     return scenario
 

@@ -1,29 +1,86 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line of the orchestrator asks for."""
+"""What the command line of the orchestrator asks for: its options, declared once."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_DEFAULT = "paper"
+
+
+def _scenarios(incomplete: str) -> list[str]:
+    """Complete the name of a scenario in a shell."""
+    from tactile_hand_ros.config.paths import scenario_names
+
+    return [name for name in scenario_names() if name.startswith(incomplete)]
 
 
 @dataclass(frozen=True)
 class Request:
-    """The options of the command line, each under its own name."""
+    """The options of `tactile-hand run`, which are those of the orchestrator too."""
 
-    scenario: str
-    interactive: bool
-    duration: float | None
-    pacing: str | None
-    changes: tuple[str, ...]
-    out: Path
-    record: bool
-    report: bool
-    open_report: bool
-    composed: bool | None
-    separate_recorder: bool
-    namespace: str
-    startup_timeout: float
-    priority: int
-    cpus: str
-    quiet: bool
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="Scenario by name or YAML file, 'paper' by default.",
+            autocompletion=_scenarios,
+            show_default=False,
+        ),
+    ] = ""
+    named: Annotated[
+        str, typer.Option("--scenario", help="The same as an option.", show_default=False)
+    ] = ""
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
+    ] = False
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time [s], instead of the scenario's.")
+    ] = None
+    pacing: Annotated[
+        str | None, typer.Option(help="lockstep or realtime, instead of the scenario's.")
+    ] = None
+    changes: Annotated[
+        list[str],
+        typer.Option("--set", metavar="KEY=VALUE", help="Another value, as plant.rate=250."),
+    ] = field(default_factory=list)
+    out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs")
+    record: Annotated[bool, typer.Option(help="Record a bag.")] = True
+    report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True
+    open_report: Annotated[
+        bool, typer.Option("--open", help="Open the report in a browser at the end.")
+    ] = False
+    composed: Annotated[
+        bool | None,
+        typer.Option(
+            "--composed/--processes",
+            help="Run all nodes in one process, or each in its own; by default one process in "
+            "real time and several in lockstep.",
+            show_default=False,
+        ),
+    ] = None
+    separate_recorder: Annotated[
+        bool,
+        typer.Option(
+            "--separate-recorder", help="Record in another process than that of --composed."
+        ),
+    ] = False
+    namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = ""
+    startup_timeout: Annotated[
+        float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
+    ] = 30.0
+    priority: Annotated[
+        int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")
+    ] = 0
+    cpus: Annotated[
+        str, typer.Option(help="Processors for the nodes, as 0,2-3; not for the recorder.")
+    ] = ""
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False
+
+    @property
+    def wanted(self) -> str:
+        """The scenario that was asked for, by name or file."""
+        return self.scenario or self.named or _DEFAULT

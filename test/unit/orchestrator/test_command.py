@@ -63,25 +63,7 @@ def test_bad_namespace_is_refused(given: str) -> None:
 
 def asked_for(folder: Path, **options: Any) -> Request:
     """Return a request for a run in a folder, with the options of the command line by default."""
-    defaults: dict[str, Any] = {
-        "scenario": "paper",
-        "interactive": False,
-        "duration": None,
-        "pacing": None,
-        "changes": (),
-        "out": folder / "runs",
-        "record": True,
-        "report": True,
-        "open_report": False,
-        "composed": None,
-        "separate_recorder": False,
-        "namespace": "",
-        "startup_timeout": 30.0,
-        "priority": 0,
-        "cpus": "",
-        "quiet": False,
-    }
-    return Request(**{**defaults, **options})
+    return Request(out=folder / "runs", **options)
 
 
 @pytest.mark.parametrize(
@@ -89,8 +71,8 @@ def asked_for(folder: Path, **options: Any) -> Request:
     [
         ({"scenario": "papr"}, "did you mean 'paper'"),
         ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
-        ({"changes": ("plant.rte=500",)}, "did you mean 'rate'"),
-        ({"changes": ("targets=[{position: [9, 9, 9]}]",)}, "out of reach"),
+        ({"changes": ["plant.rte=500"]}, "did you mean 'rate'"),
+        ({"changes": ["targets=[{position: [9, 9, 9]}]"]}, "out of reach"),
         ({"namespace": "1st"}, "the namespace is '1st'"),
         ({"priority": 100}, "--priority is '100'"),
         ({"cpus": "all"}, "--cpus is 'all'"),

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand replay`: publish a bag as it was recorded, or recompute it."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_hand_ros.cli.output import EXIT_DIFFERS, BagArgument, print_table
+from tactile_hand_ros.command_options import with_options
+from tactile_hand_ros.errors import TactileHandError, counted
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
+    from tactile_hand_ros.nodes.replay.replay import Replay
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify.recompute import Comparison
+
+_CLOCK = 100.0  # messages a second
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """The options of `tactile-hand replay`."""
+
+    bag: BagArgument = Path("runs/latest")
+    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
+    start_offset: Annotated[
+        float, typer.Option(min=0.0, help="Where to begin [s after the first message].")
+    ] = 0.0
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False
+    topics: Annotated[
+        list[str],
+        typer.Option(help="Only topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    exclude: Annotated[
+        list[str],
+        typer.Option(help="Not the topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    clock: Annotated[
+        bool, typer.Option("--clock", help="Publish the bag's time on /clock, 100 times a second.")
+    ] = False
+    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
+    paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False
+    delay: Annotated[float, typer.Option(min=0.0, help="Wait before the first message [s].")] = 0.0
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
+    ] = False
+    changes: Annotated[
+        list[str],
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="With --recompute: another value, law.name=contact."
+        ),
+    ] = field(default_factory=list)
+    law: Annotated[
+        str,
+        typer.Option(
+            metavar="MODULE:CLASS",
+            help="With --recompute: a law of your own, here or on PYTHONPATH.",
+        ),
+    ] = ""
+    nodes: Annotated[
+        bool, typer.Option("--nodes", help="With --recompute: replay through the real nodes.")
+    ] = False
+
+    def publishing(self) -> ReplayOptions:
+        """Return how the bag is published.
+
+        Raises:
+            TactileHandError: If the rate is not above zero.
+        """
+        from tactile_hand_ros.nodes.replay.options import ReplayOptions
+
+        if not 0.0 < self.rate < float("inf"):
+            raise TactileHandError(f"--rate is {self.rate}, expected a number above 0.")
+        namespace = self.namespace.strip("/")
+        return ReplayOptions(
+            rate=self.rate,
+            start_offset=self.start_offset,
+            loop=self.loop,
+            topics=self.topics or [".*"],
+            exclude=self.exclude,
+            clock=_CLOCK if self.clock else 0.0,
+            namespace=f"/{namespace}" if namespace else "",
+            paused=self.paused,
+            delay=self.delay,
+        )
+
+
+@with_options
+def replay(request: ReplayRequest) -> None:
+    """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
+
+    Exit code of --recompute with the recorded law and without --set: 0 if all is as recorded, to
+    the bit, 1 if not. A law of your own is imported only if you name it here, by --law.
+    """
+    if request.recompute:
+        _recompute(request)
+        return
+    if request.changes or request.law or request.nodes:
+        raise TactileHandError("--set, --law or --nodes was given, expected --recompute too.")
+    from tactile_hand_ros.bag.recover import find_bag
+
+    options = request.publishing()
+    _publish(find_bag(request.bag), options)
+
+
+def _recompute(request: ReplayRequest) -> None:
+    """Ask the controllers again, and compare their answers with those in the bag."""
+    from tactile_hand_ros.config.model import parse_changes
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify import recompute as r
+
+    run = Run(request.bag, namespace=request.namespace or None)
+    values = parse_changes(request.changes, "law.name=contact")
+    is_as_recorded = not values
+    if request.law:
+        values["law.name"] = request.law
+        recorded = r.scenario_of(run).manipulation_controller.law.name
+        is_as_recorded = is_as_recorded and request.law == recorded
+    if request.nodes:
+        title, speed = "recorded and answered by the nodes", ""
+        comparisons = _replay_through_nodes(run, values)
+    else:
+        result = r.recompute(run, values)
+        title, comparisons = "recorded and recomputed", result.comparisons
+        speed = (
+            f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time"
+        )
+    print_table(rich_table(title, r.COLUMNS, r.rows(comparisons)))
+    if speed:
+        print(speed)
+    if is_as_recorded and not all(comparison.same for comparison in comparisons):
+        print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
+        raise typer.Exit(EXIT_DIFFERS)
+
+
+def _replay_through_nodes(run: Run, values: dict[str, Any]) -> list[Comparison]:
+    try:
+        from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"The nodes need ROS, but there is no module '{error.name}'; source ROS 2 or leave "
+            "--nodes away."
+        ) from None
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("replaying through the nodes", total=1.0)
+        return replay_through_nodes(run, values, lambda share: bar.update(task, completed=share))
+
+
+def _publish(bag: Path, options: ReplayOptions) -> None:
+    try:
+        from tactile_hand_ros.nodes.replay.node import replaying
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
+            "install its wheels."
+        ) from None
+
+    with replaying(bag, options) as player, _line(player) as watch, _keyboard(player):
+        for topic, reason in player.skipped.items():
+            print(f"{topic} is not published: {reason}", file=sys.stderr)
+        print(f"publishing {len(player.topics)} topics of {bag}", file=sys.stderr)
+        try:
+            player.run(watch)
+        finally:
+            print(f"published {counted(player.progress.messages, 'message')}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _line(player: Replay) -> Iterator[Any]:
+    """Show on a terminal where the replay is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    text = TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[state]}")
+    bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
+    task = bar.add_task("replay", total=player.progress.duration, state="")
+
+    def watch(progress: ReplayProgress) -> None:
+        state = (
+            "paused, space goes on" if progress.paused else counted(progress.messages, "message")
+        )
+        bar.update(task, completed=progress.position, state=state)
+
+    with bar:
+        yield watch
+
+
+@contextlib.contextmanager
+def _keyboard(player: Replay) -> Iterator[None]:
+    """Let the space key pause, where there is a terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    import select
+    import termios
+    import threading
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    done = threading.Event()
+
+    def listen() -> None:
+        while not done.is_set():
+            if select.select([sys.stdin], [], [], 0.1)[0] and sys.stdin.read(1) == " ":
+                player.toggle()
+
+    thread = threading.Thread(target=listen, daemon=True)
+    try:
+        tty.setcbreak(sys.stdin)
+        thread.start()
+        yield
+    finally:
+        done.set()
+        thread.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
