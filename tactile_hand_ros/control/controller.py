@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import bisect
 import enum
 import math
 from typing import NamedTuple
@@ -28,22 +27,15 @@ from tactile_hand_ros.control.plausibility.touch import (
     implausible_shape,
     implausible_touch,
 )
-from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.control.reference import SmoothReference
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
-from tactile_hand_ros.errors import GraspError, PoseError
+from tactile_hand_ros.control.targets.queue import Grasp, TargetQueue
+from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.hand.kinematics import Fingertips
 
 Array = NDArray[np.float64]
-
-MOST_WAITING = 1000
-"""Desired poses that may wait for their tick."""
-
-MOST_CHECKED = 1
-"""Desired poses whose reach is checked when they come, in one tick; that of others is checked when
-they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
@@ -131,20 +123,6 @@ class Command(NamedTuple):
     withheld: bool = False
 
 
-class _QueuedPose(NamedTuple):
-    """A desired pose that waits for its tick.
-
-    Attributes:
-        stamp: Tick from which it holds, ns; zero for the next.
-        target: The pose.
-        judged: Whether it is known to be in reach of the present grasp.
-    """
-
-    stamp: int
-    target: Target
-    judged: bool
-
-
 class Controller:
     """Answers each tick with joint torques; sees joints and touch only.
 
@@ -156,9 +134,6 @@ class Controller:
         enabled: Whether the law acts, instead of mere damping.
         joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
             integral and the reference wait for the end of that.
-        dropped: Desired poses that were forgotten because too many waited.
-        accepted: The desired pose that became the target in the last step; None if none did.
-        target: The desired pose in force; None before the first tick.
     """
 
     def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
@@ -180,8 +155,7 @@ class Controller:
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
-        self.dropped = 0
-        self.accepted: Target | None = None
+        self._targets = TargetQueue(self.hand)
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
@@ -204,16 +178,28 @@ class Controller:
         self._squeeze = self._carry = np.zeros(self.hand.joints)
         self._is_new = True  # nothing has been squeezed
         self._grasp_force = self._more = 0.0
-        self._checked = 0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
         self._doubted: int | None = None  # first tick of those with an implausible input
         self._drove = False
         self._open_stamp: int | None = None
-        self._grasp: tuple[Array, Contacts, AuxiliaryPose] | None = None
-        self.target: Target | None = None
-        self._queue: list[_QueuedPose] = []
-        self._in_reach: Target | None = None
+        self._grasp: Grasp | None = None
+        self._targets.reset()
+
+    @property
+    def target(self) -> Target | None:
+        """The desired pose in force; None before the first tick."""
+        return self._targets.target
+
+    @property
+    def accepted(self) -> Target | None:
+        """The desired pose that became the target in the last step; None if none did."""
+        return self._targets.accepted
+
+    @property
+    def dropped(self) -> int:
+        """Desired poses that were forgotten because too many waited."""
+        return self._targets.dropped
 
     def command(self, target: Target, stamp: int = 0) -> None:
         """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
@@ -228,11 +214,7 @@ class Controller:
         Raises:
             PoseError: If the present grasp cannot be carried there.
         """
-        is_judged = self._grasp is not None and self._checked < MOST_CHECKED
-        if is_judged:
-            self._checked += 1
-            self._judge(target)
-        self.schedule(target, stamp, judged=is_judged)
+        self._targets.command(target, stamp, self._last_stamp, self._grasp)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
         """Queue a desired pose as `command` does, without judging now whether it is in reach.
@@ -242,31 +224,11 @@ class Controller:
             stamp: Tick in ns from which it holds; zero or a past one means now.
             judged: Whether it is known to be in reach; otherwise it is judged when it is due.
         """
-        if stamp <= (self._last_stamp or 0):
-            stamp = 0
-        bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
-        if len(self._queue) > MOST_WAITING:
-            del self._queue[0]
-            self.dropped += 1
+        self._targets.schedule(target, stamp, self._last_stamp, judged=judged)
 
     def forget_after(self, stamp: int) -> list[int]:
         """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
-        first = bisect.bisect_right(self._queue, stamp, key=_due_at)
-        forgotten = [queued.stamp for queued in self._queue[first:]]
-        del self._queue[first:]
-        return forgotten
-
-    def _judge(self, target: Target) -> None:
-        """Check the reach of a pose, unless it is the one that was last found to be in reach.
-
-        A rigid motion of the same grasp stays within reach. What was refused may not stay so: the
-        hand may have come nearer.
-        """
-        assert self._grasp is not None
-        known = self._in_reach
-        if known is None or not all(map(np.array_equal, known, target)):
-            check_reach(self.hand, *self._grasp, target)
-            self._in_reach = target
+        return self._targets.forget_after(stamp)
 
     def release(self) -> None:
         """Let go of the object: the fingers open along the normals of the last grasp.
@@ -279,7 +241,7 @@ class Controller:
             return
         if self._grasp is None:
             raise GraspError("there is no grasp to let go of; let all fingers touch first")
-        self._regrasp.leave(self._grasp[0], self._grasp[1])
+        self._regrasp.leave(self._grasp.theta, self._grasp.contacts)
 
     @property
     def is_open(self) -> bool:
@@ -316,8 +278,8 @@ class Controller:
         """
         dt = self._elapsed(stamp)
         self._last_stamp = stamp
-        self.accepted = None
-        self._checked = 0
+        self._targets.accepted = None
+        self._targets.begin_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active and not self._regrasped(contacts):
@@ -334,8 +296,8 @@ class Controller:
         self._doubted = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
-            self._grasp = (theta, contacts, pose)
-            refused = self._take_due_target(stamp, pose)
+            self._grasp = Grasp(theta, contacts, pose)
+            refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
@@ -391,7 +353,7 @@ class Controller:
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         self._last_torque = None
-        self._checked = 0
+        self._targets.begin_tick()
         self._drove = False
         self._open_stamp = None
         if not self.enabled:
@@ -478,8 +440,7 @@ class Controller:
         self._law.reset()
         self._press.reset()
         self._reference.reset()
-        self.target = self._in_reach = None
-        self._queue = [queued._replace(judged=False) for queued in self._queue]
+        self._targets.begin_grasp()
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
@@ -516,29 +477,6 @@ class Controller:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
         return ""
 
-    def _take_due_target(self, stamp: int, pose: AuxiliaryPose) -> str:
-        """Make the newest due target the present one; return why it was refused, if it was.
-
-        One tick has time to judge one pose: when it is refused, older ones come with the next tick.
-        """
-        if self.target is None:
-            self.target = Target(pose.position, pose.orientation)
-        count = bisect.bisect_right(self._queue, stamp, key=_due_at)
-        if not count:
-            return ""
-        *older, newest = self._queue[:count]
-        later = self._queue[count:]
-        try:
-            if not newest.judged:
-                self._judge(newest.target)
-        except PoseError as error:
-            # Without their stamps, so that a pose that is commanded meanwhile comes after them.
-            self._queue = [queued._replace(stamp=0) for queued in older] + later
-            return str(error)
-        self.target, self._queue = newest.target, later
-        self.accepted = newest.target
-        return ""
-
     def _for_middle_of_period(self, torque: Array) -> Array:
         """Extrapolate by half a period: a torque that is held for T is T/2 old on average."""
         last, self._last_torque = self._last_torque, torque
@@ -564,8 +502,3 @@ class Controller:
 
 def _sum(torque: Array, weight: Array | None) -> Array:
     return torque if weight is None else torque + weight
-
-
-def _due_at(queued: _QueuedPose) -> int:
-    """Return the tick from which a waiting pose holds, ns."""
-    return queued.stamp

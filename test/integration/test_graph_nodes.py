@@ -25,7 +25,7 @@ from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.control.controller import MOST_WAITING
+from tactile_hand_ros.control.targets.queue import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
 from tactile_hand_ros.nodes.plant.node import PlantNode
@@ -333,12 +333,12 @@ def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> 
     centre = TOUCH.positions.mean(axis=0)
     for number in range(MOST_WAITING + 3):
         at = centre + [0.0, 1e-5 * number, 0.0]
-        node._on_desired(serialize_message(pose_message(at, np.eye(3), (number + 1) * TICK)))
+        node._desired.take(serialize_message(pose_message(at, np.eye(3), (number + 1) * TICK)))
     with spinning(node, peer.node):
         peer.says(WARN, f"more than {MOST_WAITING} poses wait for their tick")
     assert peer.values["dropped_poses"] == peer.values["rejected desired_pose"] == "3"
     kept = [(number + 1) * TICK for number in range(3, MOST_WAITING + 3)]
-    assert [stamp for _, stamp in node._fresh] == kept
+    assert node._desired.fresh == kept
     node.on_restart()
     assert node._controller.forget_after(0) == kept
 

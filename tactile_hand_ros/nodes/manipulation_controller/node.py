@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,41 +26,29 @@ from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import (
-    MOST_WAITING,
-    Command,
-    Controller,
-    ControllerConfig,
-)
-from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
 from tactile_hand_ros.control.margins import GraspWatch
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.nodes.accepted import Accepted
+from tactile_hand_ros.nodes.manipulation_controller.desired_poses import DesiredPoses
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
 from tactile_hand_ros.nodes.manipulation_controller.services import ControllerServices
 from tactile_hand_ros.nodes.publishers import report_publishers
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, read_message
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import DAY_NS, TickInputs, far_ahead
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
 from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
 
 _AT_LIMIT = "a joint is at the effort limit of the URDF; squeeze less or lower the gains"
-
-
-class _CommandedPose(Target):
-    """A desired pose with its message: the rotation does not give back the exact quaternion."""
-
-    message: PoseStamped
 
 
 class ManipulationControllerNode(TactileNode[ControllerConfig]):
@@ -106,7 +93,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._controller = Controller(self.config)
         self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)
-        self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._sent = b""
         self._is_withheld = self._time_waits = False
         self._unanswered: tuple[int, Joints] | None = None
@@ -117,14 +103,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._limits = hand.effort_limits
         self._commands = JointCodec(hand.joint_names, ("effort",))
         self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
-        self._poses = PoseCodec()
+        self._pose_codec = PoseCodec()
         self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
-        self._accepted_publisher = self.create_publisher(
-            PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
-        )
         # First, so that of a pose and a tick that wait together the pose is handled first.
-        self.subscribe(
-            PoseStamped, names.DESIRED_POSE, self._on_desired, profile=qos.user_qos(), raw=True
+        self._desired = DesiredPoses(
+            self, self._controller, lambda stamp: self._inputs.check_stamp(stamp)
         )
         held = qos.latched_qos(qos.user_qos().depth)
         self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
@@ -174,22 +157,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report.report(self._controller.target)
 
     def _on_reset(self) -> None:
-        self._fresh.clear()
+        self._desired.forget()
         self._controller.forget()
         self._start_over()
-
-    def _on_desired(self, data: bytes) -> None:
-        message = read_message(data, PoseStamped)
-        target, stamp = _CommandedPose(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
-        self._inputs.check_stamp(stamp)
-        target.message = message
-        dropped = self._controller.dropped
-        self._controller.command(target, stamp)
-        self._fresh.append((target, stamp))
-        if self._controller.dropped > dropped:
-            text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
-            self.reject(names.DESIRED_POSE, text)
-            self.diagnostics.value("dropped_poses", self._controller.dropped)
 
     def _on_joint_hold(self, message: Bool) -> None:
         if message.data != self._controller.joints_held:
@@ -208,8 +178,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Answer a tick for which everything has arrived; see `Controller.step`."""
         began = time.perf_counter()
         self._unanswered = stamp, joints
-        if self._fresh:
-            self._check_fresh(stamp)
+        self._desired.before(stamp)
         theta, rates, applied = joints
         command = self._controller.step(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
@@ -219,23 +188,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._sent = self._encoded(stamp, command)
         else:
             self._answer(stamp, command)
-        self._publish_accepted(stamp)
+        self._desired.after(stamp)
         self._report.note(command, joints.theta, contacts)
-        self._fresh.clear()
         self.diagnostics.latency(time.perf_counter() - began)
-
-    def _publish_accepted(self, stamp: int) -> None:
-        """Publish the pose that became the target at a tick [ns], if one did."""
-        pose = self._controller.accepted
-        if pose is not None:
-            assert isinstance(pose, _CommandedPose)
-            pose.message.header.stamp = stamp_from_ns(stamp)
-            self._accepted_publisher.publish(pose.message)
-
-    def _check_fresh(self, tick: int) -> None:
-        """Refuse poses of another clock that came when the time of the ticks was not known yet."""
-        for stamp in self._controller.forget_after(tick + DAY_NS):
-            self.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing.
@@ -266,8 +221,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _start_over(self) -> None:
         self._report.reset()
         self._begin()
-        for target, stamp in self._fresh:
-            self._controller.command(target, stamp)
+        self._desired.command_again()
 
     def _begin(self) -> None:
         """Publish at the next tick what stays in force when the stamps start over."""
@@ -284,7 +238,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.diagnostics.tick()
         if command.pose is not None:
             turn = quaternion_from_rotation(command.pose.orientation)
-            self._pose_publisher.publish(self._poses.encode(command.pose.position, turn, stamp))
+            self._pose_publisher.publish(
+                self._pose_codec.encode(command.pose.position, turn, stamp)
+            )
 
     def _encoded(self, stamp: int, command: Command) -> bytes:
         return self._commands.encode(stamp, self._limited(command.torque))

@@ -9,15 +9,10 @@ from support.plants import plant
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import (
-    MOST_CHECKED,
-    MOST_WAITING,
-    Controller,
-    ControllerConfig,
-    Mode,
-)
+from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_vector
 

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Desired poses that wait for their tick, and the one that is in force."""
+
+from __future__ import annotations
+
+import bisect
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.reach import check_reach
+from tactile_hand_ros.errors import PoseError
+from tactile_hand_ros.hand.hand import Hand
+
+Array = NDArray[np.float64]
+
+MOST_WAITING = 1000
+"""Desired poses that may wait for their tick."""
+
+MOST_CHECKED = 1
+"""Desired poses whose reach is checked when they come, in one tick; that of others is checked when
+they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
+
+
+class Grasp(NamedTuple):
+    """A grasp as it was last seen.
+
+    Attributes:
+        theta: Joint angles, shape (m,), rad.
+        contacts: Contacts by touch.
+        pose: Contact centroid and virtual frame.
+    """
+
+    theta: Array
+    contacts: Contacts
+    pose: AuxiliaryPose
+
+
+class _QueuedPose(NamedTuple):
+    """A desired pose that waits for its tick.
+
+    Attributes:
+        stamp: Tick from which it holds, ns; zero for the next.
+        target: The pose.
+        judged: Whether it is known to be in reach of the present grasp.
+    """
+
+    stamp: int
+    target: Target
+    judged: bool
+
+
+class TargetQueue:
+    """Keeps desired poses until they are due; the newest due one in reach becomes the target.
+
+    Attributes:
+        target: The desired pose in force; None before the first tick.
+        accepted: The desired pose that became the target in this tick; None if none did.
+        dropped: Desired poses that were forgotten because too many waited.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        """Judge by the reach of a hand."""
+        self._hand = hand
+        self.accepted: Target | None = None
+        self.dropped = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all poses."""
+        self.target: Target | None = None
+        self._queue: list[_QueuedPose] = []
+        self._in_reach: Target | None = None
+        self._checked = 0
+
+    def begin_tick(self) -> None:
+        """Take new poses again: a tick has time to check a few of them."""
+        self._checked = 0
+
+    def begin_grasp(self) -> None:
+        """Drop the target of the last grasp; poses that wait are judged by the new one."""
+        self.target = self._in_reach = None
+        self._queue = [queued._replace(judged=False) for queued in self._queue]
+
+    def command(self, target: Target, stamp: int, now: int | None, grasp: Grasp | None) -> None:
+        """Take a desired pose, and judge it now if there is a grasp and time for it.
+
+        Args:
+            target: Desired pose of the contact centroid's virtual frame, palm frame.
+            stamp: Tick in ns from which it holds; zero or a past one means now.
+            now: The last tick, ns; None before the first.
+            grasp: The grasp as it was last seen; None before the first.
+
+        Raises:
+            PoseError: If the grasp cannot be carried there.
+        """
+        is_judged = grasp is not None and self._checked < MOST_CHECKED
+        if grasp is not None and is_judged:
+            self._checked += 1
+            self._judge(target, grasp)
+        self.schedule(target, stamp, now, judged=is_judged)
+
+    def schedule(self, target: Target, stamp: int, now: int | None, *, judged: bool) -> None:
+        """Queue a desired pose as `command` does, without judging now whether it is in reach.
+
+        Args:
+            target: The pose.
+            stamp: Tick in ns from which it holds; zero or a past one means now.
+            now: The last tick, ns; None before the first.
+            judged: Whether it is known to be in reach; otherwise it is judged when it is due.
+        """
+        if stamp <= (now or 0):
+            stamp = 0
+        bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
+        if len(self._queue) > MOST_WAITING:
+            del self._queue[0]
+            self.dropped += 1
+
+    def forget_after(self, stamp: int) -> list[int]:
+        """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
+        first = bisect.bisect_right(self._queue, stamp, key=_due_at)
+        forgotten = [queued.stamp for queued in self._queue[first:]]
+        del self._queue[first:]
+        return forgotten
+
+    def take_due(self, stamp: int, grasp: Grasp) -> str:
+        """Make the newest due pose the target; return why it was refused, if it was.
+
+        Without a target the grasp stays where it was first seen. One tick has time to judge one
+        pose: when it is refused, older ones come with the next tick.
+
+        Args:
+            stamp: The tick, ns.
+            grasp: The grasp in this tick.
+        """
+        if self.target is None:
+            self.target = Target(grasp.pose.position, grasp.pose.orientation)
+        count = bisect.bisect_right(self._queue, stamp, key=_due_at)
+        if not count:
+            return ""
+        *older, newest = self._queue[:count]
+        later = self._queue[count:]
+        try:
+            if not newest.judged:
+                self._judge(newest.target, grasp)
+        except PoseError as error:
+            # Without their stamps, so that a pose that is commanded meanwhile comes after them.
+            self._queue = [queued._replace(stamp=0) for queued in older] + later
+            return str(error)
+        self.target = self.accepted = newest.target
+        self._queue = later
+        return ""
+
+    def _judge(self, target: Target, grasp: Grasp) -> None:
+        """Check the reach of a pose, unless it is the one that was last found to be in reach.
+
+        A rigid motion of the same grasp stays within reach. What was refused may not stay so: the
+        hand may have come nearer.
+        """
+        known = self._in_reach
+        if known is None or not all(map(np.array_equal, known, target)):
+            check_reach(self._hand, *grasp, target)
+            self._in_reach = target
+
+
+def _due_at(queued: _QueuedPose) -> int:
+    """Return the tick from which a waiting pose holds, ns."""
+    return queued.stamp
