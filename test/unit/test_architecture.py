@@ -20,6 +20,7 @@ BASE = {
     "",
     "cholesky",
     "command_line",
+    "command_options",
     "config",
     "errors",
     "extras",
@@ -33,6 +34,7 @@ RUNS = {"hand", "control", "closed_loop", "bag", "run"}
 LAYERS = {
     "errors": set(),
     "command_line": {"errors"},
+    "command_options": set(),
     "extras": {"errors"},
     "files": set(),
     "names": set(),

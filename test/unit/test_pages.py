@@ -146,6 +146,13 @@ def test_a_promise_that_is_not_kept_is_found() -> None:
     assert after.endswith("$ other\nstays\n```\n")
 
 
+@pytest.mark.parametrize("page", TEXTS, ids=lambda path: path.name)
+def test_the_files_that_a_page_names_exist(page: Path) -> None:
+    there = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py")]
+    for name in re.findall(r"`([\w/]+\.py)`", page.read_text("utf-8")):
+        assert any(path.endswith(f"/{name}") for path in there), name
+
+
 def commands() -> list[tuple[str, str]]:
     """Return each `tactile-hand ...` in the texts, with the page."""
     found = []
