@@ -42,12 +42,13 @@ def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = N
     """
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.run.run import Run
-    from tactile_hand_ros.verify import audit as a
+    from tactile_hand_ros.verify.audit import audit as audit_run
+    from tactile_hand_ros.verify.checks import COLUMNS, rows
     from tactile_hand_ros.verify.recompute import reason
 
     run = Run(bag, namespace=namespace)
-    checks = a.audit(run)
-    print_table(rich_table("audit", a.COLUMNS, a.rows(checks)))
+    checks = audit_run(run)
+    print_table(rich_table("audit", COLUMNS, rows(checks)))
     wrong = [check for check in checks if not check.ok]
     for check in wrong:
         print(

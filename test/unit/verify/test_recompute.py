@@ -33,7 +33,8 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.verify.audit import CONES, audit
+from tactile_hand_ros.verify.audit import audit
+from tactile_hand_ros.verify.audit_forces import CONES
 from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, recompute
 from tactile_hand_ros.verify.recorded_inputs import read_inputs
 
