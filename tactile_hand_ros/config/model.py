@@ -312,11 +312,21 @@ def explain(
     error: ValidationError, model: type[BaseModel], source: Source = ""
 ) -> ConfigurationError:
     """Turn pydantic's findings into one sentence each: place, what was given, what is allowed."""
-    findings = error.errors(include_url=False)
+    findings = _said_once(error.errors(include_url=False))
     places = [_place(finding["loc"]) for finding in findings]
     sources = [source if isinstance(source, str) else source(place) for place in places]
     lines = [_before(s) + _sentence(f, model) for s, f in zip(sources, findings, strict=True)]
     return ConfigurationError("\n".join(lines), source=sources[0], place=places[0])
+
+
+def _said_once(findings: Sequence[Any]) -> list[Any]:
+    """Leave out what is wrong in a section only because it repeats a value of the top."""
+    known = {(finding["loc"], repr(finding.get("input"))) for finding in findings}
+    return [
+        finding
+        for finding in findings
+        if len(finding["loc"]) < 2 or (finding["loc"][1:], repr(finding.get("input"))) not in known
+    ]
 
 
 def _before(source: str) -> str:

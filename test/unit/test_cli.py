@@ -238,9 +238,9 @@ def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'paper'" in refused(capsys, "show", "papr")
     assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
     assert "expected png, svg or pdf" in refused(capsys, "figures", run, "--format", "gif")
-    assert "no layout 'fist'" in refused(
-        capsys, "reproduce", "--layout=fist", "--jobs=1", f"--out={run / 'x'}"
-    )
+    out = f"--out={run / 'x'}"
+    assert "no layout 'fist'" in refused(capsys, "reproduce", "--layout=fist", out)
+    assert "--duration: duration is nan" in refused(capsys, "reproduce", "--duration=nan", out)
 
 
 def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -162,6 +163,12 @@ class Cluster:
         )
         if "scheduler_file" in place and not Path(self.address).is_file():
             raise StudyError(f"there is no scheduler file {self.address}; start dask-scheduler.")
+        if "address" in place and not re.search(r":\d+$", self.address):
+            # A client that was made in vain says so at its end, in a traceback.
+            raise StudyError(
+                f"--cluster is '{self.address}', expected an address with its port, as "
+                "tcp://127.0.0.1:8786, or a scheduler file."
+            )
         try:
             self._client = distributed.Client(**place, timeout=self.timeout, set_as_default=False)
             self._client.wait_for_workers(1, timeout=self.timeout)

@@ -74,13 +74,23 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Expe
         layout: Layout of the hand's fingers.
         duration: Simulated time in s instead of the scenario's.
     """
+    scenario = scenario_of(key, layout, duration)
+    record = ClosedLoop(scenario).run()
+    return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
+
+
+def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
+    """Return the scenario of an experiment; arguments as for `run_experiment`.
+
+    Raises:
+        ConfigurationError: If a layout or duration cannot be used.
+    """
     experiment = EXPERIMENTS[key]
     changes = {"layout": layout, **experiment.changes}
     if duration is not None:
         changes["duration"] = duration
-    scenario = load_scenario(experiment.scenario, changes)
-    record = ClosedLoop(scenario).run()
-    return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
+    options = {"layout": "--layout", "duration": "--duration"}
+    return load_scenario(experiment.scenario, changes, options)
 
 
 def study_of(

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
@@ -19,7 +20,12 @@ from tactile_hand_ros.studies.engine.runner import carry_out
 from tactile_hand_ros.studies.engine.study import Result, results_of
 from tactile_hand_ros.studies.paper import tables
 from tactile_hand_ros.studies.paper.claims import Claim, LawResult, compare_laws, judge
-from tactile_hand_ros.studies.paper.experiments import EXPERIMENTS, ExperimentResult, study_of
+from tactile_hand_ros.studies.paper.experiments import (
+    EXPERIMENTS,
+    ExperimentResult,
+    scenario_of,
+    study_of,
+)
 
 Outcomes = Mapping[str, ExperimentResult]
 
@@ -69,6 +75,8 @@ def reproduce(
             progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
         return [_judged(layout, outcomes) for layout, outcomes in found.items()]
 
+    for layout in layouts:  # before any process starts
+        check_scenario(scenario_of("optimal", layout, duration))
     made: list[Reproduction] = carry_out(study_of(layouts, duration, reduce), backend)
     return made
 

@@ -197,6 +197,13 @@ def test_a_mistake_is_refused_with_its_place(tmp_path, text, message):
         load(tmp_path, text)
 
 
+@pytest.mark.parametrize("text", ["duration: .nan", "gravity: [0, .inf, 0]", "seed: -1"])
+def test_a_value_that_many_nodes_share_is_refused_once(tmp_path, text):
+    with pytest.raises(ConfigurationError) as refused:
+        load(tmp_path, text)
+    assert len(str(refused.value).splitlines()) == 1
+
+
 def test_an_unknown_scenario_names_the_known_ones(tmp_path):
     with pytest.raises(ConfigurationError, match=r"'papper', did you mean 'paper'.*waypoints"):
         load_scenario("papper")

@@ -259,6 +259,8 @@ def test_no_scheduler_is_said_in_a_sentence(tmp_path: Path) -> None:
         Cluster("tcp://127.0.0.1:9", timeout=0.5)
     with pytest.raises(StudyError, match="no scheduler file"):
         Cluster(str(tmp_path / "none.json"))
+    with pytest.raises(StudyError, match="'nowhere', expected an address with its port"):
+        Cluster("nowhere")
     (tmp_path / "bad.json").write_text(json.dumps({"address": "tcp://127.0.0.1:9"}))
     with pytest.raises(StudyError, match="no Dask scheduler answers"):
         Cluster(str(tmp_path / "bad.json"), timeout=0.5)
