@@ -93,19 +93,50 @@ class Reference:
     def solve_rates(self, y: Array, torque: Array, wrench: Array) -> tuple[Array, Array]:
         """Return y' and the contact forces on the object, shape (k, 3), palm axes."""
         s, w, m, k = self.unpack(y), self.world, self.m, self.world.k
+        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
+        hand, solid, bias = self._contact_rows(s, rotation)
+        inertia = rotation @ w.inertia @ rotation.T
+        mass = np.triu(self.data.M) + np.triu(self.data.M, 1).T
+        force_o = np.concatenate([w.mass * w.gravity, -np.cross(s.spin, inertia @ s.spin)]) + wrench
+        # M_h th'' + J_h^T f = tau - ..., M_o x'' - G f = w_e
+        n = m + 6
+        lhs = np.zeros((n + 3 * k, n + 3 * k))
+        lhs[:m, :m] = mass
+        lhs[m : m + 3, m : m + 3] = w.mass * np.eye(3)
+        lhs[m + 3 : n, m + 3 : n] = inertia
+        constraint = np.hstack([hand, -solid])
+        lhs[n:, :n], lhs[:n, n:] = constraint, constraint.T
+        rhs = np.concatenate([torque - self.data.nle, force_o, -bias])
+        solution = np.linalg.solve(lhs, rhs)
+        turn = _quaternion_rate(s.spin, s.quaternion)
+        y_dot = np.concatenate(
+            [s.rates, solution[:m], s.velocity, turn, solution[m : m + 3], solution[m + 3 : n]]
+        )
+        return y_dot, solution[n:].reshape(k, 3)
+
+    def _contact_rows(self, s: State, rotation: Array) -> tuple[Array, Array, Array]:
+        """Return what the contacts say of the hand's and the object's accelerations.
+
+        Args:
+            s: Joints and object.
+            rotation: Orientation of the object, shape (3, 3).
+
+        Returns:
+            Factors of the joint accelerations, shape (3k, m), of the object's, shape (3k, 6), and
+            the rest, shape (3k,), m/s^2.
+        """
+        w, m, k = self.world, self.m, self.world.k
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
         pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
         pin.computeJointJacobians(self.model, self.data, s.theta)
         pin.updateFramePlacements(self.model, self.data)
-        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
         hand, solid, bias = np.zeros((3 * k, m)), np.zeros((3 * k, 6)), np.zeros(3 * k)
+        axes = pin.LOCAL_WORLD_ALIGNED
         for i, frame in enumerate(self.frames):
-            jac = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
-            acc = pin.getFrameClassicalAcceleration(
-                self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED
-            )
-            vel = pin.getFrameVelocity(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            jac = pin.getFrameJacobian(self.model, self.data, frame, axes)
+            acc = pin.getFrameClassicalAcceleration(self.model, self.data, frame, axes)
+            vel = pin.getFrameVelocity(self.model, self.data, frame, axes)
             p_f = self.data.oMf[frame].translation
             rho = -w.radii[i] * (rotation @ w.faces[i])
             d = p_f + rho - s.position
@@ -119,37 +150,7 @@ class Reference:
                 + np.cross(vel.angular, rho_dot)
                 - np.cross(s.spin, vel.linear + rho_dot - s.velocity)
             )
-        inertia = rotation @ w.inertia @ rotation.T
-        mass = np.triu(self.data.M) + np.triu(self.data.M, 1).T
-        force_o = np.concatenate([w.mass * w.gravity, -np.cross(s.spin, inertia @ s.spin)]) + wrench
-        n = m + 6
-        lhs = np.zeros((n + 3 * k, n + 3 * k))
-        lhs[:m, :m], lhs[m : m + 3, m : m + 3], lhs[m + 3 : n, m + 3 : n] = (
-            mass,
-            w.mass * np.eye(3),
-            inertia,
-        )
-        constraint = np.hstack([hand, -solid])
-        lhs[n:, :n], lhs[:n, n:] = (
-            constraint,
-            constraint.T,
-        )  # M_h th'' + J_h^T f = tau - ..., M_o x'' - G f = w_e
-        rhs = np.concatenate([torque - self.data.nle, force_o, -bias])
-        solution = np.linalg.solve(lhs, rhs)
-        ax, ay, az = s.spin
-        qx, qy, qz, qw = s.quaternion
-        q_dot = 0.5 * np.array(
-            [
-                ax * qw + ay * qz - az * qy,
-                ay * qw + az * qx - ax * qz,
-                az * qw + ax * qy - ay * qx,
-                -ax * qx - ay * qy - az * qz,
-            ]
-        )
-        y_dot = np.concatenate(
-            [s.rates, solution[:m], s.velocity, q_dot, solution[m : m + 3], solution[m + 3 : n]]
-        )
-        return y_dot, solution[n:].reshape(k, 3)
+        return hand, solid, bias
 
     def contacts(self, y: Array) -> Array:
         """Return the contact points, shape (k, 3), palm frame."""
@@ -192,3 +193,17 @@ class Reference:
 
             y = solve_ivp(rate, (t, t_next), y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
         return np.array(states), np.array(forces)
+
+
+def _quaternion_rate(spin: Array, quaternion: Array) -> Array:
+    """Return the derivative of a quaternion (x, y, z, w) under a spin in fixed axes, rad/s."""
+    ax, ay, az = spin
+    qx, qy, qz, qw = quaternion
+    return 0.5 * np.array(
+        [
+            ax * qw + ay * qz - az * qy,
+            ay * qw + az * qx - ax * qz,
+            az * qw + ax * qy - ay * qx,
+            -ax * qx - ay * qy - az * qz,
+        ]
+    )
