@@ -4,7 +4,7 @@
 All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand. That includes the
 clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
 domain have two times, and two senders on `/clock` would make time jump to and fro.
-Remap `clock:=/clock` on the one plant whose time shall rule.
+Remap `clock:=/clock` on the one plant whose time counts.
 
 Two topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
 the tick as stamp, since ROS has no message for numbers by finger:

@@ -219,7 +219,7 @@ def continue_bag(folder: Path) -> RecoveredBag | None:
         None if there is nothing to continue: no folder, or one that holds something else.
 
     Raises:
-        BagError: If the bag is still being recorded, or somebody else's.
+        BagError: If the bag is still being recorded, or was recorded by other software.
     """
     if not folder.is_dir() or (folder / FILE_NAME).exists() or not any(folder.glob("*.mcap")):
         return None

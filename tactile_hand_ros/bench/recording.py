@@ -88,7 +88,7 @@ def _record(count: int) -> tuple[float, int, float]:
 
 
 def talk(topics: int, rate: float, count: int) -> None:
-    """Publish joint states on some topics at a rate for all of them, once somebody listens."""
+    """Publish joint states on some topics at a rate for all of them, once there is a subscriber."""
     use_sockets()
     context = rclpy.Context()
     rclpy.init(context=context)

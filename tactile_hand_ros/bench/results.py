@@ -50,7 +50,7 @@ class Result:
         count: Number of samples.
         median: Median.
         p99: 99th percentile.
-        p999: 99.9th percentile; of fewer than a thousand samples hardly more than the largest.
+        p999: 99.9th percentile; of fewer than a thousand samples little more than the largest.
         largest: Largest sample.
         goals: What is asked of it.
         beside: Name of what was measured beside it, in the same run and turn by turn.

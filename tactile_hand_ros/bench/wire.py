@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The limit that the wire sets: the graph of a run with nothing in it but its messages.
 
-The same processes, topics, readers and loop as in a run, but each node only counts what it hears
+The same processes, topics, readers and loop as in a run, but each node only counts what it receives
 and sends bytes on as soon as it has heard all of a tick: no numbers, no parameters, no diagnostics.
 
 ``python -m tactile_hand_ros.bench.wire ROLES READERS TICKS`` is one process of it, with one or
@@ -65,7 +65,7 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
     Args:
         processes: Roles of each process, joined by commas.
         ticks: How many are counted.
-        recorded: Whether the recorder hears everything too.
+        recorded: Whether the recorder receives everything too.
     """
     with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if recorded:
@@ -83,14 +83,14 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
 
 
 class Role:
-    """A node that sends on what it hears; the plant begins, and begins again."""
+    """A node that passes on what it receives; the plant begins, and begins again."""
 
     def __init__(self, name: str, wiring: Sequence[Link], recorders: int, ticks: int) -> None:
         """Create publishers and subscriptions.
 
         Args:
             name: A node of the run.
-            wiring: Who hears whom.
+            wiring: Who receives what from whom.
             recorders: How many more hear everything.
             ticks: How many are counted.
         """
@@ -130,7 +130,7 @@ class Role:
         (tick,) = _COUNT.unpack_from(data, 4)
         if tick < self._tick:
             if tick == self._tick - 1 and topic == self._first and not self._leads:
-                self._send(tick)  # somebody has not heard it
+                self._send(tick)  # a node has not received it
             return
         heard = self._open.setdefault(tick, set())
         heard.add(topic)

@@ -65,7 +65,7 @@ class LawConfig(Config):
 
 
 class Target(NamedTuple):
-    """Where the hand shall bring the grasp: p_d and R_pod in the palm frame."""
+    """Where the hand is to bring the grasp: p_d and R_pod in the palm frame."""
 
     position: Array
     orientation: Array

@@ -23,7 +23,7 @@ def claim(domain: int, namespace: str) -> socket.socket:
         namespace: Namespace of the run.
 
     Returns:
-        The socket; it is the claim as long as somebody holds it.
+        The socket; it is the claim as long as a process holds it.
 
     Raises:
         ClaimedError: If another run holds it.

@@ -32,7 +32,7 @@ def marked(mark: str) -> Iterator[int]:
         try:
             with open(f"/proc/{entry}/environ", "rb") as file:
                 environment = file.read()
-        except OSError:  # gone, or somebody else's
+        except OSError:  # gone, or another user's
             continue
         if wanted in environment.split(b"\0"):
             yield int(entry)

@@ -43,7 +43,7 @@ class Look:
 
 
 class Monitor:
-    """Subscriptions that hold one message each and decode it only when somebody looks.
+    """Subscriptions that hold one message each and decode it only on demand.
 
     A subscription to a topic of the tick costs its publisher a packet a tick: a tenth of what a
     tick takes in one process. So there is none, and all that is known is what the nodes say of

@@ -168,7 +168,7 @@ def scenario_text(run: Run) -> str:
 
 
 def notes(run: Run) -> list[str]:
-    """Return what a reader must know before he trusts the page."""
+    """Return what a reader must know before trusting the page."""
     found = []
     if run.scenario_problem:
         found.append(

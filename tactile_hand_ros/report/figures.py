@@ -112,7 +112,7 @@ def friction_figure(records: Mapping[str, Record]) -> Figure:
     """Draw Fig. 4: the friction coefficient that each contact needs, for one or more runs.
 
     Args:
-        records: Runs by what shall stand in the legend; the first is drawn strongest.
+        records: Runs by their name in the legend; the first is drawn strongest.
     """
     first = next(iter(records.values()))
     with look():

@@ -43,7 +43,7 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     except ConfigurationError:  # what needs the configuration will say so
         return {}
     chosen = [environment[name] for name in _PROFILES if name in environment]
-    # Ours, in force already, unless somebody has narrowed the range since.
+    # Ours, in force already, unless the user has narrowed the range since.
     if chosen and (Path(chosen[0]).parent != folder or reach != "LOCALHOST"):
         return {}
     if reach == "OFF":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long the hand needs after a disturbance until the object is back where it shall be."""
+"""How long the hand needs after a disturbance until the object is back at its target."""
 
 from __future__ import annotations
 

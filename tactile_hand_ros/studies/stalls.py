@@ -117,7 +117,7 @@ class Watch:
         self.is_dropped = False
 
     def run(self, seconds: float, *, answers: bool, delay: int = 0, moves: bool = False) -> None:
-        """Run on; where the object shall move, what it moves does not count."""
+        """Run on; a commanded move of the object does not count."""
         for _ in range(max(1, round(seconds * self._guarded.rate))):
             try:
                 self._guarded.tick(answers=answers, delay=delay)

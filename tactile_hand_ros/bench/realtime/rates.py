@@ -54,7 +54,7 @@ def parse_rates(text: str) -> list[float]:
 
 
 def is_sustained(run: RealtimeRun) -> bool:
-    """Return whether hardly any deadline was missed, or hardly more than by a bare loop."""
+    """Return whether few deadlines were missed, or few more than by a bare loop."""
     bare = run.bare.missed if run.bare else 0.0
     return run.missed <= max(MISSED, _BARE_FACTOR * bare)
 

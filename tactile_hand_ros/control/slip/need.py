@@ -102,7 +102,7 @@ class Need:
             friction: mu of each contact as learned, shape (k,).
             dt: Time since the last tick, s.
             margin: Share by which mu may be smaller than learned; for the loads that are felt, not
-                for those of the reserve: both hardly come at once.
+                for those of the reserve: both rarely come at once.
 
         Returns:
             The first is infinite when no squeeze of the present shape can hold. The second is the

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manipulation controller: joint torques that hold the object and bring it where it shall be.
+"""The manipulation controller: joint torques that hold and move the object.
 
 Safe state: posture and last good squeeze are held when a contact, f*, k_f or, where the load is
 observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,

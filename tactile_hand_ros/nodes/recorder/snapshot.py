@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last seconds of a graph, kept in memory until somebody wants them on disk."""
+"""The last seconds of a graph, kept in memory until a service call writes them."""
 
 from __future__ import annotations
 

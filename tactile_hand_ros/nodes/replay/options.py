@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay is told, and what it tells."""
+"""The options of a replay, and its progress."""
 
 from __future__ import annotations
 

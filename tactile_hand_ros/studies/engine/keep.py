@@ -19,7 +19,7 @@ from tactile_hand_ros.studies.statistics import share_of
 
 REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
 OUTCOMES = (REACHED, MISSED, LOST, FAILED)
-"""Of a run: the goal was reached; the object is held, but not where it shall be, or it has slid too
+"""Of a run: the goal was reached; the object is held, but not at its target, or it has slid too
 far; a contact is missing at the end; it raised an error."""
 
 LAST_COLUMNS = {"outcome": str, "reason": str, "build": str}

@@ -2,7 +2,7 @@
 """The cases of the slip study: what is varied, and the scenario that follows from it.
 
 Every run starts where the hand stands once it knows the object: with the friction as the estimate
-and the squeeze that this takes. After a while the surface turns slippery, or somebody pulls.
+and the squeeze that this takes. After a while the surface turns slippery, or the object is pulled.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class SlipCase:
         latency: Age of a tactile sample, s.
         rate: Samples per second, Hz.
         load: Least squeeze after the event against that before it.
-        pull: Direction in which somebody pulls.
+        pull: Direction of the pull.
     """
 
     index: int
