@@ -316,9 +316,8 @@ class Controller:
         """Return the pose on the way to the target that the law aims at in this tick."""
         assert self.target is not None
         self._law.acts = not self.joints_held
-        if self.joints_held:
-            self._reference.reset()
-        return self._reference.step(self.target, pose, self.config.reference_time, dt)
+        passed = 0.0 if self.joints_held else dt  # a reference that waits goes on where it was
+        return self._reference.step(self.target, pose, self.config.reference_time, passed)
 
     def _drive(self, parts: LawTorque, total: Array, theta: Array, grasp_force: float) -> Array:
         """Return what the joints can bear of the law's torques; remember it for a later hold."""
