@@ -16,7 +16,12 @@ from typing import Any
 from tactile_hand_ros.errors import TactileHandError, nearest
 
 EXIT_REFUSED = 2
-EXIT_INTERRUPTED = 130
+_ENDS = {
+    signal.SIGINT: signal.default_int_handler,
+    signal.SIGTERM: signal.SIG_DFL,
+    signal.SIGHUP: signal.SIG_DFL,
+}
+"""Signals that end a command, and what is done about each where nothing else was chosen."""
 
 _ADVICE = {
     errno.ENOSPC: "; free some space or write elsewhere",
@@ -36,22 +41,24 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
 
     Returns:
         0 after success, 2 with one sentence on stderr when something was refused or could not be
-        read or written, 130 after Ctrl-C.
+        read or written, 128 and the number of the signal when a signal ended it, such as 130 after
+        Ctrl-C.
     """
     if sys.stdout is None:
         say(program, "the standard output is closed; redirect it to a file or to /dev/null.")
         return EXIT_REFUSED
     _print_any_character()
     try:
-        with _interruptible():
+        with _ended_by_signals():
             code = command()
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has left
         _drop_output()
         return 0
-    except (_CtrlC, KeyboardInterrupt):
-        say(program, "interrupted.")
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt:
+        return _ended(program, signal.SIGINT)
+    except _Signalled as end:
+        return _ended(program, end.number)
     except Exception as error:
         sentence, code = _explained(error)
         if not sentence and code is None:
@@ -61,26 +68,41 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
     return code if isinstance(code, int) else 0
 
 
-class _CtrlC(BaseException):
-    """What a Ctrl-C raises: Typer would turn a KeyboardInterrupt into a silent exit code."""
+class _Signalled(BaseException):
+    """What a signal raises: Typer would turn a KeyboardInterrupt into a silent exit code."""
+
+    def __init__(self, number: signal.Signals) -> None:
+        """Remember which it was."""
+        super().__init__(number)
+        self.number = number
+
+
+def _ended(program: str, number: signal.Signals) -> int:
+    """Say which signal ended a command; return the code that a shell expects."""
+    is_ctrl_c = number == signal.SIGINT
+    say(program, "interrupted." if is_ctrl_c else f"ended by {number.name}.")
+    return 128 + number
 
 
 @contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let Ctrl-C raise `_CtrlC`, where nothing else is done about it."""
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-    signal.signal(signal.SIGINT, _raise_ctrl_c)
+def _ended_by_signals() -> Iterator[None]:
+    """Let signals raise `_Signalled`, where nothing else is done about them.
+
+    So that a command ends what it has started: processes, bars, drafts of files.
+    """
+    mine = [number for number, usual in _ENDS.items() if signal.getsignal(number) is usual]
+    for number in mine:
+        signal.signal(number, _raise)
     try:
         yield
     finally:
-        if signal.getsignal(signal.SIGINT) is _raise_ctrl_c:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in mine:
+            if signal.getsignal(number) is _raise:
+                signal.signal(number, _ENDS[number])
 
 
-def _raise_ctrl_c(number: int, frame: FrameType | None) -> None:
-    raise _CtrlC
+def _raise(number: int, frame: FrameType | None) -> None:
+    raise _Signalled(signal.Signals(number))
 
 
 class LastingOutput(io.TextIOBase):

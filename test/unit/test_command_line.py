@@ -95,17 +95,36 @@ def test_a_wrong_option_has_the_code_of_its_error(
     assert capsys.readouterr().err == sentence
 
 
-def test_ctrl_c_is_handled_while_a_command_runs_and_only_then() -> None:
-    before = signal.getsignal(signal.SIGINT)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+@pytest.mark.parametrize(
+    ("number", "usual", "sentence"),
+    [
+        (signal.SIGINT, signal.default_int_handler, "program: interrupted.\n"),
+        (signal.SIGTERM, signal.SIG_DFL, "program: ended by SIGTERM.\n"),
+        (signal.SIGHUP, signal.SIG_DFL, "program: ended by SIGHUP.\n"),
+    ],
+)
+def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
+    number: signal.Signals, usual: Any, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    was_ended = []
+
+    def command() -> None:
+        try:
+            signal.raise_signal(number)
+        finally:
+            was_ended.append(True)
+
+    before = signal.getsignal(number)
+    signal.signal(number, usual)
     try:
-        assert run_command("program", lambda: signal.raise_signal(signal.SIGINT)) == 130
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        assert run_command("program", lambda: signal.raise_signal(signal.SIGINT)) == 0
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        assert run_command("program", command) == 128 + number
+        assert was_ended and capsys.readouterr().err == sentence
+        assert signal.getsignal(number) is usual
+        signal.signal(number, signal.SIG_IGN)
+        assert run_command("program", lambda: signal.raise_signal(number)) == 0
+        assert signal.getsignal(number) is signal.SIG_IGN
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
 
 
 @pytest.mark.parametrize(
