@@ -16,7 +16,7 @@ from typing import Any
 from tactile_hand_ros.errors import TactileHandError, nearest
 
 EXIT_REFUSED = 2
-_ENDS = {
+_ENDS: dict[signal.Signals, Any] = {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGTERM: signal.SIG_DFL,
     signal.SIGHUP: signal.SIG_DFL,

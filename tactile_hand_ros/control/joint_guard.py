@@ -61,7 +61,7 @@ class GuardConfig(Config):
         0.02, "time in which commands take over from a hold", unit="s", gt=0.0, le=10.0
     )
     patience: float = param(
-        0.25,
+        0.05,
         "longest time for which commands must be good to take over, when holds follow each other",
         unit="s",
         ge=0.0,

@@ -650,6 +650,22 @@ def test_while_the_joints_are_held_nothing_winds_up(wound_up):
     assert np.abs(free[-1] - held).max() > 0.002
 
 
+def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
+    """Many short holds would otherwise take its lead against a load each time."""
+
+    def torques(held_ticks):
+        bench = Bench(reference_time=0.1)
+        bench.controller.command(bench.target(0.05, -0.02, 0.01))
+        before = [bench.step().torque for _ in range(20)]
+        bench.controller.joints_held = True
+        for _ in range(held_ticks):
+            bench.step()
+        bench.controller.joints_held = False
+        return np.array(before + [bench.step().torque for _ in range(20)])
+
+    np.testing.assert_array_equal(torques(held_ticks=50), torques(held_ticks=0))
+
+
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     bench = Bench()
     bench.step()
