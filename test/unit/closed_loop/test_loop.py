@@ -64,10 +64,12 @@ def test_the_record_is_complete_and_consistent():
 
 
 def test_a_target_is_recorded_from_the_tick_it_holds():
-    targets = [{"time": 0.05, "position": [0.0, 0.05, 0.41]}]
+    first, second = [0.0, 0.05, 0.41], [0.0, 0.06, 0.41]
+    targets = [{"time": 0.05, "position": first}, {"time": 0.08, "position": second}]
     record = run(ticks=50, changes={"targets": targets})
     assert np.isnan(record.desired_position[:25]).all()
-    np.testing.assert_array_equal(record.desired_position[25:], [[0.0, 0.05, 0.41]] * 25)
+    np.testing.assert_array_equal(record.desired_position[25:40], [first] * 15)
+    np.testing.assert_array_equal(record.desired_position[40:], [second] * 10)
     still = np.abs(record.object_position[:26] - record.object_position[0]).max()
     assert still < 1e-6 < np.abs(record.object_position[-1] - record.object_position[0]).max()
 
@@ -160,10 +162,11 @@ def test_what_is_true_of_a_finger_in_the_air_is_nan_without_force():
     assert not reading.forces.any() and np.isfinite(reading.positions[2]).all()
 
 
-def test_progress_of_a_long_run_is_told_a_hundred_times():
+@pytest.mark.parametrize(("ticks", "every"), [(199, 1), (300, 3)])
+def test_progress_of_a_long_run_is_told_about_a_hundred_times(ticks, every):
     told = []
-    ClosedLoop(load_scenario("paper", {"targets": []})).run(250, told.append)
-    assert told == list(range(2, 251, 2))
+    ClosedLoop(load_scenario("paper", {"targets": []})).run(ticks, told.append)
+    assert told == list(range(every, ticks + 1, every))
 
 
 def test_the_user_s_squeezes_are_taken_in_order_of_time_at_their_tick():

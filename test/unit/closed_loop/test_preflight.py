@@ -117,3 +117,38 @@ def test_a_hand_with_too_few_joints_is_refused(tmp_path):
             plant__object__position=centre.tolist(),
             targets=[],
         )
+
+
+OWN = """
+from tactile_hand_ros.control.laws import OptimalLaw
+from tactile_hand_ros.errors import GraspError
+
+class MyLaw(OptimalLaw):
+    def drive(self, wrench):
+        {body}
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "error", "message"),
+    [
+        ("raise GraspError('not with this grasp')", GraspError, "^not with this grasp$"),
+        ("return wrench", ConfigurationError, r"from drive\(wrench\); expected an array of 9 fin"),
+        ("return list(super().drive(wrench))", ConfigurationError, "expected an array of 9"),
+        ("return super().drive(wrench) / (wrench[5] - wrench[0])", ConfigurationError, "finite"),
+    ],
+)
+def test_a_law_of_the_user_s_own_is_asked_for_its_drive_too(tmp_path, body, error, message):
+    (tmp_path / "driving_law.py").write_text(OWN.format(body=body))
+    (tmp_path / "mine.yaml").write_text("extends: paper\nlaw: driving_law:MyLaw\n")
+    with np.errstate(all="ignore"), pytest.raises(error, match=message):
+        check_scenario(load_scenario(str(tmp_path / "mine.yaml")))
+
+
+def test_all_targets_are_checked_and_the_first_finger_in_the_air_is_named():
+    near, far = ([0.0, 0.05, 0.41], [0.0, 0.0, 3.0])
+    with pytest.raises(PoseError, match=r"\(0.000, 0.000, 3.000\) m is out of reach"):
+        check(targets=[{"position": near}, {"time": 1.0, "position": far}])
+    check(targets=[{"position": near}, {"time": 1.0, "position": near}])
+    with pytest.raises(GraspError, match=r"finger_3 starts 10.2 mm away"):
+        check(plant__object__size=[0.2604, 0.24, 0.2604])

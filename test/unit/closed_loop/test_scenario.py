@@ -12,11 +12,13 @@ from tactile_hand_ros.closed_loop.scenario import (
     Scenario,
     changed,
     load_scenario,
+    object_config,
     resolved,
 )
 from tactile_hand_ros.closed_loop.scenario_file import find_scenario
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.simulation.plant_config import PlantConfig
@@ -176,6 +178,7 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),
         ("plant: {hand: other}", r"set 'hand' once at the top, not in 'plant'"),
         ("plant: 3", r"plant is 3, expected a mapping"),
+        ("plant: 3\ntactile_sensor: {seed: 2}", r"set 'seed' once at the top, not in 'tactile"),
         ("[1, 2]", r"holds list; expected a mapping"),
         ("duration: 0", r"duration is 0, expected.*> 0"),
         ("a: 1\na: 2", r"the key 'a' appears twice"),
@@ -353,3 +356,46 @@ def test_a_hold_that_may_squeeze_harder_than_the_regulator_is_refused():
     changes = {"plant.guard.hold.squeeze_limit": 16.0}
     with pytest.raises(ConfigurationError, match=r"squeeze_limit = 16 N is above .* = 15 N; lower"):
         load_scenario("crush_limit", changes)
+
+
+def test_the_controller_believes_squeezes_up_to_the_limit_of_the_regulator():
+    def limit_of(scenario: Scenario) -> float:
+        return scenario.manipulation_controller.grasp_force_limit
+
+    assert limit_of(load_scenario("paper")) == limit_of(Scenario()) == 40.0
+    assert limit_of(load_scenario("crush_limit")) == 15.0
+    raised = load_scenario("crush_limit").changed({"slip_regulator.maximum": 20.0})
+    assert limit_of(raised) == 20.0
+    own = load_scenario("paper", {"manipulation_controller.grasp_force_limit": 12.0})
+    assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
+
+
+def test_by_default_any_slip_counts_as_having_reached_the_goal():
+    assert Scenario().goal.slip_distance == 1.0
+
+
+def test_stamps_are_whole_nanoseconds():
+    target = {"time": 0.0123456789, "position": [0.0, 0.0, 0.4]}
+    changes = {"targets": [target], "user_forces": [{"time": 1.1, "force": 5.0}]}
+    scenario = Scenario().changed(changes)
+    assert (scenario.targets[0].stamp, scenario.user_forces[0].stamp) == (12345679, 1_100_000_000)
+
+
+def test_a_law_that_is_named_by_a_change_is_imported(tmp_path, monkeypatch):
+    (tmp_path / "changed_law.py").write_text(
+        "from tactile_hand_ros.control.laws import ContactLaw as MyLaw"
+    )
+    monkeypatch.chdir(tmp_path)
+    scenario = load_scenario("paper").changed({"law": "changed_law:MyLaw"})
+    assert scenario.manipulation_controller.law.folder == str(tmp_path)
+    assert law_of(scenario.manipulation_controller.law).__name__ == "ContactLaw"
+
+
+def test_a_hand_below_the_home_directory_is_left_to_be_found_there(tmp_path):
+    assert load(tmp_path, "extends: paper\nhand: ~/own.yaml").hand == "~/own.yaml"
+
+
+def test_an_object_alone_is_read_and_checked():
+    assert object_config({"mass": 0.5}, "here").mass == 0.5
+    with pytest.raises(ConfigurationError, match="^here: mass is -1"):
+        object_config({"mass": -1.0}, "here")

@@ -56,6 +56,7 @@ def test_palm_x_takes_over_where_the_projection_is_shorter_than_a_thousandth(up,
 
     np.testing.assert_allclose(t_z(1.01e-3), [*(-up * level), 0.0], atol=2e-3)
     np.testing.assert_allclose(t_z(0.99e-3), [1.0, 0.0, 0.0], atol=2e-3)
+    assert np.linalg.norm(t_z(0.99e-3)) == pytest.approx(1.0, abs=1e-12)
 
 
 def frames(normals):
@@ -127,3 +128,14 @@ def test_forces_are_turned_into_palm_axes() -> None:
     forces = np.random.default_rng(6).normal(size=(3, 3))
     expected = [2.0 * frame @ force for frame, force in zip(frames, forces, strict=True)]
     np.testing.assert_allclose(in_palm(frames, forces, 2.0), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(12))
+def test_each_number_of_a_contact_must_be_finite(place, value):
+    positions, rotations = np.eye(3), frames(-np.eye(3))
+    target = positions[1] if place < 3 else rotations[1].reshape(9)
+    target[place if place < 3 else place - 3] = value
+    contacts = Contacts(positions, rotations)
+    np.testing.assert_array_equal(contacts.touching, [True, False, True])
+    assert not contacts.all_touching and Contacts(np.eye(3), frames(np.eye(3))).all_touching

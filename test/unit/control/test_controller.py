@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
+from support.controllers import REST, TICK, Bench
 from support.grasps import moved
-from support.plants import plant
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
@@ -14,10 +14,7 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
-from tactile_hand_ros.rotations import rotation_from_vector
 
-TICK = 2_000_000
-REST = np.zeros(9)
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 EVERYTHING = {
     "law__integral__k_p": 20.0,
@@ -26,58 +23,6 @@ EVERYTHING = {
     "midpoint_hold": True,
     "reference_time": 0.05,
 }
-
-
-class Bench:
-    """A controller that sees the paper's grasp at rest."""
-
-    def __init__(self, **values):
-        state = plant().state
-        changes = {name.replace("__", "."): value for name, value in values.items()}
-        # Contacts of these tests move without the joints.
-        self.controller = Controller(
-            ControllerConfig().changed({"touch_tolerance": 10.0, **changes})
-        )
-        self.theta, self.contacts, self.rates = state.theta, state.contacts, REST
-        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
-        self.grasp_force, self.stamp = 10.0, 0
-
-    def step(self, ticks=1, **given):
-        """Answer the next ticks; return the last command."""
-        for _ in range(ticks):
-            seen = {
-                "theta": self.theta,
-                "rates": self.rates,
-                "contacts": self.contacts,
-                "optimal_forces": self.optimal,
-                "grasp_force": self.grasp_force,
-                **given,
-            }
-            command = self.controller.step(self.stamp, **seen)
-            self.stamp += TICK
-        return command
-
-    def without_finger(self, finger):
-        positions = self.contacts.positions.copy()
-        rotations = self.contacts.rotations.copy()
-        positions[finger] = rotations[finger] = np.nan
-        return Contacts(positions, rotations)
-
-    def elsewhere(self, *shift, turn=(0.0, 0.0, 0.0)):
-        """Return the contacts after a motion of the grasp about its centroid."""
-        rotation = rotation_from_vector(turn)
-        return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
-
-    def stiffness(self, theta):
-        """Return that of the safe hold, shape (9, 9), N m/rad."""
-        return 40.0**2 * self.controller.hand.dynamics(theta, REST)[1]
-
-    @property
-    def centroid(self):
-        return self.contacts.centroid
-
-    def target(self, *shift, turn=(0.0, 0.0, 0.0)):
-        return Target(self.centroid + np.array(shift), rotation_from_vector(turn))
 
 
 @pytest.fixture
@@ -700,7 +645,10 @@ def test_a_controller_that_has_squeezed_keeps_its_own_squeeze(bench):
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-12)
 
 
-@pytest.mark.parametrize("applied", [None, np.zeros(9), np.full(9, np.nan)])
+ONE_LOST = np.where(np.arange(9) == 4, np.nan, 0.3)
+
+
+@pytest.mark.parametrize("applied", [None, np.zeros(9), np.full(9, np.nan), ONE_LOST])
 def test_where_no_torque_is_known_a_new_controller_only_keeps_the_posture(bench, applied):
     held = bench.controller.hold(bench.theta, REST, "silence", applied=applied)
     np.testing.assert_array_equal(held.torque, REST)

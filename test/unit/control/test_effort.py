@@ -25,3 +25,20 @@ def test_it_is_the_largest_share_within_the_limits_where_the_rest_is(squeeze, re
     assert (np.abs(share * squeeze + rest) <= limits * (1.0 + 1e-12)).all()
     if share < 1.0:
         assert (np.abs((share + 1e-6) * squeeze + rest) > limits).any()
+
+
+@pytest.mark.parametrize(
+    ("squeeze", "rest", "share"),
+    [
+        (10.0, 10.0, 1.0),  # just at the limit
+        (-10.0, -10.0, 1.0),
+        (10.0, 15.0, 0.5),
+        (-10.0, -15.0, 0.5),
+        (5.0, 30.0, 0.0),  # already beyond it
+        (-5.0, 30.0, 1.0),  # a squeeze that relieves the joint
+        (0.0, 30.0, 1.0),
+    ],
+)
+def test_a_joint_gives_what_its_limit_leaves(squeeze, rest, share):
+    others = np.array([1.0, squeeze, -1.0]), np.array([0.0, rest, 0.0])
+    assert bearable_share(*others, np.array([5.0, 20.0, 5.0])) == pytest.approx(share)

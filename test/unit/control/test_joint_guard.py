@@ -6,7 +6,13 @@ import pytest
 
 from tactile_hand_ros.control import joint_guard
 from tactile_hand_ros.control.joint_guard import GuardConfig, JointGuard, TorqueCommand
-from tactile_hand_ros.control.joint_hold import JointHold, JointTerms
+from tactile_hand_ros.control.joint_hold import (
+    JointHold,
+    JointTerms,
+    joint_torque,
+    split_forces,
+    tip_forces,
+)
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -82,7 +88,8 @@ def test_a_command_that_turns_the_squeeze_around_begins_a_hold_and_one_that_lets
 def test_joint_states_that_are_not_finite_repeat_the_last_torque():
     made = guard()
     last = follow(made)
-    np.testing.assert_array_equal(step(made, last, TORQUE, theta=np.full(9, np.nan)), TORQUE)
+    other = step(made, last, TORQUE + 0.01)
+    np.testing.assert_array_equal(step(made, last + 1, TORQUE, theta=np.full(9, np.nan)), other)
     assert made.reason == joint_guard.BLIND
 
 
@@ -314,3 +321,139 @@ def test_before_anything_was_seen_blind_joints_get_no_torque():
     made = guard()
     np.testing.assert_array_equal(step(made, 0, TORQUE, rates=np.full(9, np.inf)), np.zeros(9))
     assert made.reason == joint_guard.BLIND and made.held == 1
+
+
+def test_a_reset_forgets_the_past_the_torque_before_and_a_torque_that_stood_still():
+    weight, made = HAND.gravity_torque(THETA), guard(torque_rate=50.0)
+    tick = follow(made) + 10
+    made.reset()
+    turned = weight - (TORQUE - weight)  # neither limited in its change, nor pulling off
+    np.testing.assert_array_equal(step(made, tick, turned), turned)
+    assert not made.reason
+    made.reset()
+    np.testing.assert_array_equal(step(made, tick + 1, turned, theta=THETA + 0.01), turned)
+    assert not made.reason and made.age == 0
+
+
+def test_a_reset_forgets_earlier_holds_and_their_patience():
+    made = guard(patience=0.1)
+    tick = follow(made)
+    for _ in range(3):
+        held_after(made, tick, 60)
+        tick += 61
+    made.reset()
+    assert not made.holds
+    step(made, tick, TORQUE)
+    assert held_after(made, tick + 1, 20) == 0
+
+
+def test_the_first_command_acts_at_once_after_the_start():
+    made = guard()
+    step(made, 0)
+    step(made, 1, TORQUE)
+    assert not made.reason and made.holding
+
+
+def test_half_a_second_of_good_commands_makes_up_for_earlier_holds():
+    for good, held in ((249, 10), (250, 0)):
+        made = guard()
+        tick = follow(made)
+        held_after(made, tick, good)
+        assert held_after(made, tick + good + 1, 20) == held
+
+
+def test_a_command_that_comes_again_is_judged_by_its_age_alone_unless_it_was_stuck():
+    made = guard()
+    last, moved = follow(made) - 1, THETA + 0.01
+    for late in (1, 2, 3):
+        np.testing.assert_array_equal(
+            step(made, last + late, TORQUE, answers=last, theta=moved), TORQUE
+        )
+        assert not made.reason
+    made = guard()
+    last = follow(made)
+    step(made, last, TORQUE, theta=moved)
+    assert made.reason == joint_guard.STUCK
+    step(made, last + 1, TORQUE, answers=last, theta=moved)
+    assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
+
+
+@pytest.mark.parametrize(("turned", "stuck"), [(0.00199, False), (0.00201, True)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_may_move_two_milliradians_under_the_same_torque(turned, stuck, sign):
+    made = guard()
+    moved = THETA + sign * turned * (np.arange(9) == 7)
+    step(made, follow(made), TORQUE, theta=moved)
+    assert (made.reason == joint_guard.STUCK) == stuck
+
+
+@pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, joint_guard.PULLS)])
+def test_a_command_may_pull_with_a_fifth_of_the_squeeze(pull, reason):
+    """Under weight and bias, which are no squeeze; a load on all tips alike is none either."""
+    weight, load = HAND.gravity_torque(THETA), np.tile([0.3, -2.0, 1.0], (3, 1))
+    carry = joint_torque(HAND.fingertips(THETA), load)
+    made = guard()
+    for tick in range(6):
+        step(made, tick, TORQUE + carry)
+    step(made, 6, weight + carry + pull * (TORQUE - weight))
+    assert made.reason == reason
+
+
+def test_to_let_go_step_by_step_is_no_jump():
+    """Each step is below 0.02 N m; the last ones pull."""
+    weight, made = HAND.gravity_torque(THETA), guard()
+    tick = follow(made)
+    for share in np.arange(1.0, -1.0, -0.09):
+        step(made, tick, weight + share * (TORQUE - weight))
+        tick += 1
+        assert not made.reason
+
+
+def test_fingers_that_hardly_press_may_be_pulled_anywhere():
+    for squeeze, reason in ((0.049, ""), (0.051, joint_guard.PULLS)):
+        weight, made = HAND.gravity_torque(THETA), guard()
+        _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
+        share = squeeze / np.linalg.norm(presses, axis=1).sum()
+        for tick in range(6):
+            step(made, tick, weight + share * (TORQUE - weight))
+        step(made, 6, weight - (TORQUE - weight))
+        assert made.reason == reason
+
+
+def test_a_hold_that_goes_on_brakes_where_the_commands_have_brought_the_joints():
+    made, there = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0}), THETA + 0.01
+    tick = follow(made)
+    step(made, tick, refused="a second sender")
+    step(made, tick + 1, TORQUE + 1e-6, theta=there)
+    assert made.holding and not made.reason
+    again = step(made, tick + 2, theta=there, refused="a second sender")
+    change = HAND.gravity_torque(there) - HAND.gravity_torque(THETA)
+    np.testing.assert_allclose(again, TORQUE + change, atol=1e-9)  # a spring would add newtons
+
+
+def test_while_commands_take_over_their_drive_is_no_load():
+    made = guard(blend_time=0.02, **{"hold.reserve": 0.0})
+    tick = follow(made)
+    step(made, tick, refused="a second sender")
+    carry = joint_torque(HAND.fingertips(THETA), np.tile([0.0, 0.0, -3.0], (3, 1)))
+    torques = [step(made, tick + more, TORQUE + carry) for more in range(1, 5)]
+    for more, torque in enumerate(torques, 1):
+        np.testing.assert_allclose(torque, TORQUE + 0.1 * more * carry, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("late", "age", "reason"),
+    [
+        (1 - TICK, 0, ""),
+        (-TICK, -1, joint_guard.AHEAD),
+        (0, 0, ""),
+        (1, 1, ""),
+        (3 * TICK, 3, ""),
+        (3 * TICK + 1, 4, joint_guard.LATE),
+    ],
+)
+def test_age_is_counted_in_ticks_that_have_begun(late, age, reason):
+    made = guard()
+    stamp = follow(made) * TICK
+    made.step(stamp, THETA, STILL, TorqueCommand(stamp - late, TORQUE + 1e-6))
+    assert (made.age, made.reason) == (age, reason)

@@ -183,3 +183,16 @@ def test_it_brakes_again_from_another_posture_with_the_squeeze_as_it_is():
     made.brake(other, STILL)
     found = made.step(other, STILL, terms(other, STILL), None)
     assert_allclose(found, 1.5 * PRESSED, atol=1e-9)
+
+
+def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_makes():
+    """Along it a torque of rounding would be a force of mega-newtons."""
+    straight = THETA.copy()
+    straight[2] = 1e-8
+    tips = HAND.fingertips(straight)
+    forces = tip_forces(tips, PRESSED)
+    assert np.abs(forces).max() < 50.0
+    other = straight.copy()
+    other[2] = 1e-3
+    found = tip_forces(HAND.fingertips(other), PRESSED)
+    assert_allclose(joint_torque(HAND.fingertips(other), found), PRESSED, atol=1e-9)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.config.model import parse_yaml, validate
+from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 
 LAW = """
@@ -126,3 +128,43 @@ def test_a_law_without_torques_is_refused_before_it_holds_anything(
     scenario = load_scenario(write(tmp_path / "a", law))
     with pytest.raises(ConfigurationError, match=message):
         check_scenario(scenario)
+
+
+def test_a_law_may_be_in_a_package_and_leaves_the_path_as_it_was(tmp_path: Path) -> None:
+    package = tmp_path / "my_laws"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "gentle.py").write_text(LAW)
+    (tmp_path / "optimal.py").write_text("1 / 0")  # no law that a scenario names
+    file, path = tmp_path / "mine.yaml", list(sys.path)
+    file.write_text("extends: paper\nlaw: my_laws.gentle:MyLaw\n")
+    law = load_scenario(str(file)).manipulation_controller.law
+    assert (law.name, law.folder) == ("my_laws.gentle:MyLaw", str(tmp_path))
+    assert sys.path == path
+    for missing in ("my_laws.harsh", "none_of.these"):
+        file.write_text(f"extends: paper\nlaw: {missing}:MyLaw\n")
+        with pytest.raises(ConfigurationError, match=f"there is no module '{missing}'"):
+            load_scenario(str(file))
+        assert sys.path == path
+    file.write_text("extends: paper\nlaw: optimal\n")
+    assert load_scenario(str(file)).manipulation_controller.law.folder == ""
+
+
+def test_a_law_of_another_folder_is_imported_with_all_modules_of_its_package(
+    tmp_path: Path,
+) -> None:
+    gains = []
+    for folder, gain in (("one", "1.0"), ("two", "2.0")):
+        package = tmp_path / folder / "twin_laws"
+        package.mkdir(parents=True)
+        (package / "__init__.py").touch()
+        (package / "gains.py").write_text(f"GAIN = {gain}")
+        law = LAW.replace("gain = 1.0", "gain = GAIN").replace(
+            "import OptimalLaw", "import OptimalLaw\nfrom twin_laws.gains import GAIN"
+        )
+        (package / "gentle.py").write_text(law)
+        file = package.parent / "mine.yaml"
+        file.write_text("extends: paper\nlaw: twin_laws.gentle:MyLaw\n")
+        config = load_scenario(str(file)).manipulation_controller.law
+        gains.append(law_of(config).gain)  # type: ignore[attr-defined]
+    assert gains == [1.0, 2.0]

@@ -150,3 +150,8 @@ def test_what_is_out_of_reach_is_refused_with_the_finger_and_the_present_pose(po
 def test_what_is_not_finite_is_no_pose(position, turn):
     with pytest.raises(PoseError, match="must be finite numbers"):
         reach(Target(np.array(position), turn))
+
+
+def test_a_refused_pose_is_written_in_whole_millimetres_without_a_sign_of_zero():
+    with pytest.raises(PoseError, match=r"pose \(0.000, -0.002, 3.000\) m is out of reach"):
+        reach(Target(np.array([-0.0004, -0.0016, 2.9996]), np.eye(3)))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.grasps import normals, pinch, point_sets, rotations, three_faces, vectors
 
+from tactile_hand_ros.control.grasp import collinearity_margin
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, best_rotation, orientation_error
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -111,3 +112,33 @@ def test_orientation_error_is_twice_the_sine_times_the_axis(actual, axis, angle)
 def test_orientation_error_is_the_papers_sum_of_cross_products(actual, desired):
     expected = np.cross(actual.T, desired.T).sum(axis=0)
     np.testing.assert_allclose(orientation_error(actual, desired), expected, atol=1e-12)
+
+
+def test_a_plane_that_stands_upright_keeps_the_side_of_its_normal():
+    upright = np.array([[0.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    frame = VirtualFrame().orientation(upright)
+    assert frame[2, 2] == 0.0
+    np.testing.assert_array_equal(frame[:, 2], [0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("margin", [0.099, 0.101])
+def test_the_first_three_of_more_contacts_lead_where_they_are_clear_of_a_line(margin):
+    """A tenth as thin as long is enough, though others stand better."""
+    height = 0.1 * margin * np.sqrt(3.0)
+    points = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, height, 0.0], [0.05, 0.2, 0.1]])
+    assert collinearity_margin(points[:3]) == pytest.approx(margin, rel=0.02)
+    leading = points[:3] if margin > 0.1 else points[[0, 1, 3]]
+    found = VirtualFrame().orientation(points)
+    np.testing.assert_allclose(found, VirtualFrame().orientation(leading), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_best_rotation_is_that_of_scipy_for_turned_and_for_mirrored_points(seed):
+    random = np.random.default_rng(seed)
+    before = random.standard_normal((5, 3))
+    before -= before.mean(axis=0)
+    turn = Rotation.from_rotvec(random.standard_normal(3)).as_matrix()
+    for mirror in (np.eye(3), np.diag([1.0, -1.0, 1.0])):
+        after = before @ (turn @ mirror).T
+        expected, _ = Rotation.align_vectors(after, before)
+        np.testing.assert_allclose(best_rotation(before, after), expected.as_matrix(), atol=1e-9)

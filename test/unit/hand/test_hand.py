@@ -359,3 +359,65 @@ def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
     assert count == 4
     with pytest.raises(HandModelError, match="inertia matrix with the eigenvalue"):
         Hand.load(str(path))
+
+
+def test_longer_links_leave_the_fingers_where_they_are_mounted(tmp_path):
+    path = str(write_hand(tmp_path, [3, 4, 5]))
+    plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
+    np.testing.assert_allclose(long.bases, plain.bases, atol=1e-15)
+    np.testing.assert_allclose(long.spans, 2.0 * plain.spans)
+    straight = plain.tip_positions(np.zeros(plain.joints)) - plain.bases
+    np.testing.assert_allclose(plain.spans, np.linalg.norm(straight, axis=1))
+    assert np.linalg.norm(plain.bases, axis=1).min() > 0.1
+    theta, _ = random_posture(plain, 6)
+    for chain, longer in zip(plain.joint_positions(theta), long.joint_positions(theta)):
+        steps = np.diff(chain, axis=0)
+        np.testing.assert_allclose(np.diff(longer, axis=0), 2.0 * steps, atol=1e-12)
+
+
+def test_a_link_that_stands_away_from_the_root_is_no_palm(tmp_path):
+    path = edited(tmp_path, "urdf: hand.urdf", "urdf: hand.urdf\npalm: f1_base", "hand.yaml")
+    with pytest.raises(HandModelError, match="'f1_base' is not the root link"):
+        Hand.load(path)
+
+
+def test_energies_and_weights_are_those_of_the_posture_that_is_asked_for(mixed):
+    """Pinocchio's arrays are shared: no answer may depend on the one before."""
+    (theta, rates), (other, faster) = random_posture(mixed, 1), random_posture(mixed, 2)
+    asked = {
+        "kinetic_energy": (theta, rates),
+        "potential_energy": (theta,),
+        "gravity_torque": (theta,),
+        "tip_positions": (theta,),
+        "tip_rotations": (theta,),
+    }
+    first = {name: getattr(mixed, name)(*values) for name, values in asked.items()}
+    for name, values in asked.items():
+        mixed.dynamics(other, faster)
+        np.testing.assert_array_equal(getattr(mixed, name)(*values), first[name], err_msg=name)
+
+
+def test_radii_are_those_of_the_file(tmp_path):
+    path = edited(tmp_path, "radius: 0.02", "radius: 0.03", "hand.yaml")
+    np.testing.assert_allclose(Hand.load(path).radii, 0.03)
+
+
+def test_slow_and_weak_joints_have_their_limits_too(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text()
+    speed = text.split('velocity="')[1].split('"')[0]
+    text = text.replace(f'velocity="{speed}"', 'velocity="0.25"').replace(
+        'effort="30"', 'effort="0.5"'
+    )
+    urdf.write_text(text)
+    hand = Hand.load(str(path))
+    np.testing.assert_array_equal(hand.velocity_limits, 0.25)
+    np.testing.assert_array_equal(hand.effort_limits, 0.5)
+
+
+def test_a_tip_that_is_not_there_is_answered_with_the_links_and_not_the_joints(tmp_path):
+    path = edited(tmp_path, "tip: f2_tip", "tip: f2_nail", "hand.yaml")
+    with pytest.raises(HandModelError, match=r"its links are: palm, f1_base, .*f3_tip$") as caught:
+        Hand.load(path)
+    assert "joint" not in str(caught.value)

@@ -114,3 +114,7 @@ def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
     assert origins["a"] == origins["c"] == {"xyz": "1 2 3", "rpy": "0.1 0.2 0.3"}
     with pytest.raises(HandModelError, match="'c', which is not a fixed joint.*joints: a, b"):
         describe(path, {"c": mount})
+
+
+def test_products_of_inertia_that_are_not_given_are_zero(tmp_path):
+    describe(written(tmp_path, link({"ixx": 1.0, "iyy": 1.0, "izz": 1.0})), {})

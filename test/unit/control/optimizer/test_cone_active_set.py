@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.grasps import grasps, three_faces
+from scipy.optimize import minimize
+from support.grasps import contacts_at, grasps, three_faces
 
 from tactile_hand_ros.control.optimizer.cone_active_set import (
     Problem,
@@ -232,6 +233,85 @@ def test_the_way_back_from_a_bound_is_that_of_the_projected_row(seed):
     same = problem.equal[0] - (shares[1:] @ problem.rows[held] if held.any() else 0.0)
     other = np.eye(4)[0] - rows.T @ np.linalg.solve(rows / w @ rows.T, rows / w @ np.eye(4)[0])
     whole, aside = (same**2 / w).sum(), (other**2 / w).sum()
-    for share, moves in ((1e-14, False), (1e-12, True)):
+    for share, moves in ((0.9e-13, False), (1.1e-13, True)):
         nearly = same + other * np.sqrt(share * whole / aside)
         assert (_direction(problem, held, nearly)[1] > 0.0) == moves
+
+
+LOPSIDED = contacts_at(
+    [[0.06, 0.01, 0.02], [-0.04, 0.03, -0.01], [0.01, -0.07, 0.03], [0.0, 0.02, -0.05]],
+    [[-1.0, 0.1, 0.3], [0.8, -0.5, 0.2], [0.1, 1.0, -0.4], [0.2, 0.1, 1.0]],
+)
+
+
+def documented(balance, weights, minimum, friction, load):
+    """Return f* and t of the problem as its documentation writes it, by another method."""
+    k, largest = len(friction), weights.max()
+    angles = np.radians(30.0) * np.arange(12)
+
+    def room(z):
+        forces = z[:-1].reshape(k, 3) + load
+        across = np.outer(forces[:, 0], np.cos(angles)) + np.outer(forces[:, 2], np.sin(angles))
+        inside = np.cos(np.pi / 12.0) * friction * forces[:, 1]
+        return np.concatenate([(inside[:, None] + z[-1] - across).ravel(), z[1:-1:3] - minimum])
+
+    def cost(z):
+        return (z[:-1] @ (weights * z[:-1])) / largest + 5.0 * z[-1] + z[-1] ** 2
+
+    found = minimize(
+        cost,
+        np.append(np.tile([0.0, 1.0 / k, 0.0], k), 1.0),
+        jac=lambda z: np.append(2.0 * weights * z[:-1] / largest, 5.0 + 2.0 * z[-1]),
+        method="SLSQP",
+        bounds=[(None, None)] * (3 * k) + [(0.0, None)],
+        constraints=[
+            {"type": "eq", "fun": lambda z: balance.T @ z[:-1]},
+            {"type": "eq", "fun": lambda z: z[1:-1:3].sum() - 1.0},
+            {"type": "ineq", "fun": room},
+        ],
+        options={"ftol": 1e-14, "maxiter": 300},
+    )
+    return found.x[:-1].reshape(k, 3), found.x[-1]
+
+
+@pytest.mark.parametrize(("size", "violated"), [(0.02, False), (0.1, True), (3.0, True)])
+@pytest.mark.parametrize("minimum", [0.0, 0.1])
+def test_the_problem_is_the_documented_one(size, violated, minimum):
+    """Weights, friction and load differ from contact to contact; t as the price of a cone."""
+    random = np.random.default_rng(3)
+    weights, friction = random.uniform(0.5, 12.0, 12), np.array([0.9, 1.5, 1.1, 1.3])
+    load = size * random.standard_normal((4, 3))
+    balance = scaled_balance(LOPSIDED.positions, LOPSIDED.rotations)
+    expected, t = documented(balance, weights, minimum, friction, load)
+    assert (t > 1e-3) == violated
+    for exact in (True, False):
+        found, _ = ConeOptimizer(weights, minimum, exact).solve(balance, Cones(friction, load))
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_where_least_shares_leave_nothing_no_answer_passes_for_one():
+    _, missing = shaped(three_faces(), Cones(np.full(3, 0.3), np.zeros((3, 3))), 0.4)
+    assert missing > 1.0
+
+
+def test_an_exact_answer_that_has_lost_its_digits_is_not_taken():
+    """Weights that differ a billionfold leave some tens of billionths of its conditions."""
+    balance = scaled_balance(three_faces().positions, three_faces().rotations)
+    cones = Cones(np.full(3, 0.05), np.zeros((3, 3)), wanted=np.full((3, 12), -0.01))
+    for large, is_asked in ((1e6, False), (1e9, True)):
+        weights = np.array([large, 1.0, large, 1.0, large, 1.0, 1.0, 1.0, large])
+        optimizer = ConeOptimizer(weights, 0.0)
+        optimizer.solve(balance, cones)
+        assert (optimizer._solver is not None) == is_asked
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_inequalities_may_be_written_in_any_unit(seed):
+    """The rows that hold miss their bounds by rounding, in units that make it a large number."""
+    problem, expected, active = uneven(seed)
+    held = np.zeros(7, dtype=bool)
+    large = problem._replace(rows=1e7 * problem.rows, bounds=1e7 * problem.bounds)
+    x, _, systems = solve_problem(large, held)
+    assert systems == TAKEN[seed]
+    np.testing.assert_allclose(x, expected, atol=1e-9)
+    np.testing.assert_array_equal(held, active)

@@ -71,3 +71,15 @@ def test_a_contact_that_pulls_is_outside_and_so_is_an_unknown_one():
     assert not bears([0.0, -1.0, 0.0])
     assert Cones(MU, 0.0 * LOAD).margin(-FORCES) < 0.0
     assert not bears([np.nan, 1.0, 0.0]) and not bears([0.0, np.nan, 0.0])
+
+
+def test_f_is_made_for_what_is_wanted_where_that_is_more_than_the_load():
+    wanted = np.full((3, SIDES), -1.0)
+    loaded = Cones(MU, np.full((3, 3), 0.5))
+    assert not loaded.holds(FORCES)
+    assert Cones(MU, loaded.load, wanted=wanted).holds(FORCES)
+    wanted[1, 4] = 0.5
+    more = Cones(MU, 0.0 * LOAD, wanted=wanted)
+    assert not more.holds(FORCES) and Cones(MU, 0.0 * LOAD).holds(FORCES)
+    np.testing.assert_array_equal(more.goal, wanted)
+    assert more.margin(FORCES) == Cones(MU, 0.0 * LOAD).margin(FORCES)

@@ -9,10 +9,11 @@ from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import collinearity_margin
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
-from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.cones import Cones, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
+    OptimalForces,
     Status,
     optimality,
     scaled_balance,
@@ -292,3 +293,112 @@ def test_osqp_shapes_f_only_where_it_is_asked_for(solver):
     found = made.solve(three_faces(), cones)
     assert found.shaped and found.cone_margin > -1e-6
     assert (made._shaper._solver is None) == (solver == "exact")
+
+
+def with_settings(solver, **values):
+    """Give the OSQP of a `WarmSolver` other settings."""
+    for name, value in values.items():
+        setattr(solver._settings, name, value)
+    solver._native.update_settings(solver._settings)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("grasp", [three_faces, pinch, beside])
+def test_osqp_alone_finds_the_optimum_to_its_last_digits(grasp, least, monkeypatch):
+    """Without the exact method, which would make up for a problem that was set up wrongly."""
+    made, contacts = optimizer(solver="osqp", minimum_normal=least), grasp()
+    monkeypatch.setattr(made, "_sharpened", lambda *_: None)
+    nothing = OptimalForces(Status.FAILED, "", np.full((3, 3), np.nan))
+    found = made._by_osqp(scaled_balance(contacts.positions, contacts.rotations), nothing)
+    assert found.residual < 1e-9 and found.iterations > 0 and found.solve_time > 0.0
+    np.testing.assert_allclose(found.forces, best_forces(contacts, W, least), atol=1e-8)
+
+
+def test_osqp_starts_from_its_last_answer_unless_it_had_none():
+    made = optimizer(solver="osqp")
+    solver, first = made._solver, made.solve(beside())
+    again = made.solve(beside())
+    assert made._solver is solver and again.iterations < first.iterations
+    assert made.solve(same_side()).status is Status.UNBALANCED
+    assert made._solver is not solver
+    assert made.solve(beside()).iterations == first.iterations
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"max_iter": 1},  # at its limit
+        {"eps_abs": 1e6, "eps_rel": 1e6, "polishing": False},  # content with anything
+    ],
+)
+def test_where_nothing_meets_the_conditions_the_solver_has_failed_and_begins_again(values):
+    made = optimizer(solver="osqp")
+    solver = made._solver
+    with_settings(solver, **values)
+    found = made.solve(same_side())
+    assert found.status is Status.FAILED and np.isnan(found.forces).all()
+    assert "OSQP ended with '" in found.reason and "the best residual is " in found.reason
+    assert made._solver is not solver
+    np.testing.assert_allclose(made.solve(three_faces()).forces, THREE_FACES, atol=1e-10)
+
+
+def test_without_an_answer_nothing_is_claimed():
+    found = optimizer().solve(without_finger(three_faces(), 0))
+    assert (found.iterations, found.solve_time, found.shaped) == (0, 0.0, False)
+    assert np.isnan([*found[3:7], found.cone_margin]).all() and found.forces.shape == (3, 3)
+    assert not optimizer().solve(three_faces()).shaped
+    assert not optimizer().solve(three_faces(), Cones(np.full(3, 0.5), np.zeros((3, 3)))).shaped
+
+
+def test_the_residual_is_the_largest_of_four_and_unknown_if_one_is():
+    forces = np.zeros((3, 3))
+    for largest in range(4):
+        four = np.array([0.1, 0.2, 0.3, 0.4])
+        four[largest] = 0.5
+        assert OptimalForces(Status.SOLVED, "", forces, *four, 7, 9.0, 8.0).residual == 0.5
+        four[largest] = np.nan
+        assert np.isnan(OptimalForces(Status.SOLVED, "", forces, *four).residual)
+
+
+SLIPPERY = Cones(np.full(3, 0.05), np.zeros((3, 3)))
+
+
+def test_where_the_cones_cannot_be_kept_exactly_enough_f_is_that_of_the_paper():
+    made = optimizer(solver="osqp")
+    assert made.solve(three_faces(), SLIPPERY).shaped
+    with_settings(made._shaper._solver, max_iter=1)
+    found = made.solve(three_faces(), Cones(np.array([0.03, 0.07, 0.02]), np.full((3, 3), 0.02)))
+    assert found.ok and not found.shaped and made._shaper is None
+    np.testing.assert_allclose(found.forces, THREE_FACES, atol=1e-9)
+    assert found.stationarity_residual < 1e-9
+    assert made.solve(three_faces(), SLIPPERY).shaped
+
+
+def test_other_weights_shape_f_otherwise_inside_the_cones_too():
+    points = HALF * np.array([[1.0, 0.1, 0], [0, 1.0, 0.2], [-1.0, 0, 0], [0.1, -1.0, 0]])
+    grasp = contacts_at(points, [[-1.0, 0.1, 0], [0.1, -1.0, 0], [1.0, 0, 0.1], [0, 1.0, 0]])
+    cones = Cones(np.full(4, 0.2), np.tile([0.05, 0.0, 0.03], (4, 1)))
+    other = ForceOptimizerConfig(
+        weights=[2.0, 1.0, 5.0, 8.0, 3.0, 1.0, 4.0, 0.5, 2.0, 9.0, 2.0, 9.0]
+    )
+    made, fresh = optimizer(4), ForceOptimizer(other, 4)
+    before = made.solve(grasp, cones)
+    made.configure(other)
+    found = made.solve(grasp, cones)
+    assert before.shaped and found.shaped
+    np.testing.assert_array_equal(found.forces, fresh.solve(grasp, cones).forces)
+    assert np.abs(found.forces - before.forces).max() > 1e-3
+
+
+def test_f_goes_at_once_into_the_cones_that_were_learned_of_which_it_may_use_a_share():
+    """Half of 0.08 may be used: at 0.08 slip begins, and the rest of the way has its time."""
+    made = optimizer(cone_share=0.5, shape_time=10.0)
+    start = made.solve(three_faces(), Cones(np.full(3, 0.2), np.zeros((3, 3)))).forces
+    usable, learned = np.full(3, 0.04), np.full(3, 0.08)
+    assert reaches(start, learned).max() > 1e-3
+    found = made.solve(three_faces(), Cones(usable, np.zeros((3, 3)), 1e-9)).forces
+    assert reaches(found, learned).max() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_load_and_the_cones_before_do_not_count_without_a_time_between():
+    assert Cones(np.ones(3), np.zeros((3, 3))).elapsed == 0.0

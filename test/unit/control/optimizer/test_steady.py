@@ -145,3 +145,18 @@ def test_it_goes_until_each_side_of_each_pyramid_is_met_and_all_the_way_if_one_n
         found, _ = followed(start, end, balance, load, friction, share)
         np.testing.assert_allclose(found, start + way * (end - start), atol=1e-12)
     assert kinds == {0, 1, 2}
+
+
+@pytest.mark.parametrize("component", range(6))
+def test_each_component_of_the_wrench_may_be_what_is_out_of_balance(component):
+    balance, forces = np.zeros((12, 6)), np.random.default_rng(1).standard_normal((4, 3))
+    balance[:, component] = np.random.default_rng(2).standard_normal(12)
+    wrench, _ = imbalance(forces, balance)
+    assert wrench == pytest.approx(abs(balance[:, component] @ forces.ravel()))
+
+
+def test_without_a_time_constant_the_optimum_is_followed_at_once():
+    optimizer = ForceOptimizer(ForceOptimizerConfig(shape_time=0.0), 3)
+    optimizer.solve(GRASP, Cones(np.full(3, 0.05), NO_LOAD, 0.001))
+    found = optimizer.solve(GRASP, Cones(np.full(3, 0.07), NO_LOAD, 0.001)).forces
+    np.testing.assert_allclose(found, optimum(0.07), atol=1e-12)

@@ -14,6 +14,7 @@ from tactile_hand_ros.control.optimizer.warm_solver import (
     SOLVED,
     Sparse,
     WarmSolver,
+    _known_as_sparse,
 )
 
 SETTINGS = {"eps_abs": 1e-9, "eps_rel": 1e-9, "polishing": True}
@@ -85,3 +86,22 @@ def test_osqp_and_scipy_may_be_loaded_later():
     command = [sys.executable, "-c", LATER]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["False", "True", "2"]
+
+
+def test_it_solves_without_a_word(capfd):
+    one = np.ones(1)
+    x, _, info = WarmSolver(one, -one, Sparse.of(np.eye(1)), -one, one, **SETTINGS).solve(one)
+    assert info.status_val == SOLVED
+    np.testing.assert_allclose(x, 1.0, atol=1e-6)
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("is_loaded", [False, True])
+def test_scipy_is_stood_in_for_only_while_a_matrix_is_taken(is_loaded, monkeypatch):
+    if not is_loaded:
+        monkeypatch.delitem(sys.modules, "scipy.sparse")
+    before = sys.modules.get("scipy.sparse")
+    with _known_as_sparse():
+        knows = sys.modules["scipy.sparse"].isspmatrix_csc
+        assert knows(Sparse.of(np.eye(2))) and not knows(np.eye(2))
+    assert sys.modules.get("scipy.sparse") is before and (before is not None) == is_loaded

@@ -7,6 +7,7 @@ from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.control.plausibility.press import PressWatch
+from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
 PLANT = plant()
@@ -69,3 +70,90 @@ def test_a_new_grasp_starts_without_a_past():
     assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3)
     watch.reset()
     assert watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
+
+
+def verdicts(seen, tolerance=0.3, watch=None):
+    """Return what a watch says of ticks: stamp in ms, rates, model, forces and torque of each."""
+    watch = watch or PressWatch()
+    return [
+        watch.step(round(1e6 * stamp), rates, terms, CONTACTS, forces, applied, tolerance)
+        for stamp, rates, terms, forces, applied in seen
+    ]
+
+
+def at_rest(stamps, forces, applied):
+    return [(stamp, np.zeros(9), TERMS, forces, applied) for stamp in stamps]
+
+
+ERROR = np.array([0.3, -0.2, 0.1, 0.0, 0.4, -0.1, 0.2, 0.1, -0.3])
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.3])
+@pytest.mark.parametrize("ticks", [1, 2, 5])
+def test_an_error_is_averaged_over_five_milliseconds_and_may_be_a_share_and_a_twentieth(
+    ticks, tolerance
+):
+    """From the second tick on; after n ticks of 2 ms 1 - exp(-0.4 n) of it is there."""
+    share = 1.0 - np.exp(-0.4 * ticks)
+    for factor in (0.999, 1.001):
+        # Of such a size that the average error is what is tolerated: a quadratic equation.
+        size, felt = 1.0, torque(FORCES)
+        for _ in range(200):
+            most = 0.05 + tolerance * np.linalg.norm(felt - size * ERROR)
+            size = most / share / np.linalg.norm(ERROR)
+        seen = at_rest(2.0 * np.arange(ticks + 1), FORCES, felt - factor * size * ERROR)
+        found = verdicts(seen, tolerance)
+        assert not any(found[:ticks]) and bool(found[ticks]) == (factor > 1.0)
+
+
+def test_inertia_weight_and_the_time_between_ticks_count():
+    """Torques that accelerate the links and carry them are no press: all signs matter."""
+    hand = Hand.load("paper", gravity=np.array([10.0, -20.0, -90.0]))
+    random, stamps = np.random.default_rng(2), (0.0, 2.0, 6.0, 7.0)
+    before, seen = np.zeros(9), []
+    for last, stamp in zip((-2.0, *stamps), stamps):
+        rates = before + random.uniform(-0.1, 0.1, 9)
+        terms = hand.dynamics(STATE.theta, rates)
+        moving = terms[1] @ (rates - before) / (1e-3 * (stamp - last)) + terms[2]
+        assert np.linalg.norm(terms[2]) > 0.5 and np.linalg.norm(moving - terms[2]) > 0.3
+        seen.append((stamp, rates, terms, FORCES, torque(FORCES) + moving))
+        before = rates
+    assert verdicts(seen, 0.0) == [""] * 4
+    for i in range(1, 4):
+        stamp, rates, terms, forces, applied = seen[i]
+        assert any(verdicts([*seen[:i], (stamp, rates, terms, forces, applied - terms[2])], 0.0))
+
+
+def test_a_tick_that_comes_again_or_is_older_says_nothing():
+    seen = at_rest((4.0, 4.0, 2.0), FORCES, torque(0.2 * FORCES))
+    assert verdicts(seen) == [""] * 3
+    assert verdicts([*seen, *at_rest((3.0,), FORCES, torque(0.2 * FORCES))])[3]
+
+
+def frozen(change, stamps, joint=3):
+    """Return whether finger 2 is doubted, which repeats its force, after a change of a torque."""
+    base, seen = torque(FORCES), []
+    for tick, stamp in enumerate((0.0, 1.0, *stamps)):
+        applied = base + (change * np.eye(9)[joint] if tick > 1 else 0.0)
+        moving = noisy(tick)
+        moving[1] = FORCES[1]
+        seen += at_rest((stamp,), moving, applied)
+    return verdicts(seen, 1e3)
+
+
+LIMIT = 0.05 + 0.05 * np.abs(torque(FORCES)[3:6]).max()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_finger_may_repeat_its_force_under_a_twentieth_more_torque_and_as_much_again(sign):
+    stamps = (1000.0, 1001.0)  # the average has come there
+    assert np.abs(torque(FORCES)).max() > 1.1 * np.abs(torque(FORCES)[3:6]).max()
+    assert not any(frozen(0.999 * sign * LIMIT, stamps))
+    assert frozen(1.001 * sign * LIMIT, stamps)[-1].startswith("the forces of a finger do not")
+    assert not any(frozen(5.0 * sign * LIMIT, stamps, joint=1))  # of another finger
+
+
+def test_a_finger_may_repeat_its_force_for_forty_milliseconds():
+    """From the tick on at which the comparison began, 1 ms."""
+    assert not any(frozen(1.0, (20.0, 40.9)))
+    assert [bool(each) for each in frozen(1.0, (20.0, 41.1))] == [False, False, False, True]

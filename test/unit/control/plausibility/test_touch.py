@@ -8,9 +8,14 @@ from support.plants import plant
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.control.plausibility.touch import JointWatch
+from tactile_hand_ros.control.plausibility.touch import (
+    JointWatch,
+    implausible_shape,
+    implausible_touch,
+)
 
-STATE = plant().state
+PLANT = plant()
+STATE, HAND = PLANT.state, PLANT.hand
 OPTIMAL = ForceOptimizer(ForceOptimizerConfig(), 3).solve(STATE.contacts).forces
 STILL = np.zeros(9)
 
@@ -56,3 +61,37 @@ def test_joints_that_repeat_while_the_contacts_move_are_doubted():
     assert watch.step(STATE.theta.copy(), shifted(0.001, 0.0, 0.0), 0.002) == ""
     assert "do not change" in watch.step(STATE.theta.copy(), shifted(0.003, 0.0, 0.0), 0.002)
     assert watch.step(STATE.theta + 1e-9, shifted(0.003, 0.0, 0.0), 0.002) == ""
+
+
+RADII = np.array([0.03, 0.06, 0.05])
+
+
+@pytest.mark.parametrize("finger", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_contact_lies_its_own_radius_from_its_fingertip_along_its_normal(finger, sign):
+    """The farthest of all counts, in any direction, at the very limit."""
+    tips = HAND.fingertips(STATE.theta)
+    on = tips.positions + RADII[:, None] * STATE.contacts.normals
+    off = 0.004 * np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.8, 0.6, 0.0]])
+    off[finger] *= sign * 2.5
+    for factor, reason in ((0.999, ""), (1.001, "10 mm off its fingertip")):
+        contacts = Contacts(on + factor * off, STATE.contacts.rotations)
+        found = implausible_touch(tips, RADII, contacts, 0.01)
+        assert bool(found) == bool(reason) and reason in found
+    assert implausible_touch(tips, RADII, Contacts(on, STATE.contacts.rotations), 1e-12) == ""
+
+
+def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
+    for total, fits in ((0.9989, False), (0.9991, True), (1.0009, True), (1.0011, False)):
+        forces = np.array([[9.0, 0.5, 1.0], [2.0, 0.75, -3.0], [0.0, total - 1.25, 4.0]])
+        assert (implausible_shape(forces) == "") == fits
+    assert implausible_shape(np.full((3, 3), np.nan))
+
+
+def test_contacts_may_creep_no_farther_than_the_tolerance_from_where_the_joints_stopped():
+    for sign in (1.0, -1.0):
+        watch = JointWatch()
+        creep = [watch.step(STATE.theta, shifted(0, 0, sign * 1e-3 * i), 2.5e-3) for i in range(4)]
+        assert [bool(doubt) for doubt in creep] == [False, False, False, True]
+        watch.reset()
+        assert watch.step(STATE.theta, shifted(0.1, 0.0, 0.0), 2.5e-3) == ""

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A controller to test with, and what it sees of the paper's grasp at rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from support.grasps import Array, moved
+from support.plants import plant
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
+from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.rotations import rotation_from_vector
+
+TICK = 2_000_000
+REST = np.zeros(9)
+
+
+class Bench:
+    """A controller that sees the paper's grasp at rest; its contacts may move without the joints.
+
+    Parameters by their dotted names, with two underscores for each dot.
+    """
+
+    def __init__(self, **values: Any) -> None:
+        state = plant().state
+        changes = {name.replace("__", "."): value for name, value in values.items()}
+        self.controller = Controller(
+            ControllerConfig().changed({"touch_tolerance": 10.0, **changes})
+        )
+        self.theta, self.contacts, self.rates = state.theta, state.contacts, REST
+        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
+        self.grasp_force, self.stamp = 10.0, 0
+
+    def step(self, ticks: int = 1, **given: Any) -> Command:
+        """Answer the next ticks; return the last command."""
+        for _ in range(ticks):
+            seen = {
+                "theta": self.theta,
+                "rates": self.rates,
+                "contacts": self.contacts,
+                "optimal_forces": self.optimal,
+                "grasp_force": self.grasp_force,
+                **given,
+            }
+            command = self.controller.step(self.stamp, **seen)
+            self.stamp += TICK
+        return command
+
+    def without_finger(self, finger: int) -> Contacts:
+        """Return the contacts without that of one finger."""
+        positions = self.contacts.positions.copy()
+        rotations = self.contacts.rotations.copy()
+        positions[finger] = rotations[finger] = np.nan
+        return Contacts(positions, rotations)
+
+    def elsewhere(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Contacts:
+        """Return the contacts after a motion of the grasp about its centroid."""
+        rotation = rotation_from_vector(turn)
+        return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
+
+    def stiffness(self, theta: Array) -> Array:
+        """Return that of the safe hold, shape (9, 9), N m/rad."""
+        return 40.0**2 * self.controller.hand.dynamics(theta, REST)[1]
+
+    @property
+    def centroid(self) -> Array:
+        """Mean of the contact points, shape (3,), m."""
+        return self.contacts.centroid
+
+    def target(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Target:
+        """Return a pose away from the centroid, and turned from palm axes."""
+        return Target(self.centroid + np.array(shift), rotation_from_vector(turn))

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs that are there and do not fit: held against, for how long, and what is forgotten."""
+
+import numpy as np
+import pytest
+from support.controllers import REST, TICK, Bench
+
+from tactile_hand_ros.control.contact import in_palm, joint_torques
+from tactile_hand_ros.control.controller import MOST_CHECKED, MOST_WAITING, Mode
+from tactile_hand_ros.errors import PoseError
+
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+FEELS = {"law__observer__time": 0.02}
+DO_NOT_FIT = "forces and joint torques do not fit"
+
+
+def pressing(bench, forces=FORCES):
+    """Return the joint torques at rest that press with forces in contact frames, shape (9,)."""
+    hand = bench.controller.hand
+    press = in_palm(bench.contacts.rotations, forces, 1.0)
+    weight = hand.gravity_torque(bench.theta)
+    return joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press) + weight
+
+
+def felt(bench, share=1.0):
+    """Return measured forces, and torques that press with a share of them."""
+    return {"forces": FORCES, "applied": pressing(bench, share * FORCES)}
+
+
+def doubting(**values):
+    """Return a controller that has just doubted the measured forces for the first time."""
+    bench = Bench(**FEELS, **values)
+    bench.step(5, **felt(bench))
+    bench.step(**felt(bench, 0.0))
+    return bench
+
+
+def test_forces_are_compared_with_torques_where_they_decide_what_the_hand_does():
+    bench = Bench(**FEELS)
+    drive = bench.step(5, **felt(bench))
+    assert drive.mode is Mode.DRIVE and not drive.withheld
+    held = bench.step(2, **felt(bench, 0.0))
+    assert held.mode is Mode.HOLD and DO_NOT_FIT in held.reason and held.pose is None
+    for bench in (Bench(), Bench(**FEELS, force_tolerance=0.0)):
+        assert bench.step(3, **felt(bench, 0.0)).mode is Mode.DRIVE
+    bench = Bench(**FEELS)
+    for one in felt(bench, 0.0).items():  # one of the two alone proves nothing
+        assert bench.step(3, **dict([one])).mode is Mode.DRIVE
+
+
+def test_the_tolerance_of_the_forces_is_the_configured_one():
+    modes = []
+    for tolerance in (0.1, 0.5):
+        bench = Bench(**FEELS, force_tolerance=tolerance)
+        modes.append(bench.step(60, **felt(bench, 0.75)).mode)
+    assert modes == [Mode.HOLD, Mode.DRIVE]
+
+
+def test_a_doubtful_input_is_answered_by_the_guard_at_first_and_after_half_a_second_from_here():
+    bench = doubting()
+    doubted = bench.stamp - TICK
+    for late, withheld in ((0.002, True), (0.498, True), (0.5, False), (7.0, False)):
+        bench.stamp = doubted + round(1e9 * late)
+        held = bench.step(**felt(bench, 0.0))
+        assert held.mode is Mode.HOLD and held.withheld == withheld
+    bench.controller.joints_held = True
+    assert bench.step(**felt(bench, 0.0)).withheld
+    bench.controller.joints_held = False
+    assert not bench.step(**felt(bench, 0.0)).withheld
+
+
+@pytest.mark.parametrize("end", ["a good tick", "forget"])
+def test_the_time_of_a_doubt_begins_again_after_its_end(end):
+    bench = Bench(grasp_force_limit=12.0, input_timeout=0.1)
+    bench.step()
+    assert bench.step(grasp_force=13.0).withheld
+    bench.stamp += 50 * TICK
+    assert not bench.step(grasp_force=13.0).withheld
+    if end == "forget":
+        bench.controller.forget()
+    else:
+        assert bench.step().mode is Mode.DRIVE
+    assert bench.step(grasp_force=13.0).withheld
+
+
+def lose(bench):
+    bench.step(contacts=bench.without_finger(1))
+
+
+def retake(bench):
+    bench.controller.release()
+    bench.step()
+    bench.controller.grasp()
+    assert bench.step().mode is Mode.DRIVE
+
+
+@pytest.mark.parametrize("end", [lose, retake, lambda bench: bench.controller.forget()])
+def test_what_was_pressed_before_another_grasp_is_forgotten(end):
+    """The averages of the forces begin again; else the old ones would outweigh what fits now."""
+    bench = doubting()
+    bench.step(50, **felt(bench, 0.0))
+    end(bench)
+    assert [bench.step(**felt(bench)).mode for _ in range(3)] == [Mode.DRIVE] * 3
+
+
+def test_a_doubt_keeps_the_torque_that_a_new_controller_has_found():
+    bench = Bench(grasp_force_limit=9.0)
+    left = np.linspace(-0.4, 0.6, 9)
+    np.testing.assert_allclose(bench.step(applied=left).torque, left, atol=1e-12)
+
+
+def test_a_grasp_force_is_believed_up_to_its_limit():
+    bench = Bench(grasp_force_limit=12.0)
+    drive = bench.step(grasp_force=12.0)
+    assert drive.mode is Mode.DRIVE
+    held = bench.step(grasp_force=np.nextafter(12.0, 13.0))
+    assert held.mode is Mode.HOLD and held.withheld
+    assert held.reason == "k_f = 12 N is above grasp_force_limit = 12 N; holding until it is not"
+    np.testing.assert_allclose(held.torque, drive.torque, atol=1e-12)  # and not raised by it
+    assert Bench().step(grasp_force=1e6).mode is Mode.DRIVE
+
+
+def test_contacts_that_move_a_fifth_of_the_tolerance_of_touch_under_standing_joints_are_doubted():
+    bench = Bench(touch_tolerance=0.05)
+    bench.step()
+    assert bench.step(contacts=bench.elsewhere(0.0, -0.0099, 0.0)).mode is Mode.DRIVE
+    held = bench.step(contacts=bench.elsewhere(0.0, -0.0101, 0.0))
+    assert held.mode is Mode.HOLD and "joint angles do not change" in held.reason
+    bench.controller.forget()
+    assert bench.step(contacts=bench.elsewhere(0.0, -0.02, 0.0)).mode is Mode.DRIVE
+
+
+def test_of_several_doubts_the_force_is_named_first_and_the_touch_before_the_joints():
+    bench = Bench(touch_tolerance=0.01, grasp_force_limit=12.0)
+    bench.step()
+    far = {"contacts": bench.elsewhere(0.0, 0.02, 0.0), "optimal_forces": 2.0 * bench.optimal}
+    assert "k_f = 13 N" in bench.step(**far, grasp_force=13.0).reason
+    assert "add up to 2" in bench.step(**far).reason
+    assert "20 mm off" in bench.step(contacts=far["contacts"]).reason
+
+
+def test_a_law_without_optimal_forces_is_not_asked_for_their_sum():
+    bench = Bench(law__name="contact")
+    assert bench.step(optimal_forces=3.0 * bench.optimal).mode is Mode.DRIVE
+
+
+@pytest.mark.parametrize("risen", [False, True])
+def test_a_forgotten_grasp_force_raises_nothing(risen):
+    """The torque that a new controller takes over is kept as it is, whatever k_f is by now."""
+    bench, left = Bench(), np.linspace(-0.4, 0.6, 9)
+    bench.step()
+    if risen:
+        bench.step(contacts=bench.without_finger(1), grasp_force=20.0)
+    bench.controller.forget()
+    held = bench.controller.hold(bench.theta, REST, "silence", 30.0, left)
+    np.testing.assert_allclose(held.torque, left, atol=1e-12)
+
+
+def test_a_held_squeeze_rises_as_far_as_the_joints_can_bear_and_keeps_its_shape():
+    bench = Bench(gravity_compensation=True)
+    limits, weight = (
+        bench.controller.hand.effort_limits,
+        bench.controller.hand.gravity_torque(bench.theta),
+    )
+    squeeze = bench.step().torque - weight
+    given = bench.step(contacts=bench.without_finger(0), grasp_force=1e4).torque
+    assert np.abs(given / limits).max() == pytest.approx(1.0)
+    share = (given - weight) @ squeeze / (squeeze @ squeeze)
+    assert share > 3.0
+    np.testing.assert_allclose(given - weight, share * squeeze, atol=1e-9)
+
+
+def test_the_squeeze_has_the_room_that_weight_load_drive_and_damping_leave():
+    """Each of them has another sign in another joint; the squeeze alone gives way."""
+    values = {"gravity_compensation": True, "law__integral__k_p": 30.0, "law__damping": 3.0}
+    rates, torques = np.linspace(-1.0, 1.5, 9), []
+    for force in (0.0, 10.0, 1e3):
+        bench = Bench(**values)
+        bench.controller.command(bench.target(-0.1, 0.15, 0.0, turn=(0.1, 0.0, -0.1)))
+        assert bench.step(20, rates=rates, grasp_force=0.0).reason == ""
+        torques.append(bench.step(rates=rates, grasp_force=force).torque)
+    rest, squeezed, most = torques
+    limits = bench.controller.hand.effort_limits
+    assert np.abs(rest).max() > 2.0 and np.abs(squeezed / limits).max() < 1.0
+    squeeze = squeezed - rest
+    used = np.abs(squeeze) > 1e-9
+    room = (limits - np.sign(squeeze) * rest)[used] / np.abs(squeeze)[used]
+    np.testing.assert_allclose(most, rest + room.min() * squeeze, atol=1e-9)
+    assert np.abs(most / limits).max() == pytest.approx(1.0)
+
+
+def integrated(*pauses):
+    """Return the integral force after ticks with pauses between them, s, along the error."""
+    bench = Bench(law__integral__k_p=1.0)
+    bench.controller.command(bench.target(0.02, 0.0, 0.0))
+    bench.step()
+    for pause in pauses:
+        bench.stamp += round(1e9 * pause) - TICK
+        bench.step()
+    return bench.controller._law.integral_wrench[0] / 0.02
+
+
+def test_a_tick_integrates_at_most_fifty_milliseconds_and_nothing_backwards():
+    assert integrated(0.002, 0.002) == pytest.approx(0.004)
+    assert integrated(0.049) == pytest.approx(0.049)
+    assert integrated(0.051) == integrated(5.0) == pytest.approx(0.05)
+    assert integrated(0.03, -0.01) == pytest.approx(0.03)
+
+
+def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
+    assert (MOST_WAITING, MOST_CHECKED) == (1000, 1)
+    bench = Bench()
+    bench.step()
+    far = bench.target(0.0, 0.0, 2.0)
+    for following in (bench.step, lambda: bench.controller.hold(bench.theta, REST, "silence")):
+        with pytest.raises(PoseError):
+            bench.controller.command(far)
+        bench.controller.command(far)
+        bench.controller.forget_after(-1)
+        following()
+    with pytest.raises(PoseError):
+        bench.controller.command(far)
+
+
+def test_fingers_that_were_disabled_while_they_opened_wait_where_they_are():
+    bench = Bench()
+    bench.step()
+    bench.controller.release()
+    bench.step(5)
+    bench.controller.enabled = False
+    bench.step()
+    bench.stamp += 10_000_000_000
+    bench.controller.enabled = True
+    np.testing.assert_allclose(bench.step().torque, REST, atol=1e-4)
+
+
+def test_open_fingers_take_no_torque_over_though_the_grasp_was_forgotten():
+    bench = Bench()
+    bench.step()
+    bench.controller.release()
+    bench.controller.forget()
+    assert bench.step().mode is Mode.OPEN
+    held = bench.controller.hold(bench.theta, REST, "silence", applied=np.full(9, 0.3))
+    np.testing.assert_allclose(held.torque, REST, atol=1e-4)
