@@ -117,13 +117,14 @@ def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> N
     assert len(topics) >= 16  # of five nodes and three fingers
     attacks = {topic: list(NO_MESSAGES) for topic in topics}
     attacks[names.USER_GRASP_FORCE] = [CUT, CUT]  # Fast DDS sends no more than the type can have
-    del attacks[names.JOINT_HOLD]  # any byte is a Bool
+    for topic in (names.JOINT_HOLD, names.TOUCH_DOUBT):
+        del attacks[topic]  # any byte is a Bool
     attack(graph, attacks)
 
 
 def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph) -> None:
     topics = inputs(graph)
-    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD):  # have none
+    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD, names.TOUCH_DOUBT):  # have none
         del topics[topic]
     blank = {topic: serialize_message(kind_of(topic)()) for topic in topics}
     contacts = serialize_message(graph.newest(names.TRUE_CONTACTS))

@@ -52,6 +52,7 @@ def _inputs(hand: RunningHand) -> list[_Input]:
         names.DESIRED_POSE: PoseStamped,
         names.USER_GRASP_FORCE: Float64,
         names.JOINT_HOLD: Bool,
+        names.TOUCH_DOUBT: Bool,
     }
     for finger in hand.fingers:
         for named in (names.wrench, names.true_wrench, names.optimal_force):
