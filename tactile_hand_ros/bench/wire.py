@@ -39,7 +39,10 @@ from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wa
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
-_NOT_EVERY_TICK = (names.ROBOT_DESCRIPTION, names.JOINT_HOLD, names.HAPTIC_FEEDBACK)
+_NOT_EVERY_TICK = (
+    *(names.ROBOT_DESCRIPTION, names.JOINT_HOLD, names.TOUCH_DOUBT),
+    names.HAPTIC_FEEDBACK,
+)
 _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s

@@ -92,5 +92,10 @@ class BenchOptions:
 
     @property
     def file(self) -> Path:
-        """Where the results are kept."""
-        return self.out or FOLDER / f"{self.kind}.{'jsonl' if self.scenarios else 'json'}"
+        """Where the results are kept.
+
+        Raises:
+            typer.BadParameter: If several kinds are asked for.
+        """
+        kind = self.kind
+        return self.out or FOLDER / f"{kind}.{'jsonl' if self.scenarios else 'json'}"

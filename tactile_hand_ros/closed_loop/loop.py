@@ -97,8 +97,9 @@ class ClosedLoop:
         seen = true if self._belief is None else self._belief.step(state.theta, true)
         touch = self.sensor.step(stamp, seen, sliding)
         contacts = touch.contacts
+        self.pass_on_doubt()
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
-        optimal = self.optimizer.solve(contacts, self._cones(contacts, touch.forces))
+        optimal = self.optimizer.solve(contacts, self.cones(contacts, touch.forces))
         command = self.controller.step(
             stamp,
             state.theta,
@@ -113,14 +114,25 @@ class ClosedLoop:
         record.true_sliding[row] = sliding
         return command
 
+    def pass_on_doubt(self) -> None:
+        """Let regulator and optimizer know whether the controller doubted the last touch."""
+        self.regulator.doubt(self.controller.doubts)
+        self._cone_watch.doubt(self.controller.doubts)
+
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
 
-    def _cones(self, contacts: Contacts, forces: Array) -> Cones | None:
+    def cones(self, contacts: Contacts, forces: Array | None) -> Cones | None:
+        """Return what f* has to respect beside the balance; None where that is nothing.
+
+        Args:
+            contacts: Contacts by touch.
+            forces: Measured forces in contact frames, shape (k, 3), N; None where one is missing.
+        """
         c = self.optimizer.config
-        if not c.cones:
+        if not c.cones or forces is None:
             return None
         usable = c.cone_share * self.regulator.learned_friction
         return self._cone_watch.step(self.stamp, contacts, forces, usable)

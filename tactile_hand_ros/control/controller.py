@@ -112,8 +112,8 @@ class Command(NamedTuple):
         mode: Drive, hold, open or disabled.
         pose: What the hand believes of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
-        withheld: Whether it is better not sent: an input is implausible, and the guard of the
-            joints, which needs none of them, holds better.
+        withheld: Whether it is better not sent: an input is missing or implausible, and the guard
+            of the joints, which needs none of them, holds better.
     """
 
     torque: Array
@@ -132,6 +132,8 @@ class Controller:
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
+        doubts: Whether joints and touch did not fit each other when they last came; touch teaches
+            nothing then.
         joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
             integral and the reference wait for the end of that.
     """
@@ -180,6 +182,7 @@ class Controller:
         self._grasp_force = self._more = 0.0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
+        self.doubts = False
         self._doubted: int | None = None  # first tick of those with an implausible input
         self._drove = False
         self._open_stamp: int | None = None
@@ -287,10 +290,10 @@ class Controller:
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
             self._press.reset()
-            return self.hold(theta, rates, problem, grasp_force, applied)
-        tips, problem = self._seen(
-            stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
-        )
+            return self._holding(theta, rates, problem, grasp_force, applied)
+        tips, problem = self._seen(stamp, theta, rates, contacts, forces, applied)
+        self.doubts = bool(problem)
+        problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
             return self._doubt(stamp, theta, rates, problem, applied)
         self._doubted = None
@@ -303,12 +306,12 @@ class Controller:
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
         except GraspError as error:
-            return self.hold(theta, rates, str(error), applied=applied)
+            return self._holding(theta, rates, str(error), applied=applied)
         total = parts.total
         # The square overflows only for torques that no joint could have: one check for all of them.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
-            return self.hold(theta, rates, _NOT_FINITE, applied=applied)
+            return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         torque = self._drive(parts, total, theta, grasp_force)
         return Command(torque, Mode.DRIVE, pose, refused)
 
@@ -339,7 +342,23 @@ class Controller:
         grasp_force: float = 0.0,
         applied: Array | None = None,
     ) -> Command:
-        """Answer a tick without what the law needs: keep posture and last good squeeze.
+        """Answer a tick that misses an input: keep posture and last good squeeze.
+
+        Where a guard holds the joints, without delay and stiffer, it is not relieved by that: the
+        answer is withheld. The arguments are those of `_holding`.
+        """
+        held = self._holding(theta, rates, reason, grasp_force, applied)
+        return held._replace(withheld=self.joints_held)
+
+    def _holding(
+        self,
+        theta: Array,
+        rates: Array,
+        reason: str,
+        grasp_force: float = 0.0,
+        applied: Array | None = None,
+    ) -> Command:
+        """Keep posture and last good squeeze.
 
         A controller that has not squeezed yet keeps what acts on the joints: another may have died
         with the object in the hand, and a guard may hold it.
@@ -376,12 +395,10 @@ class Controller:
         theta: Array,
         rates: Array,
         contacts: Contacts,
-        optimal_forces: Array,
-        grasp_force: float,
         forces: Array | None,
         applied: Array | None,
     ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why the inputs of a tick are implausible; empty if not."""
+        """Return the fingertips, and why joints and touch do not fit; empty if they do."""
         c, problem = self.config, ""
         if self._feels and forces is not None and applied is not None:
             terms = self.hand.dynamics(theta, rates)
@@ -389,14 +406,17 @@ class Controller:
             problem = self._press.step(stamp, rates, terms, *touch, c.force_tolerance)
         else:
             tips = self.hand.fingertips(theta)
-        if 0.0 < c.grasp_force_limit < grasp_force:
-            limit = f"grasp_force_limit = {c.grasp_force_limit:g} N"
-            problem = f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
-        if c.law.name == "optimal":
-            problem = problem or implausible_shape(optimal_forces)
         touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)
         stands = self._joint_watch.step(theta, contacts, _STANDING * c.touch_tolerance)
         return tips, problem or touch_gap or stands
+
+    def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:
+        """Return why f* or k_f is implausible; empty if they are not."""
+        c = self.config
+        if 0.0 < c.grasp_force_limit < grasp_force:
+            limit = f"grasp_force_limit = {c.grasp_force_limit:g} N"
+            return f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
+        return implausible_shape(optimal_forces) if c.law.name == "optimal" else ""
 
     @property
     def _feels(self) -> bool:
@@ -412,7 +432,7 @@ class Controller:
             self._doubted = stamp
         is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
         held = self.hold(theta, rates, reason, applied=applied)
-        return held._replace(withheld=is_new or self.joints_held)
+        return held._replace(withheld=is_new or held.withheld)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._hold.release()

@@ -35,18 +35,27 @@ class Accepted:
 
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
     configuration in force; at the first tick, when ticks begin again and after each change;
-    transient local) and, where the node has services that change it, `accepted/<node>/requests`
-    (diagnostic_msgs/DiagnosticArray: one key, the service, with `true`, `false` or nothing) and
-    `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic of a refused command and why).
+    transient local); where services or latched topics change the node, `accepted/<node>/requests`
+    (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with `true`, `false` or
+    nothing); where users command it, `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic
+    of a refused command and why).
     """
 
-    def __init__(self, node: TactileNode[Any], name: str, *, requests: bool = False) -> None:
+    def __init__(
+        self,
+        node: TactileNode[Any],
+        name: str,
+        *,
+        requests: bool = False,
+        commands: bool = False,
+    ) -> None:
         """Create the publishers.
 
         Args:
             node: The node.
             name: Its name in topics, one of those in `names`.
-            requests: Whether services change what the node does.
+            requests: Whether services or latched topics change what the node does.
+            commands: Whether users command it.
         """
         self._name, self._full_name = name, node.get_fully_qualified_name()
         self._waiting: list[tuple[Publisher, MessageAt]] = []
@@ -57,6 +66,7 @@ class Accepted:
             self._requests = node.create_publisher(
                 DiagnosticArray, names.accepted_requests(name), qos.user_qos()
             )
+        if commands:
             self._rejected = node.create_publisher(
                 DiagnosticArray, names.rejected(name), qos.user_qos()
             )
@@ -78,7 +88,7 @@ class Accepted:
         self.add(self._parameters, message_at)
 
     def request(self, service: str, value: bool | None = None) -> None:
-        """Note that a service was called, with the value of its request."""
+        """Note that a service was called, or what a latched topic says, with its value."""
         pair = KeyValue(key=service, value="" if value is None else str(value).lower())
         status = DiagnosticStatus(name=self._name, message=service, values=[pair])
 

@@ -47,6 +47,7 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, names.PLANT),
         Link(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
+        Link(names.TOUCH_DOUBT, names.CONTROLLER, (names.REGULATOR, *shaping)),
         Link(names.ROBOT_DESCRIPTION, names.PLANT),
         Link(names.CLOCK, names.PLANT),
         Link(names.CONTACTS, names.SENSOR, (names.OPTIMIZER, names.CONTROLLER)),
@@ -58,8 +59,10 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.ACCEPTED_POSE, names.CONTROLLER),
         Link(names.ACCEPTED_FORCE, names.REGULATOR),
         *(Link(names.accepted_parameters(node), node) for node in _ACTING),
-        Link(names.accepted_requests(names.REGULATOR), names.REGULATOR),
-        Link(names.accepted_requests(names.CONTROLLER), names.CONTROLLER),
+        *(
+            Link(names.accepted_requests(node), node)
+            for node in (names.REGULATOR, *shaping, names.CONTROLLER)
+        ),
         Link(names.rejected(names.REGULATOR), names.REGULATOR),
         Link(names.rejected(names.CONTROLLER), names.CONTROLLER),
         Link(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),

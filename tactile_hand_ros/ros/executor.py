@@ -43,7 +43,11 @@ from rclpy.subscription import Subscription
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
+from tactile_hand_ros.ros.realtime.memory import bounded_memory
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
+
+_REQUEST_ROOM = 32 * 2**20
+"""What reading one request may take [bytes]; that of a thousand parameters takes a hundredth."""
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
@@ -131,7 +135,8 @@ class SurvivingExecutor(SingleThreadedExecutor):
 
     def _take_service(self, srv: Service) -> Any:
         try:
-            return super()._take_service(srv)
+            with bounded_memory(_REQUEST_ROOM):
+                return super()._take_service(srv)
         except Exception as error:
             owners = [node for node in self.get_nodes() if srv in node.services]
             self._survive(srv.srv_name, _unreadable(error), owners)

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import gc
 import os
-import resource
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -25,6 +23,7 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
+from tactile_hand_ros.ros.realtime.memory import bound_memory
 from tactile_hand_ros.ros.realtime.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
@@ -75,29 +74,8 @@ def run_nodes(
             _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
-    _bound_memory(room)
+    bound_memory(room)
     return _stop(nodes, _serve(nodes, scheduling))
-
-
-def _bound_memory(room: int) -> None:
-    """Let the data of this process grow by so many bytes from now on, and no further.
-
-    The C code that reads a request believes the length of a sequence: six damaged bytes then ask
-    for gigabytes and occupy the process for half a minute. Beyond the bound that fails at once, and
-    the request is refused. A lower limit that is in force already stays.
-    """
-    limit = _data_bytes() + room
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    known = [value for value in (soft, hard) if value != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_DATA, (min([limit, *known]), hard))
-
-
-def _data_bytes() -> int:
-    """Return the size of the private writable memory of this process, as the limit counts it."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("VmData:"):
-            return 1024 * int(line.split()[1])
-    raise OSError("/proc/self/status has no line VmData; expected Linux")
 
 
 def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:

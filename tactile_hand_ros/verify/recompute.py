@@ -265,8 +265,11 @@ class ShadowLoop:
         stamp = int(self._recorded.stamps[row])
         for config in self._configurations[names.REGULATOR].until(stamp):
             regulator.configure(config)
-        for _ in self._requests[names.REGULATOR].until(stamp):
-            regulator.reset()
+        for request in self._requests[names.REGULATOR].until(stamp):
+            if request.service == names.TOUCH_DOUBT:
+                regulator.doubt(request.value)
+            else:
+                regulator.reset()
         for force in self._forces.until(stamp):
             regulator.goal = force
         out.grasp_force[row] = regulator.step(stamp, contacts, self._recorded.forces[row])
@@ -274,9 +277,12 @@ class ShadowLoop:
         out.friction[row] = regulator.learned_friction
 
     def _optimize(self, row: int, contacts: Contacts) -> None:
-        for config in self._configurations[names.OPTIMIZER].until(int(self._recorded.stamps[row])):
+        stamp = int(self._recorded.stamps[row])
+        for config in self._configurations[names.OPTIMIZER].until(stamp):
             self._optimizer.configure(config)
             self._cone_watch.configure(config)
+        for request in self._requests[names.OPTIMIZER].until(stamp):
+            self._cone_watch.doubt(request.value)
         c, cones = self._optimizer.config, None
         if c.cones:
             cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])

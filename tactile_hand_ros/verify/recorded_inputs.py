@@ -49,7 +49,7 @@ class Effect(NamedTuple):
 
 
 class Request(NamedTuple):
-    """A service call, with the value of its request, or whether the joints are held."""
+    """A service call or a latched topic, such as whether the joints are held, with its value."""
 
     service: str
     value: bool

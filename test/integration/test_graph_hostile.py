@@ -117,13 +117,14 @@ def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> N
     assert len(topics) >= 16  # of five nodes and three fingers
     attacks = {topic: list(NO_MESSAGES) for topic in topics}
     attacks[names.USER_GRASP_FORCE] = [CUT, CUT]  # Fast DDS sends no more than the type can have
-    del attacks[names.JOINT_HOLD]  # any byte is a Bool
+    for topic in (names.JOINT_HOLD, names.TOUCH_DOUBT):
+        del attacks[topic]  # any byte is a Bool
     attack(graph, attacks)
 
 
 def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph) -> None:
     topics = inputs(graph)
-    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD):  # have none
+    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD, names.TOUCH_DOUBT):  # have none
         del topics[topic]
     blank = {topic: serialize_message(kind_of(topic)()) for topic in topics}
     contacts = serialize_message(graph.newest(names.TRUE_CONTACTS))
@@ -186,14 +187,14 @@ def test_damaged_requests_jam_no_service_and_take_no_memory(graph: Graph, node: 
     writer = RawWriter(graph.node, SetParameters.Request, request_topic(service))
     graph.wait(lambda: writer.readers, f"the reader of {service}")
     before = process.memory_info().rss
-    for count in (2**20, 2**23, 2**25, 2**31):
+    for count in (2**17, 2**20, 2**21, 2**23, 2**25, 2**31):
         writer.write(CUT[:4] + struct.pack("<I", count))
     for _ in range(100):
         writer.write(CUT)
-    until = time.monotonic() + 10.0
+    worked = sum(process.cpu_times()[:2])
     graph.call(SetParameters, service, SetParameters.Request())
-    assert time.monotonic() < until
-    assert process.memory_info().rss < before + 600 * 2**20
+    assert sum(process.cpu_times()[:2]) - worked < 1.0
+    assert process.memory_info().rss < before + 48 * 2**20
     writer.close()
 
 

@@ -44,7 +44,8 @@ class Report:
         inputs: How many were read, by target.
         refused: How many were refused in a sentence, by target.
         findings: Each a name, the target, the number of the input and what happened.
-        growth: Largest growth of the memory, bytes.
+        growth: Largest growth of the memory of a process, bytes.
+        grew_most: The node that has grown so; empty for the process that reads.
         slowest: Longest processor time for one input, s.
     """
 
@@ -53,6 +54,7 @@ class Report:
     refused: Counter[str] = field(default_factory=Counter)
     findings: list[dict[str, Any]] = field(default_factory=list)
     growth: int = 0
+    grew_most: str = ""
     slowest: float = 0.0
 
     @property
@@ -68,6 +70,7 @@ class Report:
             "refused": dict(self.refused),
             "findings": self.findings,
             "growth_MB": round(self.growth / 2**20, 1),
+            "grew_most": self.grew_most,
             "slowest_s": round(self.slowest, 3),
         }
 
@@ -106,7 +109,9 @@ def fuzz(
         if count == _WARM:
             memory = process.memory_info().rss
         if count > _WARM and count % _LOOK == 0:
-            report.growth = max(report.growth, process.memory_info().rss - memory)
+            grown = process.memory_info().rss - memory
+            if grown > report.growth:
+                report.growth, report.grew_most = grown, ""
     return report
 
 

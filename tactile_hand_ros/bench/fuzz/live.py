@@ -52,6 +52,7 @@ def _inputs(hand: RunningHand) -> list[_Input]:
         names.DESIRED_POSE: PoseStamped,
         names.USER_GRASP_FORCE: Float64,
         names.JOINT_HOLD: Bool,
+        names.TOUCH_DOUBT: Bool,
     }
     for finger in hand.fingers:
         for named in (names.wrench, names.true_wrench, names.optimal_force):
@@ -122,11 +123,22 @@ def _attack(hand: RunningHand, report: Report, seconds: float, folder: Path) -> 
         if what := _wrong(hand, processes, start):
             keep(report, folder, "live", number, "\n".join(sent).encode(), what)
             break
-    for name, process in processes.items():
-        if process.is_running():
-            report.growth = max(report.growth, process.memory_info().rss - memory[name])
+        if what := _grown(report, processes, memory):
+            keep(report, folder, "live", number, "\n".join(sent).encode(), what)
     for writer in writers:
         writer.close()
+
+
+def _grown(report: Report, processes: dict[str, psutil.Process], memory: dict[str, int]) -> str:
+    """Note the largest growth; return which node has just grown by more than it may, or nothing."""
+    had_grown = report.grew
+    for name, process in processes.items():
+        grown = process.memory_info().rss - memory[name]
+        if grown > report.growth:
+            report.growth, report.grew_most = grown, name
+    if had_grown or not report.grew:
+        return ""
+    return f"growth: {report.grew_most} by {report.growth / 2**20:.0f} MB"
 
 
 def _damaged_behind_header(data: bytes, chance: random.Random) -> bytes:

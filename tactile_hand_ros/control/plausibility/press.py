@@ -18,15 +18,17 @@ FELT_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
 _FROZEN_TIME = 0.04  # s for which a slow skin may repeat a force to the bit
-_FROZEN_SHARE = 0.05  # change of the torques of a finger that changes its force
+_FROZEN_SHARE = 0.05  # change of the torques of a finger that changes the force of any skin
 _LEAST = 0.05  # N m; an error that says nothing
+_FINE_SHARE, _FINE_LEAST = 0.01, 0.002  # the same of a skin without steps; N m
+_STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
 
 
 class _Frozen(NamedTuple):
     """Since when a finger repeats its force to the bit, ns; the force, N; torques then, N m."""
 
     stamp: int
-    force: Array
+    force: list[float]
     pressed: Array
 
 
@@ -42,6 +44,7 @@ class PressWatch:
         self._last: tuple[int, Array] | None = None
         self._pressed = self._excess = np.zeros(0)
         self._frozen: list[_Frozen] = []
+        self._finest: list[float] = []  # smallest change of a component of each force, N
 
     def step(
         self,
@@ -87,14 +90,32 @@ class PressWatch:
 
     def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array) -> bool:
         """Return whether a finger repeats its force to the bit for long, under another torque."""
+        felt = forces.tolist()
         if not self._frozen:
-            self._frozen = [_Frozen(stamp, force, self._pressed) for force in forces]
-        for i, (force, frozen) in enumerate(zip(forces, self._frozen, strict=True)):
-            if not np.array_equal(force, frozen.force):
+            self._frozen = [_Frozen(stamp, force, self._pressed) for force in felt]
+            self._finest = [math.inf] * len(felt)
+        for i, (force, frozen) in enumerate(zip(felt, self._frozen, strict=True)):
+            if force != frozen.force:
+                changes = [abs(a - b) for a, b in zip(force, frozen.force, strict=True) if a != b]
+                self._finest[i] = min(self._finest[i], *changes)
                 self._frozen[i] = _Frozen(stamp, force, self._pressed)
             elif 1e-9 * (stamp - frozen.stamp) > _FROZEN_TIME:
                 own = tips.linear[i].any(axis=0)
                 change = np.abs((self._pressed - frozen.pressed)[own]).max()
-                if change > _LEAST + _FROZEN_SHARE * np.abs(frozen.pressed[own]).max():
+                torque = np.abs(frozen.pressed[own]).max()
+                if change > _noticeable(torque, tips.linear[i], self._finest[i]):
                     return True
         return False
+
+
+def _noticeable(torque: float, linear: Array, finest: float) -> float:
+    """Return the change of a finger's torque that its skin must notice, N m.
+
+    Args:
+        torque: Its largest torque before, N m.
+        linear: Jacobian of its tip, shape (3, m), m.
+        finest: Smallest change of its force so far, N; infinite before the first.
+    """
+    lever = math.sqrt(np.square(linear).sum(axis=0).max())
+    fine = _FINE_LEAST + _FINE_SHARE * torque + _STEPS * lever * finest
+    return min(fine, _LEAST + _FROZEN_SHARE * torque)

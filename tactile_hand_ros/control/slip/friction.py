@@ -103,6 +103,15 @@ class FrictionEstimator:
         self._memory["mean"] = np.nan
 
     @property
+    def memory(self) -> Rows:
+        """All that is known of the contacts, for `restore`."""
+        return self._memory.copy()
+
+    def restore(self, memory: Rows) -> None:
+        """Go back to a `memory` from before."""
+        self._memory[:] = memory
+
+    @property
     def estimate(self) -> Array:
         """The friction mu of each contact, shape (k,)."""
         return self._memory["estimate"].copy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,14 @@ from pydantic import model_validator
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.checkpoints import Checkpoints
 from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 from tactile_hand_ros.control.slip.need import Need
 from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
 from tactile_hand_ros.control.slip.split import Split, split
 from tactile_hand_ros.errors import CollinearContactsError, MessageError
+from tactile_hand_ros.jit.rows import Rows
 
 Array = NDArray[np.float64]
 
@@ -60,6 +62,13 @@ class SlipRegulatorConfig(Config):
         return self
 
 
+class _Known(NamedTuple):
+    """What touch has taught: the friction, with all that belongs to it, and the squeeze, N."""
+
+    friction: Rows
+    squeeze: float
+
+
 class SlipRegulator:
     """Chooses k_f at every tick, from touch alone.
 
@@ -67,6 +76,9 @@ class SlipRegulator:
     object needs follows from the measured forces, split into load and squeeze, and the friction
     that slips and sticks have shown: the least one that keeps every contact inside its cone, with a
     margin. It rises at once, falls slowly, and rises to the limit while something slips.
+
+    Touch that is doubted is not felt. What it has taught before that was known is forgotten, and
+    afterwards the need follows from the load that is felt then.
 
     Attributes:
         grasp_force: k_f, N.
@@ -86,6 +98,8 @@ class SlipRegulator:
         self._need = Need(config.reflex.need, fingers)
         self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
         self._reflex = Reflex(config.reflex, config.grasp_force)
+        self._checkpoints: Checkpoints[_Known] = Checkpoints()
+        self._doubted = False
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -114,6 +128,18 @@ class SlipRegulator:
         self._bends: deque[tuple[int, float]] = deque()
         self._detector.reset()
         self._estimator.reset()
+        self._checkpoints.forget()
+
+    def doubt(self, doubted: bool) -> None:
+        """Take whether touch is doubted, see `Controller.doubts`, from the next tick on."""
+        if doubted and not self._doubted:
+            known = self._checkpoints.before
+            if known is not None:
+                self._estimator.restore(known.friction)
+            squeeze = self._reflex.squeeze if known is None else known.squeeze
+            self._reflex.start(min(squeeze, self._reflex.squeeze))
+            self._need.reset()
+        self._doubted = doubted
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -160,6 +186,10 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
+            if self._doubted:
+                forces = np.full_like(forces, np.nan)
+            else:
+                self._checkpoints.pass_by(stamp, self._known)
             self._feel(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
@@ -168,6 +198,9 @@ class SlipRegulator:
             goal = reflex if c.mode == "auto" else max(self._asked, reflex)
         self.grasp_force = min(max(goal, c.minimum), c.maximum)
         return self.grasp_force
+
+    def _known(self) -> _Known:
+        return _Known(self._estimator.memory, self._reflex.squeeze)
 
     def _follow_user(self, dt: float) -> None:
         c = self.config
@@ -231,7 +264,7 @@ class SlipRegulator:
 
     def _split(self, contacts: Contacts, forces: Array) -> Split | None:
         """Split the forces where they form a grasp."""
-        if not contacts.all_touching:
+        if self._doubted or not contacts.all_touching:
             return None
         try:
             return split(contacts, forces)

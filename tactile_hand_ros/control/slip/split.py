@@ -100,14 +100,22 @@ class ConeWatch:
     """Follows what the contacts carry, slowly enough that noise does not shake f*.
 
     It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
-    for that: a shape that follows a swinging load is always too late for it.
+    for that: a shape that follows a swinging load is always too late for it. Touch that is doubted
+    is not followed, and afterwards all begins with the load that is felt then.
     """
 
     def __init__(self, config: ConeWatchConfig, contacts: int) -> None:
         """Follow the load of k contacts."""
         self._reserve = Reserve(config.reserve, contacts)
+        self._doubted = False
         self.configure(config)
         self.reset()
+
+    def doubt(self, doubted: bool) -> None:
+        """Take whether touch is doubted, see `Controller.doubts`, from the next tick on."""
+        if doubted:
+            self.reset()
+        self._doubted = doubted
 
     def configure(self, config: ConeWatchConfig) -> None:
         """Take other parameters; what is known of the load stays."""
@@ -133,9 +141,9 @@ class ConeWatch:
             usable_friction: mu that each contact may use, shape (k,).
 
         Returns:
-            None where there is no grasp or no squeeze yet.
+            None where there is no grasp or no squeeze yet, or touch is doubted.
         """
-        parts = _grasp(contacts, forces)
+        parts = None if self._doubted else _grasp(contacts, forces)
         if parts is None:
             self._load = self._worst = None  # the past that the reserve follows stays
             return None

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
+from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
@@ -33,6 +34,7 @@ from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.wire import WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
@@ -47,8 +49,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). With `cones` also,
     of the same stamp: `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`,
-    N) and `grip_state` (sensor_msgs/JointState by finger, of which the learned friction counts);
-    without, they would only cost time.
+    N) and `grip_state` (sensor_msgs/JointState by finger, of which the learned friction counts),
+    and `touch_doubt` (std_msgs/Bool, whether the controller doubts the touch, from which nothing is
+    learned then); without, they would only cost time.
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
@@ -72,7 +75,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._fingers = len(fingers)
         self._optimizer = ForceOptimizer(self.config, self._fingers)
         self._report = OptimizerReport(self.diagnostics)
-        self._accepted = Accepted(self, names.OPTIMIZER)
+        shapes, self._is_doubted = self.config.cones, False
+        self._accepted = Accepted(self, names.OPTIMIZER, requests=shapes)
         self._sent: list[bytes] = []
         self._codecs = [
             WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
@@ -81,8 +85,10 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
         self._cone_watch = ConeWatch(self.config, self._fingers)
-        shapes = self.config.cones
         self._rehearse(shapes)
+        if shapes:
+            latched = qos.latched_qos(qos.user_qos().depth)
+            self.subscribe(Bool, names.TOUCH_DOUBT, self._on_doubt, profile=latched)
         declared = (
             streams.contacts(self._fingers),
             streams.learned_friction(fingers, wanted=shapes),
@@ -116,6 +122,14 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._optimizer.reset()
         self._cone_watch.reset()
         self._accepted.begin(self.config)
+        if self._is_doubted:
+            self._accepted.request(names.TOUCH_DOUBT, True)
+
+    def _on_doubt(self, message: Bool) -> None:
+        if message.data != self._is_doubted:
+            self._is_doubted = message.data
+            self._cone_watch.doubt(message.data)
+            self._accepted.request(names.TOUCH_DOUBT, message.data)
 
     def on_tick(
         self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None

@@ -66,8 +66,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
     of the contacts; not while holding). With the stamp of the first tick that they change:
     `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `Accepted` lists.
-    Once a second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on
-    faces), A2 (tips' rims), A5 (joints) and A7 (contacts).
+    At each change, latched: `touch_doubt` (std_msgs/Bool, whether joints and touch do not fit each
+    other, so that regulator and optimizer must not learn from touch). Once a second: `/diagnostics`
+    with mode, distance to the target and margins of A1 (travel on faces), A2 (tips' rims), A5
+    (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
     `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
@@ -96,7 +98,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._sent = b""
         self._is_withheld = self._time_waits = False
         self._unanswered: tuple[int, Joints] | None = None
-        self._accepted = Accepted(self, names.CONTROLLER, requests=True)
+        self._accepted = Accepted(self, names.CONTROLLER, requests=True, commands=True)
         self._begin()
         hand = self._controller.hand
         self._is_limited = False
@@ -111,6 +113,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         )
         held = qos.latched_qos(qos.user_qos().depth)
         self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
+        self._doubt = self.create_publisher(Bool, names.TOUCH_DOUBT, qos.latched_qos())
+        self._doubt.publish(Bool(data=False))
+        self._doubted = False
         self._feels = self.config.law.observer.time > 0.0
         declared = (
             streams.joints(hand.joint_names),
@@ -183,6 +188,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         command = self._controller.step(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
+        self._publish_doubt()
         self._is_withheld = command.withheld and not self._time_waits
         if self._is_withheld:
             self._sent = self._encoded(stamp, command)
@@ -192,13 +198,16 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report.note(command, joints.theta, contacts)
         self.diagnostics.latency(time.perf_counter() - began)
 
-    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
-        """Hold the hand at a tick for which inputs are missing.
+    def _publish_doubt(self) -> None:
+        """Publish whether joints and touch do not fit each other, where that has changed."""
+        if self._controller.doubts != self._doubted:
+            self._doubted = self._controller.doubts
+            self._doubt.publish(Bool(data=self._doubted))
 
-        Where a guard holds the joints, without delay and stiffer, it is not relieved by that.
-        """
+    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
+        """Hold the hand at a tick for which inputs are missing."""
         command = self._controller.hold(joints.theta, joints.rates, reason, applied=joints.applied)
-        if not self._controller.joints_held:
+        if not command.withheld:
             self._answer(stamp, command)
         self._report.note(command)
 

@@ -22,7 +22,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedbackArray
-from std_msgs.msg import Float64
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
@@ -53,7 +53,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
-    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N).
+    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N); `touch_doubt`
+    (std_msgs/Bool, whether the controller doubts the touch, from which nothing is learned then).
 
     Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
@@ -84,7 +85,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
-        self._accepted = Accepted(self, names.REGULATOR, requests=True)
+        self._accepted = Accepted(self, names.REGULATOR, requests=True, commands=True)
+        self._is_doubted = False
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
@@ -105,6 +107,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.subscribe(
             Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
         )
+        latched = qos.latched_qos(qos.user_qos().depth)
+        self.subscribe(Bool, names.TOUCH_DOUBT, self._on_doubt, profile=latched)
         declared = (streams.contacts(len(fingers)), streams.forces(fingers))
         self._inputs = TickInputs(self, declared, self, observe=self._observe)
         self.create_service(Trigger, names.RESET, self._on_reset)
@@ -135,12 +139,20 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.reset()
         self._report.reset()
         self._accepted.begin(self.config)
+        if self._is_doubted:
+            self._accepted.request(names.TOUCH_DOUBT, True)
 
     def _on_user_force(self, data: bytes) -> None:
         force = number_from_ros(read_message(data, Float64))
         self._regulator.request(force)
         message_at = partial(self._codec.encode, (0.0, force, 0.0))
         self._accepted.add(self._force_publisher, message_at)
+
+    def _on_doubt(self, message: Bool) -> None:
+        if message.data != self._is_doubted:
+            self._is_doubted = message.data
+            self._regulator.doubt(message.data)
+            self._accepted.request(names.TOUCH_DOUBT, message.data)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.on_restart()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory that is there when a tick needs it: locked, with a stack that is in use already.
+"""Memory that is there when a tick needs it, and that no message can use up.
+
+Pages are locked, a stack is in use already, and what a process may grow by is bounded.
 
 Everything that asks the C library or the kernel for this is in this file.
 """
@@ -9,6 +11,9 @@ from __future__ import annotations
 import ctypes
 import os
 import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # mlockall(2): lock pages once they are in use, no sooner
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # mallopt(3)
@@ -63,3 +68,37 @@ def touch_stack() -> None:
     call = ctypes.CDLL(None)["getppid"]
     call.argtypes = [_Block]
     call(_Block())
+
+
+def bound_memory(room: int) -> None:
+    """Let the data of this process grow by so many bytes from now on, and no further.
+
+    A lower limit that is in force already stays.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    known = [value for value in (soft, hard) if value != resource.RLIM_INFINITY]
+    limit = min([_data_bytes() + room, *known])
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+@contextmanager
+def bounded_memory(room: int) -> Iterator[None]:
+    """Let the data of this process grow by so many bytes in a block, and no further.
+
+    The C code that reads a request believes the length of a sequence: six damaged bytes then ask
+    for gigabytes and occupy the process for half a minute. Beyond the bound that fails at once.
+    """
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    bound_memory(room)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def _data_bytes() -> int:
+    """Return the size of the private writable memory of this process, as the limit counts it."""
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmData:"):
+            return 1024 * int(line.split()[1])
+    raise OSError("/proc/self/status has no line VmData; expected Linux")

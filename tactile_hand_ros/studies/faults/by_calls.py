@@ -24,7 +24,6 @@ from tactile_hand_ros.control.controller import Controller, Mode
 from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
 from tactile_hand_ros.studies.faults import space
@@ -101,7 +100,6 @@ class FaultyLoop:
         self.guard = JointGuard(plant.guard, self.loop.plant.hand, plant.tick)
         self.tick_time = 1e-9 * plant.tick
         self.wires = Wires(run, self.tick_time)
-        self._cones = ConeWatch(chosen.force_optimizer, self.loop.plant.hand.fingers)
         self._run, self._chance = run, random.Random(run.seed)
         self._newest: TorqueCommand | None = None
         self._waiting: deque[tuple[int, TorqueCommand]] = deque()
@@ -147,10 +145,11 @@ class FaultyLoop:
         given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
         forces = None if any(each is None for each in given) else np.array(given)
         squeeze = shape = None
+        loop.pass_on_doubt()
         if contacts is not None and forces is not None:
             squeeze = loop.regulator.step(stamp, contacts, forces)
         if contacts is not None:
-            shape = loop.optimizer.solve(contacts, self._shape(contacts, forces)).forces
+            shape = loop.optimizer.solve(contacts, loop.cones(contacts, forces)).forces
         squeeze = carry("grasp force", squeeze, lambda value: value and _FACTOR * value)
         shape = carry("shape", shape, lambda value: None if value is None else value[:, [1, 0, 2]])
         if joints is None:
@@ -166,7 +165,7 @@ class FaultyLoop:
                 joints[0], joints[1], "inputs are missing", applied=joints[2]
             )
             self.drives = False
-            return held.torque if is_blind and not self.guard.holding else None
+            return held.torque if is_blind and not held.withheld else None
         self._command()
         theta, rates, applied = joints
         answer = loop.controller.step(
@@ -174,13 +173,6 @@ class FaultyLoop:
         )
         self.drives = answer.mode is Mode.DRIVE
         return None if answer.withheld else answer.torque
-
-    def _shape(self, contacts: Any, forces: Array | None) -> Any:
-        config = self.loop.optimizer.config
-        if not config.cones or forces is None:
-            return None
-        usable = config.cone_share * self.loop.regulator.learned_friction
-        return self._cones.step(self.loop.stamp, contacts, forces, usable)
 
     def _command(self) -> None:
         """Let the user send what the fault of the run makes of it; refusals are as intended."""

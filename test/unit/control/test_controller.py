@@ -11,7 +11,6 @@ from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 
@@ -609,6 +608,29 @@ def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
         return np.array(before + [bench.step().torque for _ in range(20)])
 
     np.testing.assert_array_equal(torques(held_ticks=50), torques(held_ticks=0))
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
+    """A lost contact is no missing input: only the regulator's squeeze may get it back."""
+    bench = Bench()
+    bench.step()
+    bench.controller.joints_held = held
+    assert bench.controller.hold(bench.theta, REST, "silence").withheld == held
+    assert not bench.step(contacts=bench.without_finger(1)).withheld
+
+
+def test_inputs_that_do_not_fit_are_doubted_until_they_do():
+    bench = Bench(input_timeout=0.1)
+    assert not bench.step().withheld and not bench.controller.doubts
+    wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
+    assert bench.step(**wrong).withheld and bench.controller.doubts
+    assert not bench.step(100, **wrong).withheld and bench.controller.doubts
+    bench.controller.joints_held = True
+    assert bench.step(**wrong).withheld
+    assert bench.step().mode is Mode.DRIVE and not bench.controller.doubts
+    assert bench.step(optimal_forces=2.0 * bench.optimal).withheld
+    assert not bench.controller.doubts  # touch may be right all the same
 
 
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():

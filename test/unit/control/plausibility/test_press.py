@@ -63,6 +63,22 @@ def test_a_force_that_repeats_is_doubted_when_the_torques_change_and_not_at_rest
     assert 20 < first_doubt(stuck, grows) < 60
 
 
+@pytest.mark.parametrize(("step", "found"), [(0.0, True), (0.005, True), (0.1, False)])
+def test_a_small_load_is_enough_for_a_skin_that_has_shown_finer_steps(step, found):
+    """0.2 N at each finger, which a skin with coarse steps may well not notice."""
+
+    def felt(tick):
+        forces = FORCES + 0.02 * np.sin(min(tick, 20) + np.arange(9.0)).reshape(3, 3)
+        return np.round(forces / step) * step if step else forces
+
+    def applied(tick):
+        return FORCES + np.array([0.0, 0.0, 0.2]) * min(max(tick - 20, 0) / 30.0, 1.0)
+
+    doubted = first_doubt(felt, applied)
+    assert (doubted is not None) == found
+    assert not found or 40 < doubted < 60
+
+
 def test_a_new_grasp_starts_without_a_past():
     watch = PressWatch()
     seen = FORCES, torque(0.2 * FORCES)

@@ -127,6 +127,18 @@ def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(
     np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
 
 
+def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
+    """Also the loads of the recent past, which may have been none."""
+    watch = cone_watch()
+    watch.step(3 * MS, GRASP, 3.0 * HEAVY, MU)
+    watch.doubt(True)
+    assert watch.step(5 * MS, GRASP, 3.0 * HEAVY, MU) is None
+    watch.doubt(False)
+    found, fresh = watch.step(7 * MS, GRASP, FORCES, MU), cone_watch().step(0, GRASP, FORCES, MU)
+    np.testing.assert_array_equal(found.load, fresh.load)
+    np.testing.assert_array_equal(found.wanted, fresh.wanted)
+
+
 def test_a_squeeze_below_a_tenth_of_a_newton_bears_no_ratio():
     total = split(GRASP, FORCES).grasp_force
     assert cone_watch().step(0, GRASP, 0.0999 / total * FORCES, MU) is None

@@ -44,3 +44,16 @@ def test_a_starved_computer_costs_no_object_and_little_way():
 def test_without_a_fault_nothing_is_declared():
     seen = outcome("lifting", "user commands", "none")
     assert not seen.dropped and seen.safe is None and seen.recovered == 0.0
+
+
+@pytest.mark.parametrize(
+    ("situation", "component", "fault", "seed"),
+    [
+        ("heavy", "skin of one finger", "wrong", 1033789),
+        ("lifting", "skin of all fingers", "stuck", 1512273227),
+    ],
+)
+def test_touch_that_is_wrong_is_not_remembered(situation, component, fault, seed):
+    """Regulator and optimizer take a load that was none for one; this moved the object 73 mm."""
+    seen = outcome(situation, component, fault, seed)
+    assert not seen.dropped and seen.moved < 0.003 and seen.peak < 1.2 * seen.limit
