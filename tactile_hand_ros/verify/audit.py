@@ -44,7 +44,7 @@ from tactile_hand_ros.verify.recorded_inputs import (
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-FORCE_TOLERANCE = 1e-6  # of residuals and of the gap
+FORCE_TOLERANCE = 1e-6  # of residuals, of the gap and of the balance
 CONE_TOLERANCE = 1e-4  # of f*; the optimization inside cones is as accurate
 TORQUE_TOLERANCE = 1e-9  # N m
 POSE_TOLERANCE = 1e-9  # m and rad
@@ -219,9 +219,11 @@ def _audit_forces_with(
     at, every = np.flatnonzero(plain), np.flatnonzero(both)
     unbalanced = optimum.imbalance(problem.part(every), given[every])
     return [
-        _check("f* in balance, sum of normals 1", record, rows[every], unbalanced, 1e-6, "1"),
-        _check("(13), optimality conditions", record, rows[at], residual[at], 1e-6, "1"),
-        _check("(13), duality gap per cost", record, rows[at], gap[at], 1e-6, "1"),
+        _check(
+            "f* in balance, sum of normals 1", record, rows[every], unbalanced, FORCE_TOLERANCE, "1"
+        ),
+        _check("(13), optimality conditions", record, rows[at], residual[at], FORCE_TOLERANCE, "1"),
+        _check("(13), duality gap per cost", record, rows[at], gap[at], FORCE_TOLERANCE, "1"),
         _check("f* where (13) has one", record, rows, 1.0 * (answered != wanted), 0.5, "1"),
         *checks,
     ]
