@@ -162,13 +162,18 @@ def _rows(run: Run, limit: int) -> Rows:
     record = run.record
     at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
     signals = [
-        np.abs(record.rates).max(axis=1),
-        derived.contact_forces(record)[:, :, 1].max(axis=1),
-        derived.required_friction(record).max(axis=1),
+        _highest(np.abs(record.rates)),
+        _highest(derived.contact_forces(record)[:, :, 1]),
+        _highest(derived.required_friction(record)),
         record.grasp_force,
         run.latencies,
     ]
     return shown(len(record), limit, signals, at_events.clip(0, len(record) - 1))
+
+
+def _highest(values: Array) -> Array:
+    """Return the largest value of each row; a bag need not hold a finger."""
+    return np.asarray(values.max(axis=1, initial=-np.inf))
 
 
 def _fingers(record: Record) -> list[dict[str, Any]]:

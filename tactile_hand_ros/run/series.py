@@ -72,15 +72,6 @@ class Series:
         """Names in the first JointState."""
         return next((t.layout.texts[1:] for t in self.tables if 0 in t.rows), [])
 
-    @property
-    def frames(self) -> list[str]:
-        """The frame_id of every message."""
-        out = [""] * len(self)
-        for table in self.tables:
-            for row in table.rows:
-                out[row] = table.layout.texts[0]
-        return out
-
 
 @dataclass
 class _Messages:

@@ -22,18 +22,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
-from support.recorded import PERIOD, START, RunWriter, pose_stamped, write_tick
 
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
-from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=1000)
@@ -258,24 +252,3 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
         assert main(["replay", str(bag), "--start-paused", "--loop", argument]) == 2
     said = capsys.readouterr().err
     assert text in said and said.count("\n") == 1
-
-
-def test_real_nodes_give_what_was_recorded_byte_for_byte(tmp_path: Path) -> None:
-    """And with another gain other torques, from the same squeeze."""
-    scenario = load_scenario("paper", {"duration": 0.5})
-    record = ClosedLoop(scenario).run(60)
-    with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
-        for command in scenario.targets:
-            target = command.target()
-            quaternion = quaternion_from_rotation(target.orientation)
-            pose = pose_stamped(command.stamp, target.position, quaternion)
-            bag.write("/accepted/desired_pose", pose, START)
-        for row in range(len(record)):
-            write_tick(bag, record, row, START + row * PERIOD)
-    comparisons = replay_through_nodes(Run(tmp_path))
-    assert [c for c in comparisons if not c.same] == []
-    assert [c.compared for c in comparisons] == 7 * [60]
-    differing = {
-        c.topic for c in replay_through_nodes(Run(tmp_path), {"law.k_p": 4.0}) if not c.same
-    }
-    assert differing == {"joint_command"}

@@ -16,10 +16,11 @@ from pathlib import Path
 
 # Slower tests, with coverage and often without compilation, are left out [s].
 _SLOW = 15
-# Tests of nodes that are served by the process of the test.
+# Tests whose own process serves nodes, or steers those of others.
 _SPINNING = {
     "ros": ("test_direct", "test_node", "test_parameters", "test_spinning"),
     "nodes": ("test_graph_nodes", "test_raw_topic"),
+    "verify": ("test_replay_through_nodes",),
 }
 _RECORDER = "test/mutation/recorder.py"
 # Tests of other folders that look closely at this one.
@@ -27,6 +28,8 @@ _ELSEWHERE = {
     "hand": ("control/test_reach_cost", "simulation/test_calibration"),
     "closed_loop": ("control/test_own_law", "simulation/test_calibration"),
 }
+# Its tests run copies of its files in other processes, where no line is seen: all of them count.
+_COPIED = "jit"
 # What was compiled from this tree; changes of what is not compiled leave it as it is.
 _COMPILED = Path(__file__).resolve().parents[2] / ".mutation" / "compiled"
 _OWN_VARIABLES = ("TACTILE_HAND_INTERPRETED", "NUMBA_CACHE_DIR", "PYTHONPATH")
@@ -49,6 +52,9 @@ class CoverageMap:
 
         A line at the top of a module runs on import, in no test: all tests of the file count.
         """
+        if folder_of(path) == _COPIED:
+            every = {test for test in self.durations if test.startswith(f"test/unit/{_COPIED}/")}
+            return sorted(every, key=lambda test: (self.durations[test], test))
         lines = self.tests.get(path, {})
         every = {test for tests in lines.values() for test in tests}
         found = lines.get(line, []) if in_function else every

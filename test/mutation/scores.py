@@ -19,24 +19,17 @@ SCORES = HERE / "scores.yaml"
 # Longest prefix first. What is left out is for people to look at: commands, figures, studies.
 PACKAGES = (
     *("control/slip", "control/optimizer", "control", "hand", "simulation", "closed_loop"),
-    *(
-        "ros/ticks",
-        "ros",
-        "nodes",
-        "bag",
-        "run",
-        "verify",
-        "report",
-        "orchestrator",
-        "config",
-        "jit",
-    ),
+    *("ros/ticks", "ros", "nodes", "bag", "run", "verify", "report", "orchestrator", "steering"),
+    *("config", "jit"),
 )
+_FIGURES = ("report/figures.py", "report/scene.py", "report/style.py")
 
 
 def package_of(path: str) -> str:
     """Return the package that a file counts for; `top` for modules beside the packages."""
     inside = path.removeprefix("tactile_hand_ros/")
+    if inside in _FIGURES:
+        return ""
     if "/" not in inside:
         return "top"
     found = [each for each in PACKAGES if inside.startswith(f"{each}/")]

@@ -58,10 +58,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         yield opened
 
 
+@pytest.fixture(scope="module")
+def written(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the report of the run."""
+    return write_report(run, tmp_path_factory.mktemp("report"))
+
+
 @pytest.fixture
-def report(page: Page, run: Run, tmp_path: Path) -> Page:
+def report(page: Page, written: Path) -> Page:
     """Return the browser with the report of the run in it."""
-    page.open(write_report(run, tmp_path))
+    page.open(written)
     return page
 
 

@@ -49,6 +49,14 @@ def test_a_defect_is_not_hidden() -> None:
         run_command("program", failing(ZeroDivisionError()))
 
 
+@pytest.mark.parametrize("name", ["exit_code", "format_message"])
+def test_what_only_looks_like_a_wrong_option_is_a_defect(name: str) -> None:
+    error = RuntimeError("x")
+    setattr(error, name, lambda: "text")
+    with pytest.raises(RuntimeError):
+        run_command("program", failing(error))
+
+
 def test_an_input_that_ended_too_early_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     error = RuntimeError("x")
     error.__cause__ = EOFError()
@@ -123,6 +131,9 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
         signal.signal(number, signal.SIG_IGN)
         assert run_command("program", lambda: signal.raise_signal(number)) == 0
         assert signal.getsignal(number) is signal.SIG_IGN
+        signal.signal(number, usual)
+        assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
+        assert signal.getsignal(number) is signal.SIG_IGN  # what the command has set stays
     finally:
         signal.signal(number, before)
 
@@ -174,6 +185,10 @@ class Full(io.StringIO):
     def write(self, text: str) -> int:
         raise self._error
 
+    def flush(self) -> None:
+        if not self.closed:
+            raise self._error
+
 
 @pytest.mark.parametrize(
     ("error", "is_told"), [(OSError(errno.ENOSPC, "Full"), True), (BrokenPipeError(), False)]
@@ -192,6 +207,78 @@ def test_work_goes_on_when_nothing_can_be_written(
             False,
             file.fileno(),
         )
+        file.write("lost")  # what the descriptor leads to now
+        file.flush()
+    assert (tmp_path / "file").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(OSError(errno.ENOSPC, "Full"), 2), (BrokenPipeError(), 0)]
+)
+@pytest.mark.parametrize("is_refused", [False, True])
+def test_output_that_cannot_be_written_is_dropped(
+    error: OSError,
+    code: int,
+    is_refused: bool,
+    tmp_path: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What is buffered is written at the end, and the interpreter must not try it again."""
+    with (tmp_path / "file").open("w") as file:
+        monkeypatch.setattr(sys, "stdout", Full(file, error))
+        command = failing(BagError("no bag.")) if is_refused else lambda: None
+        assert run_command("program", command) == (2 if is_refused else code)
+        file.write("lost")
+        file.flush()
+    assert (tmp_path / "file").read_text() == ""
+    told = "no bag." if is_refused else "it cannot be read or written: Full" if code else ""
+    assert told in capsys.readouterr().err
+
+
+def test_a_reader_that_has_left_is_no_failure(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "file").open("w") as file:
+        monkeypatch.setattr(sys, "stdout", file)
+        assert run_command("program", failing(BrokenPipeError())) == 0
+        file.write("lost")
+        file.flush()
+    assert (tmp_path / "file").read_text() == ""
+
+
+def test_what_is_buffered_may_be_what_cannot_be_written(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "file").open("w") as file:
+        monkeypatch.setattr(sys, "stdout", Full(file, OSError(errno.ENOSPC, "Full")))
+        output = LastingOutput()
+        output.flush()
+        assert output.problem is not None
+        file.write("lost")
+        file.flush()
+    assert (tmp_path / "file").read_text() == ""
+
+
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_letters_that_the_terminal_lacks_are_written_as_escapes(
+    name: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "file"
+    with file.open("w", encoding="ascii") as stream:
+        monkeypatch.setattr(sys, name, stream)
+        assert run_command("program", lambda: print("é", file=getattr(sys, name)) or 3) == 3
+    assert file.read_text() == "\\xe9\n"
+
+
+def test_a_sentence_has_nowhere_to_go_without_a_terminal(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    say("program", "lost")
+    with (tmp_path / "file").open("w") as file:
+        monkeypatch.setattr(sys, "stderr", Full(file, OSError(errno.EIO, "gone")))
+        say("program", "lost")
         file.write("lost")  # what the descriptor leads to now
         file.flush()
     assert (tmp_path / "file").read_text() == ""

@@ -20,6 +20,20 @@ def test_text_takes_the_place_of_a_file_and_of_a_link_to_one(tmp_path):
     assert file.stat().st_mode & 0o777 == 0o666 & ~_umask()
 
 
+def test_a_text_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+    """A crash of the machine could leave an empty file otherwise."""
+    file, sizes, sync = tmp_path / "file", [], os.fsync
+
+    def watched(descriptor):
+        assert not file.exists()
+        sizes.append(os.fstat(descriptor).st_size)
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", watched)
+    replace_text(file, "some")
+    assert sizes == [4] and file.read_text() == "some"
+
+
 def _umask():
     mask = os.umask(0o022)
     os.umask(mask)

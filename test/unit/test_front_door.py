@@ -16,7 +16,7 @@ from tactile_hand_ros import ClosedLoop, load_scenario, metrics
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)
 def test_a_public_name_can_be_loaded_and_is_documented(name: str) -> None:
     assert getattr(tactile_hand_ros, name).__doc__
-    assert name in dir(tactile_hand_ros)
+    assert name in dir(tactile_hand_ros) and name in vars(tactile_hand_ros)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -35,23 +37,37 @@ UNNEEDED = {
 }
 
 
-def loaded(name: str) -> set[str]:
-    """Return the modules that an executable imports before it does anything.
+@pytest.fixture(scope="module")
+def loaded() -> Callable[[str], set[str]]:
+    """Start all executables at once; give the modules that one imports before it does anything.
 
     The orchestrator imports what runs only when it knows that it has to.
     """
-    what = [str(executable_path(name)), "--help"]
-    if name == "orchestrator":
-        what = ["-c", "import tactile_hand_ros.orchestrator.conduct"]
-    command = [sys.executable, "-X", "importtime", *what]
-    # In the root folder, or `-c` would take the tree for the installed package.
-    done = subprocess.run(command, cwd="/", capture_output=True, text=True, check=True, timeout=120)
-    lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
-    return {line.rpartition("|")[2].strip() for line in lines}
+    conduct = ["-c", "import tactile_hand_ros.orchestrator.conduct"]
+
+    def start(name: str) -> subprocess.CompletedProcess[str]:
+        what = conduct if name == "orchestrator" else [str(executable_path(name)), "--help"]
+        command = [sys.executable, "-X", "importtime", *what]
+        # In the root folder, or `-c` would take the tree for the installed package.
+        return subprocess.run(
+            command, cwd="/", capture_output=True, text=True, check=True, timeout=120
+        )
+
+    pool = ThreadPoolExecutor(os.cpu_count())
+    done = {name: pool.submit(start, name) for name in UNNEEDED}
+
+    def modules(name: str) -> set[str]:
+        lines = done[name].result().stderr.splitlines()
+        imported = (line for line in lines if line.startswith("import time:"))
+        return {line.rpartition("|")[2].strip() for line in imported}
+
+    return modules
 
 
 @pytest.mark.parametrize("name", UNNEEDED)
-def test_an_executable_loads_only_what_it_needs(name: str) -> None:
+def test_an_executable_loads_only_what_it_needs(
+    name: str, loaded: Callable[[str], set[str]]
+) -> None:
     found = loaded(name)
     assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]

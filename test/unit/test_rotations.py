@@ -58,6 +58,25 @@ def test_a_half_turn_has_a_positive_axis(axis):
     np.testing.assert_array_equal(rotation_from_quaternion(-expected), rotation)
 
 
+@pytest.mark.parametrize("axis", [(3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)])
+def test_of_both_axes_of_a_half_turn_the_first_component_is_positive(axis):
+    """Whichever component is the largest."""
+    unit = np.array(axis) / np.linalg.norm(axis)
+    rotation = 2.0 * np.outer(unit, unit) - np.eye(3)
+    np.testing.assert_allclose(quaternion_from_rotation(rotation), [*unit, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("largest", range(4))
+@pytest.mark.parametrize("w", [0.01, -0.01, 0.3, -0.3])
+def test_each_component_may_be_the_largest(largest, w):
+    q = np.array([-0.2, 0.25, 0.3, w])
+    q[largest] = 2.0 if largest < 3 else 2.0 * np.sign(w)
+    q /= np.linalg.norm(q)
+    expected = q if q[3] > 0.0 else -q
+    found = quaternion_from_rotation(Rotation.from_quat(q).as_matrix())
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
 def test_nan_rows_stay_nan_and_leave_others_alone():
     q = np.array([[0.0, 0.0, 0.0, 1.0], [np.nan] * 4, [0.0, 0.0, 0.0, 0.0]])
     rotation = rotation_from_quaternion(q)
@@ -121,3 +140,16 @@ def test_both_ways_to_a_small_rotation_are_exact_to_rounding(size):
     expected = Rotation.from_rotvec([x, y, z]).as_matrix()
     rounding = 1e-19 if size < 1e-4 else 1e-16
     assert (np.abs(found - expected) <= rounding + 3e-16 * np.eye(3)).all()
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.5e-4, 0.99e-4, 1.01e-4, 0.1, 2.0])
+def test_sine_and_cosine_of_a_rotation_are_exact_each_for_itself(size):
+    """About an axis in the plane, each stands alone in an entry."""
+    x, y = 0.6 * size, -0.8 * size
+    found = rotation_from_vector([x, y, 0.0])
+    cosine = -2.0 * np.sin(0.5 * size) ** 2 * 0.48
+    rounding = 1e-13 if size < 1e-4 else max(1e-15, 4e-16 / size**2)
+    np.testing.assert_allclose(found[[0, 1], [1, 0]], cosine, rtol=rounding)
+    np.testing.assert_allclose(found[2, 1], 0.6 * np.sin(size), rtol=1e-15)
+    np.testing.assert_allclose(found[[2, 0], [0, 2]], [0.8 * np.sin(size), -0.8 * np.sin(size)],
+                               rtol=1e-15)  # fmt: skip

@@ -21,6 +21,7 @@ def test_a_thousandth_beyond_a_turn_is_rounding_and_more_is_refused(most, words)
 
 def test_a_full_turn_is_the_default_and_no_angles_are_fine():
     check_radians([])
+    check_radians([], 0.5)
     check_radians([6.28])
     with pytest.raises(ValueError, match=r"\[90, -180\] goes .*: \[1.571, -3.142\] if these are"):
         check_radians([90.0, -180.0])

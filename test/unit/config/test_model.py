@@ -2,6 +2,7 @@
 """Configuration is immutable, finite, and says where and why it refuses a value."""
 
 import enum
+from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
@@ -24,6 +25,7 @@ from tactile_hand_ros.config.model import (
     parse_yaml,
     read_yaml,
     unit_of,
+    validate,
     yaml_text,
 )
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
@@ -142,13 +144,95 @@ def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, w
     assert "\n" not in message and message.endswith(".")
 
 
-def test_every_mistake_is_named(tmp_path):
+def test_every_mistake_is_named_and_the_first_gives_the_place(tmp_path):
     with pytest.raises(ConfigurationError) as caught:
         load(tmp_path, "law: best\nfingers: 1\n")
+    assert caught.value.place == "law"
     assert [line.split(": ")[1].split()[0] for line in str(caught.value).split("\n")] == [
         "law",
         "fingers",
     ]
+
+
+def test_each_mistake_may_come_from_elsewhere():
+    with pytest.raises(ConfigurationError) as caught:
+        validate(Example, {"law": "best", "fingers": 1}, lambda place: f"line of {place}")
+    assert caught.value.source == "line of law"
+    assert [line.split(":")[0] for line in str(caught.value).split("\n")] == [
+        "line of law",
+        "line of fingers",
+    ]
+
+
+class Limits(Config):
+    most: float | None = param(None, "Most", unit="N")
+    folder: Path = param(Path(), "Where")
+    plain: int = 3
+
+
+@pytest.mark.parametrize(
+    ("model", "data", "sentence"),
+    [
+        (
+            Example,
+            {"x": 1},
+            "unknown key 'x'. Valid are: body, fingers, gains, law, noisy, pushes.",
+        ),
+        (Example, {"body": {"x": 1}}, "unknown key 'x' in body. Valid are: mass, size."),
+        (
+            Example,
+            {"pushes": [{"start": -1}]},
+            "pushes[0].start is -1, expected a finite number >= 0.0 s.",
+        ),
+        (
+            Example,
+            {"gains": [1.0, -1.0]},
+            "gains[1] is -1.0, expected a finite number >= 0.0.",
+        ),
+        (Limits, {"most": "x"}, "most is 'x', expected a finite number or nothing N."),
+        (Limits, {"most": [1]}, "most is [1], expected a finite number or nothing N."),
+        (Limits, {"folder": 3}, "folder is 3, expected a valid value."),
+    ],
+)
+def test_a_refusal_is_one_sentence(model, data, sentence):
+    with pytest.raises(ConfigurationError) as caught:
+        validate(model, data)
+    assert str(caught.value) == sentence
+
+
+def test_what_is_missing_is_named_with_what_is_allowed():
+    class Needed(Config):
+        size: float = param(..., "Edge", unit="m", gt=0.0)
+
+    with pytest.raises(ConfigurationError) as caught:
+        validate(Needed, {})
+    assert str(caught.value) == "size is missing, expected a finite number > 0.0 m."
+
+
+def test_a_default_is_checked_as_well():
+    class Wrong(Config):
+        size: float = param(-1.0, "Edge", gt=0.0)
+
+    with pytest.raises(ConfigurationError, match="size is -1.0"):
+        validate(Wrong, {})
+
+
+def test_a_field_without_a_declaration_has_no_unit_and_is_not_live():
+    field = leaves(Limits)["plain"]
+    assert unit_of(field) == "" and is_live(field) is False
+    assert unit_of(leaves(Limits)["most"]) == "N"
+
+
+def test_text_that_no_yaml_has_is_refused_without_a_place():
+    with pytest.raises(ConfigurationError) as caught:
+        parse_yaml("a: \x01", "file")
+    assert str(caught.value) == "file: this file is not valid YAML: it cannot be parsed."
+
+
+def test_yaml_keeps_order_and_letters_and_breaks_long_lines():
+    assert yaml_text({"b": "é", "a": 1}) == "b: é\na: 1\n"
+    for length, lines in ((97, 1), (98, 2)):
+        assert yaml_text({"a": "x" * length + " y"}).count("\n") == lines
 
 
 def test_a_file_that_cannot_be_read_is_an_error_of_this_package(tmp_path):

@@ -109,6 +109,10 @@ def test_fifty_collections_may_stand_in_each_other(kind: str) -> None:
     check_yaml("[" + "[], " * 60 + "]")
 
 
+def test_a_file_has_a_mebibyte_and_20000_values_at_most() -> None:
+    assert (LARGEST, MOST_VALUES) == (1_048_576, 20_000)
+
+
 def test_a_file_of_any_limit_is_read_to_its_last_byte(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"abcde")
     assert read_text(tmp_path / "file", 5) == "abcde"

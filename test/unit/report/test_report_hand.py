@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError
@@ -64,12 +65,45 @@ def test_tips_of_an_unknown_hand_are_its_drawn_spheres() -> None:
         ("</robot>", "", "not valid XML"),
         ('xyz="0 0 1"', 'xyz="0 0"', "three numbers"),
         ('radius="0.02"', 'radius="wide"', "a number"),
+        ('xyz="0 0 1"', 'xyz="0 0 nan"', "a number"),
+        ('<child link="jaw"/>', "", "joint 'slide' has no <child>"),
         ('<parent link="palm"/>', "", "no <parent>"),
     ],
 )
 def test_a_broken_urdf_is_refused(old: str, new: str, message: str) -> None:
     with pytest.raises(HandModelError, match=message):
         hand_tree(SLIDER.replace(old, new), ["slide"], {})
+
+
+def test_a_placement_turns_about_fixed_axes_x_first() -> None:
+    turned = SLIDER.replace('rpy="0 1.5707963267948966 0"', 'rpy="0.3 -0.5 1.1"')
+    [_, jaw] = hand_tree(turned, [], {})["links"]
+    expected = Rotation.from_euler("xyz", [0.3, -0.5, 1.1]).as_quat()
+    np.testing.assert_allclose(jaw["quaternion"], expected, atol=1e-12)
+    assert (jaw["motion"], jaw["axis"], jaw["joint"]) == ("slide", [1.0, 0.0, 0.0], -1)
+
+
+def test_what_a_urdf_leaves_out_has_its_usual_value() -> None:
+    bare = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
+      <joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>
+      <joint name="k" type="fixed"><parent link="b"/><child link="c"/></joint></robot>"""
+    root, turning, fixed = hand_tree(bare, ["i", "j"], {})["links"]
+    still = {"xyz": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
+    assert root == {"name": "a", "parent": -1, **still}
+    moving = {"motion": "turn", "axis": [1.0, 0.0, 0.0], "joint": 1}
+    assert turning == {"name": "b", "parent": 0, **still, **moving}
+    assert fixed == {"name": "c", "parent": 1, **still}
+
+
+def test_a_tip_is_a_sphere_at_the_end_or_what_the_file_of_the_hand_names() -> None:
+    sphere = '<visual><geometry><sphere radius="0.03"/></geometry></visual>'
+    drawn = SLIDER.replace('<link name="palm"/>', f'<link name="palm">{sphere}</link>')
+    assert [tip["link"] for tip in hand_tree(drawn, [], {})["tips"]] == [1]
+    named = {"palm": ("thumb", 0.5), "gone": ("ring", 0.1)}
+    assert hand_tree(drawn, [], named)["tips"] == [{"link": 0, "finger": "thumb", "radius": 0.5}]
+    assert [tip["link"] for tip in hand_tree(drawn, [], {"gone": ("x", 0.1)})["tips"]] == [1]
+    plain = SLIDER.replace('radius="0.02"', "")
+    assert hand_tree(plain, [], {})["tips"][0]["radius"] == 0.01
 
 
 def test_links_in_a_circle_end() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, load_scenario, resolved
 from tactile_hand_ros.report import facts, tables
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.ticks import shown
@@ -226,6 +227,104 @@ def test_the_headline_of_a_real_hand_that_dropped_the_object() -> None:
     ]
     assert shown_as(judged(summary=told))[-1] == ("recorded", "1", "", "messages", None)
     assert facts.passed(judged(metrics=metrics)) is False and facts.passed(judged()) is True
+
+
+def test_a_squeeze_that_nobody_measured_has_no_peak() -> None:
+    empty = type("Record", (), {"grasp_force": np.full(4, np.nan), "__len__": lambda _: 4})()
+    assert shown_as(judged(record=empty))[3] == ("squeeze", "10", "N", "peak unknown", None)
+    unknown = replace(METRICS, final_position_error_m=math.nan)
+    assert shown_as(judged(metrics=unknown))[0] == (
+        "position error", "unknown", "", "goal 2 mm", False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("value", [0.00201, 0.00199])
+def test_each_error_is_judged_by_its_own_limit(value: float) -> None:
+    metrics = replace(METRICS, final_position_error_m=value, final_rotation_error_rad=10 * value,
+                      max_slip_distance_m=value)  # fmt: skip
+    found = [tile[4] for tile in shown_as(judged(metrics=metrics))]
+    assert [each for each in found if each is not None] == [value < 0.002] * 3
+
+
+def test_without_a_limit_no_slip_is_judged() -> None:
+    run = judged()
+    run.scenario.goal.slip_distance = UNLIMITED_SLIP
+    assert shown_as(run)[4] == ("longest slip", "2", "mm", "4 slips, 5 detected", None)
+
+
+def test_lost_messages_are_a_whole_number_or_not_known() -> None:
+    for text, number in (("0", 0), ("12", 12), ("", None), ("-1", None), ("many", None)):
+        told = SimpleNamespace(custom_data={"lost_messages": text})
+        assert facts.lost_messages(judged(summary=told)) == number
+
+
+def test_tables_of_a_run_stand_in_their_order() -> None:
+    bag = BagMetrics(99, {}, [], True, 2, 1.0, 250.0, 0.001, 0.002, 0.003)
+    told = {"lost_messages": "3", "version_numpy": "2.4", "scenario": "x", "version_scipy": "1.1"}
+    run = judged(bag_metrics=bag, recoveries=[Settling(2.0, 0.01, 0.5, 0.0)],
+                 summary=SimpleNamespace(custom_data=told))  # fmt: skip
+    run.scenario.seed = 7
+    found = facts.all_tables(run)
+    titles = ["Metrics", "After each disturbance", "Recording", "Versions and seed"]
+    assert [table["title"] for table in found] == titles
+    assert found[0]["rows"] == tables.metrics_rows(METRICS)
+    assert found[2]["rows"][:3] == [["messages", "99"], ["messages lost", "3"],
+                                    ["speed", "250 ticks/s"]]  # fmt: skip
+    assert found[3]["rows"] == [["numpy", "2.4"], ["scipy", "1.1"], ["seed", "7"]]
+    none = judged(bag_metrics=bag, recoveries=[], scenario=None,
+                  summary=SimpleNamespace(custom_data={}))  # fmt: skip
+    found = facts.all_tables(none)
+    assert [table["title"] for table in found] == ["Metrics", "Recording"]
+    assert found[1]["rows"][1] == ["messages lost", "not recorded"]
+
+
+def test_a_line_of_the_ledger_has_its_values_as_text() -> None:
+    line = Assumption("A1", "rigid", "travel", 0.5, 2.0, True, 0.9, [(1.0, 1.5)])
+    unknown = replace(line, held_share=math.nan, limit=math.nan, broken=[])
+    common = {"name": "A1", "meaning": "rigid", "margin": "travel", "worst": "0.5"}
+    assert facts.ledger(SimpleNamespace(ledger=[line, unknown])) == [  # type: ignore[arg-type]
+        {**common, "limit": "< 2", "held": 0.9, "broken": [[1.0, 1.5]]},
+        {**common, "limit": "none known", "held": None, "broken": []},
+    ]
+
+
+def test_what_a_reader_must_know_is_noted() -> None:
+    def noted(problem: str = "", scenario: Any = "some", ledger: str = "", whole: bool = True):
+        return [note.split(":")[0].split(";")[0].split(",")[0] for note in facts.notes(
+            SimpleNamespace(scenario_problem=problem, scenario=scenario, ledger_problem=ledger,
+                            bag_metrics=SimpleNamespace(complete=whole)))]  # fmt: skip
+
+    assert noted() == []
+    other = "The scenario in the bag does not fit this version of the package"
+    assert noted(problem="x", scenario=None) == [other]
+    assert noted(scenario=None, ledger="No hand") == ["No scenario is known", "No hand"]
+    assert noted(whole=False) == ["The recording is incomplete"]
+
+
+def test_the_scenario_is_shown_as_it_was_recorded() -> None:
+    scenario = load_scenario("paper")
+    told = SimpleNamespace(custom_data={"scenario": "as: it was"})
+    assert facts.scenario_text(judged(summary=told, scenario=scenario)) == "as: it was"
+    none = SimpleNamespace(custom_data={})
+    assert facts.scenario_text(judged(summary=none, scenario=scenario)) == resolved(scenario)
+    assert facts.scenario_text(judged(summary=none, scenario=None)) == ""
+
+
+def test_a_table_in_the_terminal_has_a_head_where_its_columns_have_names() -> None:
+    table = tables.rich_table("t", ["name", "verdict"], [["a", "[b]"]])
+    assert table.show_header and [each.no_wrap for each in table.columns] == [False, True]
+    assert list(table.columns[1].cells) == ["\\[b]"] and table.row_count == 1
+    assert not tables.rich_table("t", ["", ""]).show_header
+
+
+def test_of_twelve_ticks_seven_are_shown() -> None:
+    """Two pieces, the first tick of each, the peaks in each, the last, and one more by distance."""
+    signal = np.array([1.0, 5.0, 2.0, 3.0, 0.0, 2.0, 4.0, 4.0, 9.0, 4.0, -1.0, 4.0])
+    found = shown(12, 6, [signal], np.array([3]))
+    assert found.tolist() == [0, 1, 3, 4, 6, 8, 10, 11]
+    few = shown(12, 11, [signal], np.array([3], dtype=np.int64))
+    assert few.tolist() == [0, 1, 3, 4, 5, 6, 8, 10, 11]
+    assert shown(12, 2, [signal], np.array([3])).tolist() == [0, 3, 8, 10, 11]
 
 
 @pytest.mark.parametrize("limit", [5, 8, 20, 60, 99])

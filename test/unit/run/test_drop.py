@@ -46,6 +46,8 @@ def test_a_drop_is_for_good(fingers: tuple[int, ...], time: float) -> None:
 def test_what_is_let_go_is_not_dropped() -> None:
     assert math.isnan(dropped_at(touched(3, 3, 0), releases=[0.1]))
     assert dropped_at(touched(3, 3, 0, 0), releases=[0.3]) == pytest.approx(0.2)
+    lost = touched(3, 3, 0)
+    assert math.isnan(dropped_at(lost, releases=[float(lost.times[2])]))
 
 
 def test_ticks_that_were_not_recorded_are_no_drop() -> None:

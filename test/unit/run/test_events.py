@@ -111,6 +111,12 @@ def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, 
     assert len(told(record, "detection")) == alarm_count(record) == count
 
 
+def test_a_pause_of_just_20_ms_does_not_part_an_alarm(record: Record) -> None:
+    assert record.times[4] - record.times[2] == 0.02
+    record.grip[1, 0] = record.grip[4, 0] = Grip.SLIP
+    assert alarm_count(record) == 1
+
+
 def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
     record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = Grip.SLIP
     assert alarm_count(record) == 3

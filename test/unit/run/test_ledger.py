@@ -218,6 +218,19 @@ def test_each_assumption_has_its_limit(still):
     }
 
 
+@pytest.mark.parametrize(("ticks", "last"), [(1998, 1997), (2000, 1998), (3000, 2997)])
+def test_of_a_long_run_about_a_thousand_ticks_are_looked_at(ticks, last):
+    """In these nothing touches, which breaks A7 throughout; of the others nothing is known."""
+    record = Record.empty(ticks, HAND.finger_names, HAND.joint_names)
+    record.stamps[:] = 1_000_000 * np.arange(ticks)
+    found = lines(record)
+    first = next(row for row in range(0, ticks, 1 if last == 1997 else last // 999) if row >= 50)
+    assert found["A7"].broken == [(pytest.approx(1e-3 * first), pytest.approx(1e-3 * last))]
+    assert found["A7"].held_share == 0.0
+    unknown = ["A1", "A2", "A3", "A4 cone", "A5", "(13)"]
+    assert all(np.isnan(found[name].worst) for name in unknown)
+
+
 @pytest.mark.parametrize(("below", "worst", "share"), [(True, 3.0, 2 / 5), (False, 0.5, 2 / 5)])
 def test_a_value_at_its_limit_breaks_it_and_each_time_has_its_interval(still, below, worst, share):
     """What is unknown, and the first 50 ms, are not judged."""

@@ -121,6 +121,37 @@ def test_without_a_command_the_grasp_shall_stay() -> None:
     assert metrics(record).final_position_error_m == 0.25
 
 
+def test_before_a_command_the_first_pose_that_is_known_is_the_desired_one() -> None:
+    record = still_record()
+    record.desired_position[:] = record.desired_quaternion[:] = np.nan
+    record.auxiliary_position[:, 0] = [np.nan, np.nan, *(0.25 * np.arange(9.0))]
+    record.auxiliary_quaternion[:] = [turned(0.01 * row**2) for row in range(11)]
+    assert metrics(record).final_position_error_m == 2.0
+    record.auxiliary_quaternion[0] = np.nan
+    expected = 2.0 * math.sin(1.0 - 0.01)
+    assert metrics(record).final_rotation_error_rad == pytest.approx(expected)
+
+
+def test_without_touch_the_true_forces_count() -> None:
+    record = still_record()
+    record.true_forces[:] = 3.0
+    assert derived.contact_forces(record) is record.forces
+    record.forces[:, 1:] = np.nan
+    assert derived.contact_forces(record) is record.forces
+    record.forces[:] = np.nan
+    assert derived.contact_forces(record) is record.true_forces
+
+
+def test_friction_is_required_where_place_and_force_of_a_contact_are_known() -> None:
+    record = still_record()
+    record.forces[:] = [0.3, 1.0, 0.4]
+    record.contact_positions[2, 1] = np.nan
+    record.forces[3, 0, 2] = np.nan
+    expected = np.full((11, 3), 0.5)
+    expected[2, 1] = expected[3, 0] = np.nan
+    np.testing.assert_allclose(derived.required_friction(record), expected)
+
+
 def test_forces() -> None:
     record = still_record()
     record.forces[-1, :, 1] = [5.5, 3.0, 1.9]
@@ -227,6 +258,21 @@ def test_object_that_moves_with_the_grasp_does_not_move_in_it() -> None:
     assert m.max_object_rotation_in_grasp_rad == pytest.approx(0.4)
 
 
+def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known() -> None:
+    record = still_record()
+    record.object_position[:], record.object_quaternion[:] = 0.0, STRAIGHT
+    record.object_position[:2] = record.object_quaternion[1] = np.nan
+    record.object_position[3, 0] = 0.01
+    record.object_position[4:, 0] = -0.02
+    record.object_quaternion[3] = turned(0.1)
+    record.object_quaternion[4:] = turned(-0.2)
+    moved, turned_by = derived.motion_in_grasp(record)
+    assert np.isnan(moved[:2]).all() and moved[2] == turned_by[2] == 0.0
+    assert (np.nanmax(moved), np.nanmax(turned_by)) == (0.02, pytest.approx(0.2))
+    record.object_quaternion[5] = turned(math.pi)
+    assert derived.motion_in_grasp(record)[1][5] == pytest.approx(math.pi)
+
+
 def test_without_ground_truth_the_object_is_unknown() -> None:
     m = metrics(still_record())
     assert math.isnan(m.max_object_displacement_in_grasp_m)
@@ -243,6 +289,13 @@ def test_contacts_that_roll_over_the_object() -> None:
     assert rolled[4, 1] == pytest.approx(0.03)
     rolled[4, 1] = 0.0
     assert rolled.max() < 1e-15
+    record.true_positions[0] = np.nan
+    record.true_positions[1, 2, 0] += 0.01
+    rolled = derived.rolling(record)
+    assert np.isnan(rolled[0]).all() and rolled[1].max() == 0.0
+    assert rolled[2:, 2] == pytest.approx(0.01)
+    unknown = derived.rolling(still_record())
+    assert unknown.shape == (11, 3) and np.isnan(unknown).all()
 
 
 @pytest.mark.parametrize("ticks", [0, 1])
@@ -256,6 +309,8 @@ def test_record_of_nothing_but_joints() -> None:
     record = Record.empty(3, [], ["j1"])
     m = metrics(record)
     assert m.final_normal_forces_N == {} and m.contacts_lost_ticks == 0
+    unknown = (m.worst_normal_force_relative_error, m.normal_force_sum_N, m.peak_normal_force_N)
+    assert all(math.isnan(value) for value in unknown)
 
 
 @settings(max_examples=50)

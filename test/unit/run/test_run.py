@@ -21,6 +21,7 @@ from support.recorded import (
     message,
     pose_stamped,
     random_record,
+    request_message,
     write_record,
     write_tick,
 )
@@ -29,7 +30,10 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.extras import MissingLibraryError
+from tactile_hand_ros.run.bag_metrics import bag_metrics
 from tactile_hand_ros.run.run import Run, columns
+from tactile_hand_ros.run.series import Series
+from tactile_hand_ros.run.topics import HandTopics
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 NAMES = ["a", "b"]
@@ -89,6 +93,7 @@ class TestRecord:
         run = Run(tmp_path / "bag")
         assert run.record.stamps.tolist() == [0, 2, 4]
         assert run.bag_metrics.repeated_ticks == 2
+        assert run.earlier == []
 
     def test_after_a_reset_only_the_last_run_counts(self, tmp_path: Path) -> None:
         second = 10**9
@@ -457,3 +462,80 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> No
         [10.0, 11.0, 12.0],
         [20.0, 21.0],
     ]
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(
+    late: int, tmp_path: Path
+) -> None:
+    """What a node says of the next section by then belongs to that."""
+    second = 10**9
+    with RunWriter(tmp_path / "bag") as bag:
+        for at, tick in enumerate((0, 1, 0)):
+            tick_only(bag, tick, at * second)
+        for stamp, at in ((0, 1), (1, second + 1), (0, 2 * second - 10**8 - late)):
+            bag.write("/grasp_force", recorded.wrench(stamp, (0.0, float(stamp), 0.0)), at)
+    [earlier] = Run(tmp_path / "bag").earlier
+    assert earlier.series["/grasp_force"].stamps.tolist() == ([0, 1, 0] if late else [0, 1])
+
+
+def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_path: Path) -> None:
+    second, ms = 10**9, 10**6
+    with RunWriter(tmp_path / "bag") as bag:
+        for section, delays in enumerate(((10, 20, 30), (0, None, 7))):
+            for tick, delay in enumerate(delays):
+                at = (10 * section + tick) * second
+                tick_only(bag, tick, at)
+                if delay is not None:
+                    for again in (0, 50):
+                        answer = joints(tick, NAMES, effort=[1.0, 2.0])
+                        bag.write("/joint_command", answer, at + (delay + again) * ms)
+    run = Run(tmp_path / "bag")
+    np.testing.assert_allclose(run.latencies, [0.0, np.nan, 0.007])
+    assert run.bag_metrics.command_latency_max_s == pytest.approx(0.007)
+
+
+def test_of_topics_without_messages_nothing_is_measured() -> None:
+    topics = HandTopics("/", ["a"])
+    nothing = np.zeros(0, dtype=np.int64)
+    found = bag_metrics({name: Series(nothing, nothing, []) for name in topics.types}, topics, 0)
+    assert (found.wall_time_s, found.repeated_ticks, found.complete) == (0.0, 0, False)
+    assert np.isnan([found.ticks_per_second, found.command_latency_max_s]).all()
+    assert found.topics == {} and "/joint_states" in found.absent
+
+
+def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:
+    """The summary beside the bag says so; where it cannot be read the goal judges."""
+    write_record(tmp_path / "bag", random_record(3))
+    assert not Run(tmp_path).steered
+    for text, steered in (
+        ('{"interactive": true}', True),
+        ('{"interactive": false}', False),
+        ("{}", False),
+        ("[1]", False),
+        ("{", False),
+    ):
+        (tmp_path / "summary.json").write_text(text)
+        assert Run(tmp_path).steered is Run(tmp_path / "bag").steered is steered, text
+    (tmp_path / "summary.json").write_text('{"interactive": true}')
+    (tmp_path / "scenario.yaml").write_text(resolved(load_scenario("paper")))
+    judged = Run(tmp_path, steered=False)
+    assert judged.metrics.goal_reached is False and judged.headline == "goal not reached"
+    finished = Run(tmp_path)
+    assert finished.metrics.goal_reached is None and finished.headline == "finished"
+
+
+def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "bag") as bag:
+        for tick in range(4):
+            tick_only(bag, tick, tick)
+        for stamp, node, key in ((3, "manipulation_controller", "a"), (1, "slip_regulator", "b")):
+            refused = request_message(stamp, node, key, "too far")
+            bag.write(f"/rejected/{node}", refused, stamp)
+    run = Run(tmp_path / "bag")
+    assert run.refusals == [(1, "b", "too far"), (3, "a", "too far")]
+    assert [each.text for each in run.events if each.kind == "refusal"] == [
+        "b is refused: too far",
+        "a is refused: too far",
+    ]
+    assert run.requests == [] and run.recoveries == []

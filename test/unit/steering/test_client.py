@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One command to a hand: it arrives, and its own answer comes back, whoever else is steering."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.context import Context
+from rclpy.node import Node
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+from support.messages import force_message, pose_message
+from support.spinning import spinning
+
+from tactile_hand_ros import names
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.steering import client as module
+from tactile_hand_ros.steering.client import HandClient, SteeringError, user_node
+
+STAMP = 12_500_000_000
+NOW = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
+OTHER = pose_message((9.0, 9.0, 9.0), np.eye(3), 1)
+
+
+class Hand:
+    """What a user meets of a hand: commands are accepted or refused as the test says."""
+
+    def __init__(self, context: Context, namespace: str, *, plant: bool) -> None:
+        self.node = node = Node("hand", context=context, namespace=namespace)
+        self.reason: str | None = ""  # why commands are refused, empty if they are accepted
+        self.ignored = 0  # commands of which the answer is lost
+        self.poses: list[PoseStamped] = []
+        self.forces: list[float] = []
+        self.calls: list[tuple[str, Any]] = []
+        self._answers = {
+            names.DESIRED_POSE: node.create_publisher(
+                PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
+            ),
+            names.USER_GRASP_FORCE: node.create_publisher(
+                WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+            ),
+        }
+        self._refusals = {
+            topic: node.create_publisher(DiagnosticArray, names.rejected(owner), qos.user_qos())
+            for topic, owner in (
+                (names.DESIRED_POSE, names.CONTROLLER),
+                (names.USER_GRASP_FORCE, names.REGULATOR),
+            )
+        }
+        node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, qos.user_qos())
+        node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, qos.user_qos())
+        services = [(names.CONTROLLER, "grasp", SetBool), (names.CONTROLLER, "reset", Trigger)]
+        services += [(names.REGULATOR, "reset", Trigger)]
+        services += [(names.PLANT, "reset", Trigger)] if plant else []
+        for owner, name, kind in services:
+            node.create_service(kind, f"{owner}/{name}", self._service(f"{owner}/{name}"))
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.poses.append(message)
+        accepted = PoseStamped(header=OTHER.header, pose=message.pose)
+        accepted.header.stamp = force_message((0.0, 0.0, 0.0), STAMP, "").header.stamp
+        self._answer(names.DESIRED_POSE, accepted, OTHER)
+
+    def _on_force(self, message: Float64) -> None:
+        self.forces.append(message.data)
+        accepted, other = ((0.0, y, 0.0) for y in (message.data, message.data + 1.0))
+        self._answer(
+            names.USER_GRASP_FORCE,
+            force_message(accepted, STAMP, "palm"),
+            force_message(other, 1, "palm"),
+        )
+
+    def _answer(self, topic: str, accepted: Any, other: Any) -> None:
+        """Publish what became of a command, behind the answer to another user."""
+        self._answers[topic].publish(other)
+        if self.ignored:
+            self.ignored -= 1
+        elif self.reason == "":
+            self._answers[topic].publish(accepted)
+        else:
+            values = [KeyValue(key="other", value="of another topic")]
+            values += [KeyValue(key=topic, value=self.reason)] if self.reason else []
+            status = DiagnosticStatus(values=values)
+            self._refusals[topic].publish(DiagnosticArray(status=[status]))
+
+    def _service(self, name: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            self.calls.append((name, getattr(request, "data", None)))
+            response.success, response.message = self.reason == "", self.reason or f"done: {name}"
+            return response
+
+        return answer
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Context]:
+    with isolated_domain() as number, private_context(number) as own:
+        yield own
+
+
+@pytest.fixture(scope="module")
+def served(context: Context) -> Iterator[dict[str, Hand]]:
+    """Serve a simulated hand without a namespace, and a real one, which has no plant."""
+    hands = {"": Hand(context, "/", plant=True), "real": Hand(context, "/real", plant=False)}
+    node = hands[""].node
+    publisher = node.create_publisher(PoseStamped, names.AUXILIARY_POSE, qos.tick_qos())
+    now = pose_message((0.0, 0.0, 0.0), NOW.as_matrix(), 1)
+    node.create_timer(0.01, lambda: publisher.publish(now))
+    with spinning(*(hand.node for hand in hands.values())):
+        yield hands
+    for hand in hands.values():
+        hand.node.destroy_node()
+
+
+@pytest.fixture
+def hand(served: dict[str, Hand]) -> Hand:
+    """Return the simulated hand, as if nothing had happened to it."""
+    for each in served.values():
+        each.reason, each.ignored = "", 0
+        each.poses, each.forces, each.calls = [], [], []
+    return served[""]
+
+
+@pytest.fixture
+def client(context: Context) -> Iterator[HandClient]:
+    with user_node(context, "/") as node:
+        yield HandClient(node, 30.0)
+
+
+def turn_of(message: PoseStamped) -> Rotation:
+    q = message.pose.orientation
+    return Rotation.from_quat([q.x, q.y, q.z, q.w])
+
+
+def test_a_pose_is_asked_for_once_and_has_the_time_from_which_it_is_the_target(
+    hand: Hand, client: HandClient
+) -> None:
+    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3])
+    assert client.move([0.1, 0.2, 0.3], [0.1, -0.2, 0.3], absolute=True) == pytest.approx(12.5)
+    [pose] = hand.poses
+    point = pose.pose.position
+    assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
+    assert (turn_of(pose) * wanted.inv()).magnitude() < 1e-9
+
+
+def test_a_turn_counts_from_the_present_orientation_about_the_axes_of_the_palm(
+    hand: Hand, client: HandClient
+) -> None:
+    client.move([0.0, 0.0, 0.0], [0.1, -0.2, 0.3], absolute=False)
+    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3]) * NOW
+    assert (turn_of(hand.poses[0]) * wanted.inv()).magnitude() < 1e-9
+
+
+def test_a_squeeze_has_the_time_at_which_it_takes_effect(hand: Hand, client: HandClient) -> None:
+    assert client.squeeze(7.25) == pytest.approx(12.5)
+    assert hand.forces == [7.25]
+
+
+def test_what_stays_without_an_answer_is_sent_again(
+    hand: Hand, client: HandClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_AGAIN", 0.05)
+    hand.ignored = 2
+    assert client.squeeze(3.0) == pytest.approx(12.5)
+    assert hand.forces[:3] == [3.0, 3.0, 3.0]
+
+
+def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
+    hand.reason = "too far"
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], absolute=True)
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.squeeze(7.0)
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.grasp(True)
+    hand.reason = None
+    with pytest.raises(SteeringError, match="the hand refuses: it does not say why$"):
+        client.squeeze(7.0)
+
+
+def test_fingers_are_closed_and_opened(hand: Hand, client: HandClient) -> None:
+    assert client.grasp(True) == "done: manipulation_controller/grasp"
+    client.grasp(False)
+    assert [data for _, data in hand.calls] == [True, False]
+
+
+def test_a_simulation_begins_at_its_start(hand: Hand, client: HandClient) -> None:
+    assert client.reset() == "time, hand and object are back at the start"
+    assert [name for name, _ in hand.calls] == ["plant/reset"]
+
+
+def test_a_real_hand_begins_with_its_present_grasp(
+    hand: Hand, served: dict[str, Hand], context: Context
+) -> None:
+    with user_node(context, "/real") as node:
+        assert HandClient(node, 30.0).reset() == "done: manipulation_controller/reset"
+    called = [name for name, _ in served["real"].calls]
+    assert called == ["slip_regulator/reset", "manipulation_controller/reset"]
+    assert hand.calls == []
+
+
+def test_a_hand_that_is_paused_does_not_answer(
+    hand: Hand, client: HandClient, context: Context
+) -> None:
+    client.squeeze(1.0)  # by now everything has been found
+    hand.ignored, hand.forces = 100, []
+    with user_node(context, "/") as node:
+        with pytest.raises(SteeringError, match="has not answered within 0.5 s; is it paused?"):
+            HandClient(node, 0.5).squeeze(2.0)
+    assert len(hand.forces) == 1
+
+
+def test_a_hand_that_does_not_know_its_pose_cannot_turn_from_it(
+    hand: Hand, served: dict[str, Hand], context: Context
+) -> None:
+    with user_node(context, "/real") as node:
+        client = HandClient(node, 0.3)
+        HandClient(node, 30.0).squeeze(1.0)
+        with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
+            client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
+    assert served["real"].poses == []
+
+
+def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
+    """It says where none was found."""
+    domain = context.get_domain_id()
+    absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
+    with user_node(context, "/nowhere") as node:
+        client = HandClient(node, 0.02)
+        for command in (
+            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=True),
+            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=False),
+            lambda: client.squeeze(1.0),
+            lambda: client.grasp(True),
+            client.reset,
+        ):
+            with pytest.raises(SteeringError, match=absent):
+                command()

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What users changed in a run counts from its tick on, and not a tick earlier or later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.recorded import (
+    PERIOD,
+    START,
+    RunWriter,
+    parameter_event,
+    pose_stamped,
+    random_record,
+    request_message,
+    wrench,
+    write_tick,
+)
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.verify.recorded_inputs import (
+    Effect,
+    Effects,
+    Inputs,
+    Request,
+    _values,
+    configured,
+    in_force,
+    read_inputs,
+)
+from tactile_hand_ros.verify.replay_through_nodes import _Commands, _compare, _payloads
+
+SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
+EFFECTS = [Effect(10, "a"), Effect(20, "b"), Effect(20, "c"), Effect(35, "d")]
+
+
+def test_effects_are_given_once_when_their_tick_comes() -> None:
+    effects = Effects(EFFECTS)
+    given = [list(effects.until(stamp)) for stamp in (9, 10, 19, 34, 36, 40)]
+    assert given == [[], ["a"], [], ["b", "c"], ["d"], []]
+    effects = Effects(EFFECTS)
+    assert effects.first() == "a" and list(effects.until(20)) == ["b", "c"]
+
+
+def test_of_several_at_one_tick_the_last_is_in_force_and_before_all_the_first() -> None:
+    stamps = np.array([0, 10, 19, 20, 34, 35, 99])
+    assert in_force(EFFECTS, stamps) == ["a", "a", "a", "c", "c", "d", "d"]
+
+
+def test_a_node_that_may_skip_ticks_answered_those_with_any_number() -> None:
+    record = Record.empty(3, ["a"], ["j"])
+    inputs = Inputs(record, [None] * 3, np.zeros(3, dtype=np.bool_), {})
+    answers = np.array([[[np.nan, np.nan]], [[np.nan, 1.0]], [[2.0, 3.0]]])
+    assert inputs.answered(answers).tolist() == [True, True, True]
+    assert replace(inputs, may_skip=True).answered(answers).tolist() == [False, True, True]
+
+
+def test_only_what_is_wanted_otherwise_changes_in_what_was_in_force() -> None:
+    wanted = load_scenario("paper", {"duration": 0.1, "manipulation_controller.law.k_o": 0.7})
+    configurations = configured(SCENARIO)
+    controller = SCENARIO.manipulation_controller.changed({"law.k_p": 9.0})
+    configurations["manipulation_controller"].append(Effect(5, controller))
+    record = Record.empty(1, ["a"], ["j"])
+    inputs = Inputs(record, [None], np.zeros(1, dtype=np.bool_), configurations)
+    found = inputs.changed(SCENARIO, wanted).configurations
+    assert found["slip_regulator"] == configurations["slip_regulator"]
+    assert [(stamp, config.law.k_o) for stamp, config in found["manipulation_controller"]] == [
+        (0, 0.7),
+        (5, 0.7),
+    ]
+    assert found["manipulation_controller"][1].value.law.k_p == 9.0
+    assert [effect.stamp for effect in configurations["force_optimizer"]] == [0]
+
+
+def test_the_type_of_a_parameter_says_which_of_its_fields_counts() -> None:
+    fields = ("bool", "integer", "double", "string")
+    given: dict[str, Any] = {f"{name}_value": name for name in fields}
+    given |= {f"{name}_array_value": np.array([i]) for i, name in enumerate(["byte", *fields])}
+    parameters = [
+        SimpleNamespace(name=str(kind), value=SimpleNamespace(type=kind, **given))
+        for kind in range(1, 10)
+    ]
+    assert _values(SimpleNamespace(changed_parameters=parameters)) == {
+        "1": "bool",
+        "2": "integer",
+        "3": "double",
+        "4": "string",
+        "5": [0],
+        "6": [1],
+        "7": [2],
+        "8": [3],
+        "9": [4],
+    }
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Return the last of two runs in a bag, in each of which users changed something."""
+    record = random_record(12)
+    record.contact_positions[4, 1] = record.contact_quaternions[4, 1] = np.nan
+    record.forces[6, 2, 1] = np.nan
+    turn = (0.6, 0.0, 0.0, 0.8)
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(SCENARIO)}) as bag:
+        for section in range(2):
+            begin = START + section * 10**9
+            for row in range(len(record)):
+                write_tick(bag, record, row, begin + row * PERIOD)
+            at, number = begin + 5 * PERIOD, 1.0 + section
+            stamp = 2_000_000 * (3 + section)
+            for topic, content in (
+                ("desired_pose", pose_stamped(stamp, (number, 0.2, 0.3), turn)),
+                ("user_grasp_force", wrench(stamp, (9.0, number, 9.0))),
+                (
+                    "manipulation_controller/parameters",
+                    parameter_event(10**9 * (1 - section) + 7, "x", {"law.k_p": number}),
+                ),
+                ("manipulation_controller/requests", request_message(stamp, "", "grasp", "true")),
+                ("slip_regulator/requests", request_message(stamp, "", "reset")),
+            ):
+                bag.write(f"/accepted/{topic}", content, at)
+    return Run(tmp_path)
+
+
+def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
+    inputs = read_inputs(run, SCENARIO)
+    assert len(inputs.contacts) == len(inputs.felt) == 12 and None not in inputs.contacts
+    assert inputs.contacts[4].touching.tolist() == [True, False, True]  # type: ignore[union-attr]
+    assert inputs.felt.tolist() == [row != 6 for row in range(12)]
+    [pose] = inputs.poses
+    assert (pose.stamp, pose.value.position.tolist()) == (8_000_000, [2.0, 0.2, 0.3])
+    assert pose.value.orientation[2, 1] == pytest.approx(2.0 * 0.6 * 0.8)
+    assert inputs.forces == [Effect(8_000_000, 2.0)]
+    [config] = inputs.configurations["manipulation_controller"]
+    assert (config.stamp, config.value.law.k_p) == (7, 2.0)
+    regulator = SCENARIO.slip_regulator
+    assert inputs.configurations["slip_regulator"] == [Effect(0, regulator)]
+    assert inputs.requests["manipulation_controller"] == [Effect(8_000_000, Request("grasp", True))]
+    assert inputs.requests["slip_regulator"] == [Effect(8_000_000, Request("reset", False))]
+    assert inputs.requests["force_optimizer"] == [] and not inputs.may_skip
+    other = load_scenario("paper", {"plant.pacing": "realtime"})
+    assert read_inputs(run, other).may_skip
+
+
+def test_bytes_of_the_last_run_are_compared_tick_by_tick(run: Run) -> None:
+    """A tick that both lack is none, and one that only one of them has is wrong."""
+    found = _payloads(run, ["joint_states", "grasp_force"])
+    assert {name: len(each) for name, each in found.items()} == {
+        "joint_states": 12,
+        "grasp_force": 12,
+    }
+    recorded = {1: b"a", 2: b"b", 3: b"c", 6: b"f"}
+    got = {1: b"a", 2: b"x", 4: b"d", 9: b"y"}
+    check = _compare("t", recorded, got, [1, 2, 3, 4, 5])
+    assert (check.topic, check.unit, check.compared, check.identical) == ("t", "bytes", 4, 1)
+    assert check.first == 2 and np.isnan(check.largest) and not check.same
+    same = _compare("t", recorded, recorded, [1, 2, 5])
+    assert (same.compared, same.identical, same.first, same.largest) == (2, 2, None, 0.0)
+
+
+class Sent(list[tuple[Any, ...]]):
+    """What would be sent to nodes."""
+
+    def configure(self, node: str, config: Any) -> None:
+        self.append(("configure", node, config.law.k_p))
+
+    def request(self, node: str, request: Request) -> None:
+        self.append((node, *request))
+
+    def force(self, force: float) -> None:
+        self.append(("force", force))
+
+    def pose(self, target: Any, stamp: int) -> None:
+        self.append(("pose", target, stamp))
+
+
+def test_before_each_tick_is_sent_what_takes_effect_at_it() -> None:
+    """The configurations with which the nodes were started are not sent again."""
+    configurations = configured(SCENARIO)
+    changed = SCENARIO.manipulation_controller.changed({"law.k_p": 9.0})
+    configurations["manipulation_controller"].append(Effect(20, changed))
+    inputs = Inputs(
+        Record.empty(1, ["a"], ["j"]),
+        [None],
+        np.zeros(1, dtype=np.bool_),
+        configurations,
+        poses=[Effect(10, "p"), Effect(20, "q")],
+        forces=[Effect(20, 3.0)],
+        requests={"manipulation_controller": [Effect(20, Request("grasp", True))]},
+    )
+    sent = Sent()
+    commands = _Commands(inputs, sent)  # type: ignore[arg-type]
+    for stamp, expected in (
+        (9, []),
+        (10, [("pose", "p", 10)]),
+        (
+            22,
+            [
+                ("configure", "manipulation_controller", 9.0),
+                ("manipulation_controller", "grasp", True),
+                ("force", 3.0),
+                ("pose", "q", 22),
+            ],
+        ),
+        (30, []),
+    ):
+        sent.clear()
+        commands.send(stamp)
+        assert sent == expected, stamp
