@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 CONES = "(13) with cones, f* on its way to the optimum"
-_FORCE_TOLERANCE = 1e-6  # of residuals, of the gap and of the balance
+_EXACT = 1e-6  # of residuals, of the gap and of the balance
 _CONE_TOLERANCE = 1e-4  # of f*; the optimization inside cones is as accurate
 _SIDES, _PENALTY = 12, 5.0
 _LEAST_SQUEEZE, _LEAST_SPREAD = 0.1, 1e-2  # N, 1: below, cones have no load
@@ -97,11 +97,11 @@ def _audit_forces_with(
             record,
             rows[every],
             unbalanced,
-            _FORCE_TOLERANCE,
+            _EXACT,
             "1",
         ),
-        check("(13), optimality conditions", record, rows[at], residual[at], _FORCE_TOLERANCE, "1"),
-        check("(13), duality gap per cost", record, rows[at], gap[at], _FORCE_TOLERANCE, "1"),
+        check("(13), optimality conditions", record, rows[at], residual[at], _EXACT, "1"),
+        check("(13), duality gap per cost", record, rows[at], gap[at], _EXACT, "1"),
         check("f* where (13) has one", record, rows, 1.0 * (answered != wanted), 0.5, "1"),
         *checks,
     ]

@@ -15,13 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 # Slower tests, with coverage and often without compilation, are left out [s].
-_SLOW = 15
-# Tests whose own process serves nodes, or steers those of others.
-_SPINNING = {
-    "ros": ("test_direct", "test_node", "test_parameters", "test_spinning"),
-    "nodes": ("test_graph_nodes", "test_raw_topic"),
-    "verify": ("test_replay_through_nodes",),
-}
+_SLOW = 30
+# Folders whose tests start nodes, and which tests of `test/integration` are about others.
+_INTEGRATED = ("ros", "nodes", "orchestrator", "verify")
+_OF_OTHERS = ("test_bench_runs", "test_faults", "test_packaging", "test_sweep")
 _RECORDER = "test/mutation/recorder.py"
 # Tests of other folders that look closely at this one.
 _ELSEWHERE = {
@@ -104,18 +101,17 @@ def folder_of(path: str) -> str:
 
 
 def _suites(root: Path, folder: str) -> list[str]:
-    """Return the files of tests of a folder, those that run it in their own process.
-
-    Processes that are started load the installed, unchanged package.
-    """
+    """Return the files of tests of a folder."""
     top = root / "test/unit"
     mirrored = (top / folder).rglob("test_*.py") if folder else top.glob("test_*.py")
-    # Those of `jit` compile whatever they import.
-    common = (root / "test/property").glob("test_*.py") if folder not in ("", "jit") else ()
-    spinning = [root / "test/integration" / f"{name}.py" for name in _SPINNING.get(folder, ())]
+    is_integrated = folder in _INTEGRATED
+    # Those of `jit` compile whatever they import; the others of `property` start no node.
+    laws = "test_hostile_*.py" if is_integrated else "test_*.py"
+    common = (root / "test/property").glob(laws) if folder not in ("", "jit") else ()
+    integrated = (root / "test/integration").glob("test_*.py") if is_integrated else ()
     elsewhere = [top / f"{name}.py" for name in _ELSEWHERE.get(folder, ())]
-    found = [*mirrored, *common, *spinning, *elsewhere]
-    return sorted(str(path.relative_to(root)) for path in found)
+    found = [*mirrored, *common, *integrated, *elsewhere]
+    return sorted(str(path.relative_to(root)) for path in found if path.stem not in _OF_OTHERS)
 
 
 def _digest_of_sources(root: Path) -> bytes:
@@ -143,7 +139,10 @@ def is_interpreted(folder: str) -> bool:
 
 
 def environment(root: Path, folder: str) -> dict[str, str]:
-    """Return the environment in which tests import the tree instead of the installed package."""
+    """Return the environment in which tests import the tree instead of the installed package.
+
+    So do the processes that they start: the installed executables only import.
+    """
     made = {name: value for name, value in os.environ.items() if name not in _OWN_VARIABLES}
     made["PYTHONPATH"] = os.pathsep.join([str(root), str(root / "test")])
     if is_interpreted(folder):

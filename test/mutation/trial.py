@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the tests of one mutant in a process of its own."""
+"""Run the tests of one mutant in a process of its own, and end what they started."""
 
 from __future__ import annotations
 
 import compileall
 import contextlib
+import itertools
 import multiprocessing
 import os
 import shutil
@@ -15,6 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
+
+import pytest
 
 from mutation.coverage_map import CoverageMap, environment, folder_of
 from mutation.mutants import Mutant
@@ -25,6 +29,9 @@ _COPIED = ("tactile_hand_ros", "test", "config", "docs", "scripts", "viewer", "r
 _COPIED_FILES = ("pyproject.toml", "package.xml", "setup.py", "setup.cfg", "README.md", "Makefile")
 
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
+# In the environment of a trial and of the processes that its tests start.
+_MARK = "MUTATION_TRIAL"
+_numbers = itertools.count()
 
 
 @dataclass(frozen=True)
@@ -72,10 +79,10 @@ def run_trials(
 
     def passes(names: list[str], folder: str, change: Mutant | None = None) -> bool:
         copy = copies.get()
-        timeout = 10.0 + 5.0 * sum(tests.durations.get(name, 0.0) for name in names)
+        durations = {name: tests.durations.get(name, 0.0) for name in names}
         try:
             with _changed(change, copy) if change else contextlib.nullcontext():
-                return _passes(context, names, copy, folder, timeout)
+                return _passes(context, durations, copy, folder)
         finally:
             copies.put(copy)
 
@@ -86,21 +93,36 @@ def run_trials(
         has_passed = passes(names, folder_of(mutant.path), mutant)
         return Trial(mutant, SURVIVED if has_passed else KILLED)
 
-    for folder in sorted({folder_of(each.path) for each in mutants}):
-        own = [each for each in mutants if folder_of(each.path) == folder]
-        unchanged = sorted({name for each in own for name in _within(tests, each, budget)})
-        if unchanged and not passes(unchanged, folder):
-            failing = [name for name in unchanged if not passes([name], folder)]
-            raise RuntimeError(
-                "the tests fail on the unchanged code, so that a failure would prove nothing: "
-                f"{', '.join(failing) or 'together, but not alone'}"
-            )
+    def check(names: list[str], folder: str) -> None:
+        if passes(names, folder):
+            return
+        failing = [name for name in names if not passes([name], folder)]
+        raise RuntimeError(
+            "the tests fail on the unchanged code, so that a failure would prove nothing: "
+            f"{', '.join(failing) or 'together, but not alone'}"
+        )
+
     done = []
     with ThreadPoolExecutor(jobs) as pool:
+        unchanged = _by_file(tests, mutants, budget)
+        for _ in pool.map(check, unchanged.values(), (folder for _, folder in unchanged)):
+            pass
         for trial in pool.map(attempt, mutants):
             on_trial(trial)
             done.append(trial)
     return done
+
+
+def _by_file(
+    tests: CoverageMap, mutants: list[Mutant], budget: float
+) -> dict[tuple[str, str], list[str]]:
+    """Return the tests of all mutants by their file and the folder of what they test."""
+    found: dict[tuple[str, str], set[str]] = {}
+    for mutant in mutants:
+        for name in _within(tests, mutant, budget):
+            place = name.partition("::")[0], folder_of(mutant.path)
+            found.setdefault(place, set()).add(name)
+    return {place: sorted(names) for place, names in sorted(found.items())}
 
 
 def _within(tests: CoverageMap, mutant: Mutant, budget: float) -> list[str]:
@@ -130,20 +152,30 @@ def _copy(root: Path, to: Path) -> Path:
 
 def _passes(
     context: multiprocessing.context.ForkServerContext,
-    names: list[str],
+    durations: dict[str, float],
     copy: Path,
     folder: str,
-    timeout: float,
 ) -> bool:
-    process = context.Process(target=_run_tests, args=(copy, folder, names, timeout))
+    limits = {name: 10.0 + 3.0 * each for name, each in durations.items()}
+    mark = f"{os.getpid()}-{next(_numbers)}"
+    process = context.Process(target=_run_tests, args=(copy, folder, limits, mark))
     process.start()
-    process.join(timeout)
+    process.join(20.0 + 3.0 * sum(durations.values()))
     passed = process.exitcode == 0
-    # Also what the tests started and a failure left behind.
     with contextlib.suppress(ProcessLookupError):
         os.killpg(int(process.pid or 0), signal.SIGKILL)
     process.join()
+    _end_marked(mark)
     return passed
+
+
+def _end_marked(mark: str) -> None:
+    """End what the tests started and a failure left behind in a session of its own."""
+    entry = f"{_MARK}={mark}".encode()
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):
+            if entry in path.read_bytes().split(b"\0"):
+                os.kill(int(path.parent.name), signal.SIGKILL)
 
 
 @contextlib.contextmanager
@@ -160,7 +192,20 @@ def _changed(mutant: Mutant, copy: Path) -> Iterator[None]:
         path.write_text(original, encoding="utf-8")
 
 
-def _run_tests(copy: Path, folder: str, names: list[str], timeout: float) -> None:
+class _Limits:
+    """A plugin for pytest that gives each test a time limit of its own [s]."""
+
+    def __init__(self, limits: dict[str, float]) -> None:
+        """Take them by the name of the test."""
+        self._limits = limits
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        """Let tests that take a tenth of a second fail soon: a change often lets them hang."""
+        for item in items:
+            item.add_marker(pytest.mark.timeout(self._limits[item.nodeid]))
+
+
+def _run_tests(copy: Path, folder: str, limits: dict[str, float], mark: str) -> None:
     """Run tests quietly and end the process with pytest's answer."""
     os.setsid()
     os.chdir(copy)
@@ -168,13 +213,12 @@ def _run_tests(copy: Path, folder: str, names: list[str], timeout: float) -> Non
     sys.path[:0] = [str(copy), str(copy / "test")]
     variables = environment(copy, folder)
     os.environ.clear()
-    os.environ.update(variables)
+    # Byte code that processes write would hide a change made in the same second.
+    os.environ.update(variables | {_MARK: mark, "PYTHONDONTWRITEBYTECODE": "1"})
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
-    import pytest
-
-    options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={timeout:.0f}"]
-    code = pytest.main([*options, "-p", "no:faulthandler", *names])
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:faulthandler"]
+    code = pytest.main([*options, *limits], plugins=[_Limits(limits)])
     # Threads of a broken test must not keep the process alive.
     os._exit(int(code))

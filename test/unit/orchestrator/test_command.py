@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
 
@@ -15,12 +14,9 @@ from tactile_hand_ros.config.model import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.orchestrator.command import split_ros_arguments
 from tactile_hand_ros.orchestrator.conduct import conduct, full_namespace, shares_process
-from tactile_hand_ros.orchestrator.monitor import Look
 from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Signals
-from tactile_hand_ros.orchestrator.steering import how_to_steer
-from tactile_hand_ros.orchestrator.view import Rate, facts
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
 
 
@@ -110,31 +106,6 @@ def test_ros_arguments_are_taken_out() -> None:
     assert own == ["--quiet", "--duration", "1"]
     assert ros == line
     assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
-
-
-def test_facts_are_readable_whatever_is_missing() -> None:
-    assert facts(Look(1.0, np.nan, np.nan), 0.0) == "pose error no target  k_f -  0 ticks/s"
-    assert facts(Look(1.0, 0.0123, 10.0), 512.4) == "pose error 12.3 mm  k_f 10.00 N  512 ticks/s"
-
-
-def test_rate_begins_at_zero() -> None:
-    rate = Rate(2_000_000)
-    assert rate(0) == 0.0
-    found = rate(2_000_000_000)
-    assert found > 0.0
-
-
-def test_rate_stays_until_another_stamp_is_known() -> None:
-    rate = Rate(2_000_000)
-    rate(0)
-    found = rate(2_000_000_000)
-    assert rate(2_000_000_000) == found
-    assert 0.0 < rate(2_002_000_000) != found
-
-
-def test_hint_names_the_topic_in_the_namespace() -> None:
-    assert how_to_steer("/left").endswith(" --namespace /left")
-    assert "namespace" not in how_to_steer("/")
 
 
 def fake_ros2(folder: Path, answer: str, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -134,8 +134,8 @@ def test_fingers_grasp_where_all_touch_and_not_on_a_line() -> None:
     record.contact_positions[:] = [[0.1, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]]
     record.contact_positions[1, 2] = np.nan
     # The spread is 2 / sqrt(3) times this share of the length.
-    for tick, spread in ((2, 1.01e-3), (3, 0.99e-3)):
-        width = 0.5 * np.sqrt(3.0) * spread * 0.1
+    for tick, share in ((2, 1.01e-3), (3, 0.99e-3)):
+        width = 0.5 * np.sqrt(3.0) * share * 0.1
         record.contact_positions[tick, 1:, 1] = width, -width
     assert spread(record.contact_positions[2:]) == pytest.approx([1.01e-3, 0.99e-3])
     assert audit_forces.grasped(record).tolist() == [True, False, True, False]

@@ -71,6 +71,19 @@ def test_what_finds_no_room_is_counted_as_lost(
     assert numbers == list(range(400 - writer.lost[channel]))
 
 
+def test_64_mib_may_wait_for_a_process_that_does_not_read(tmp_path: Path) -> None:
+    writer, piece = started(tmp_path / "bag"), bytes(1 << 20)
+    os.kill(writer.process_id, signal.SIGSTOP)
+    channel = writer.add_channel("/one", TYPE)
+    while not writer.lost[channel]:
+        writer.write(channel, piece, 0, 0)
+        writer.send()
+    assert 64 << 20 < writer._waiting_bytes <= (65 << 20) + 1000
+    os.kill(writer.process_id, signal.SIGKILL)
+    with pytest.raises(BagError):
+        writer.close()
+
+
 def test_a_process_that_has_died_is_an_error_with_advice(tmp_path: Path) -> None:
     writer = started(tmp_path / "bag")
     os.kill(writer.process_id, signal.SIGKILL)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each marker has its place, size, colour and shape, to the number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from visualization_msgs.msg import Marker
+
+from tactile_hand_ros.nodes.viewer.frames import Frame
+from tactile_hand_ros.nodes.viewer.markers import Scene, markers
+
+TURN = np.array([0.1, 0.2, 0.3, np.sqrt(0.86)])
+CORNERS = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]])
+FORCES = np.array([[1.0, 4.0, -2.0], [0.5, -1.0, 0.25], [0.0, 0.0, 0.0], [3.0, 8.0, 6.0]])
+
+
+def frame(name: str, number: int) -> Frame:
+    return Frame(name, np.array([number, number + 0.25, number + 0.5]), TURN)
+
+
+def scene(**changes: Any) -> Scene:
+    """Five fingers, one of which feels nothing, with all that can be known."""
+    parts: dict[str, Any] = {
+        "corners": CORNERS,
+        "object": frame("object", 7),
+        "contacts": [frame(f"c{number}", number) for number in range(5)],
+        "forces": np.vstack([FORCES, FORCES[:1]]),
+        "friction": np.array([0.5, 0.5, 0.5, 9.0, np.nan]),
+        "goal": frame("goal", 8),
+    }
+    return Scene(**{**parts, **changes})
+
+
+def found(drawn: Scene, namespace: str) -> dict[int, Marker]:
+    return {m.id: m for m in markers(drawn).markers if m.ns == namespace}
+
+
+def color(marker: Marker) -> tuple[float, ...]:
+    return tuple(round(getattr(marker.color, part), 6) for part in "rgba")
+
+
+def points(marker: Marker) -> np.ndarray[Any, Any]:
+    return np.array([[p.x, p.y, p.z] for p in marker.points])
+
+
+def place(marker: Marker) -> list[float]:
+    at, turn = marker.pose.position, marker.pose.orientation
+    return [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]
+
+
+def at(number: int) -> list[float]:
+    return [number, number + 0.25, number + 0.5, *TURN]
+
+
+FINGERS = [
+    (0.0, 0.45, 0.7, 1.0),
+    (0.84, 0.37, 0.0, 1.0),
+    (0.0, 0.62, 0.45, 1.0),
+    (0.8, 0.47, 0.65, 1.0),
+]
+
+
+def test_a_contact_is_a_ball_in_the_colour_of_its_finger_of_which_the_fifth_is_the_first() -> None:
+    balls = found(scene(), "contacts")
+    assert [color(balls[i]) for i in range(5)] == [*FINGERS, FINGERS[0]]
+    for i, ball in balls.items():
+        assert (ball.type, ball.action) == (Marker.SPHERE, Marker.ADD)
+        assert (ball.scale.x, ball.scale.y, ball.scale.z) == (0.008, 0.008, 0.008)
+        assert place(ball) == at(i)
+
+
+def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
+    arrows = found(scene(), "forces")
+    assert sorted(arrows) == [0, 1, 3, 4]  # where nothing is felt there is none
+    for i, arrow in arrows.items():
+        start, end = points(arrow)
+        assert not start.any()
+        np.testing.assert_allclose(end, [*FORCES, FORCES[0]][i] * 0.12 / np.sqrt(109.0))
+        assert (arrow.type, arrow.action) == (Marker.ARROW, Marker.ADD)
+        assert (arrow.scale.x, arrow.scale.y, arrow.scale.z) == (0.004, 0.009, 0.0)
+        assert color(arrow) == (0.1, 0.14, 0.19, 1.0) and place(arrow) == at(i)
+
+
+def test_a_cone_is_as_high_as_its_force_and_no_wider_than_can_be_seen() -> None:
+    """None for a force that pulls, and none where friction is not known."""
+    cones = found(scene(), "cones")
+    assert sorted(cones) == [0, 3]
+    for i, friction in ((0, 0.5), (3, 2.5)):
+        height = FORCES[i, 1] * 0.12 / np.sqrt(109.0)
+        corners = points(cones[i]).reshape(-1, 3, 3)
+        assert len(corners) == 24 and not corners[:, 0].any()
+        angles = np.linspace(0.0, 2.0 * np.pi, 25)
+        x, z = friction * height * np.cos(angles), friction * height * np.sin(angles)
+        rim = np.stack([x, np.full(25, height), z], axis=1)
+        np.testing.assert_allclose(corners[:, 1], rim[:-1], atol=1e-12)
+        np.testing.assert_allclose(corners[:, 2], rim[1:], atol=1e-12)
+        assert color(cones[i]) == (*FINGERS[i][:3], 0.25) and place(cones[i]) == at(i)
+        assert cones[i].type == Marker.TRIANGLE_LIST
+        assert (cones[i].scale.x, cones[i].scale.y, cones[i].scale.z) == (1.0, 1.0, 1.0)
+
+
+def test_object_and_goal_are_where_they_are() -> None:
+    body, goal = found(scene(), "object")[0], found(scene(), "goal")[0]
+    assert place(body) == at(7) and place(goal) == at(8)
+    np.testing.assert_array_equal(points(body), CORNERS)
+    assert color(body) == (0.56, 0.65, 0.75, 0.4) and body.type == Marker.TRIANGLE_LIST
+    assert (body.scale.x, body.scale.y, body.scale.z) == (1.0, 1.0, 1.0)
+    axes = np.zeros((6, 3))
+    axes[1, 0] = axes[3, 1] = axes[5, 2] = 0.05
+    np.testing.assert_array_equal(points(goal), axes)
+    assert color(goal) == (0.76, 0.09, 0.36, 1.0) and goal.type == Marker.LINE_LIST
+    assert (goal.scale.x, goal.scale.y, goal.scale.z) == (0.003, 0.0, 0.0)
+
+
+def test_the_first_marker_removes_all_others_and_has_a_pose_that_is_one() -> None:
+    first = markers(scene()).markers[0]
+    assert (first.ns, first.id, first.action, first.type) == ("all", 0, Marker.DELETEALL, 0)
+    assert place(first) == [0.0] * 6 + [1.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "missing"),
+    [
+        ({"object": None}, "object"),
+        ({"object": Frame("object", np.full(3, np.nan), TURN)}, "object"),
+        ({"corners": np.empty((0, 3))}, "object"),
+        ({"goal": None}, "goal"),
+        ({"goal": Frame("goal", np.zeros(3), np.full(4, np.nan))}, "goal"),
+    ],
+)
+def test_what_is_not_known_is_not_drawn(changes: dict[str, Any], missing: str) -> None:
+    seen = [m.ns for m in markers(scene()).markers]
+    assert [m.ns for m in markers(scene(**changes)).markers] == [n for n in seen if n != missing]
+
+
+@pytest.mark.parametrize("force", [[np.nan, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, np.inf, 0.0]])
+def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
+    forces = np.array([force])
+    drawn = scene(contacts=[frame("c", 1)], forces=forces, friction=np.array([0.5]))
+    with np.errstate(invalid="ignore"):
+        assert [m.ns for m in markers(drawn).markers] == ["all", "object", "contacts", "goal"]
+
+
+def test_a_force_along_the_face_has_no_cone() -> None:
+    forces = np.array([[1.0, 0.0, 0.0]])
+    drawn = scene(contacts=[frame("c", 1)], forces=forces, friction=np.array([0.5]))
+    assert found(drawn, "forces") and not found(drawn, "cones")
