@@ -246,11 +246,12 @@ class ShadowLoop:
         r, answered = self._recorded, self._inputs.answered
         regulated, optimized = answered(r.grasp_force), answered(r.optimal_forces)
         controlled = answered(r.command)
+        begins = np.logical_or.accumulate(regulated)  # the first tick that it gets is answered
         for row in range(len(r)):
             contacts = self._inputs.contacts[row]
             touched = contacts is not None and bool(self._inputs.felt[row])
-            if touched and regulated[row]:
-                self._regulate(row)
+            if touched and begins[row]:
+                self._regulate(row, is_answered=bool(regulated[row]))
             if contacts is not None and optimized[row]:
                 if touched or not self._optimizer.config.cones:
                     self._optimize(row, contacts)
@@ -260,7 +261,8 @@ class ShadowLoop:
                 self._hold(row)
         return self._out
 
-    def _regulate(self, row: int) -> None:
+    def _regulate(self, row: int, *, is_answered: bool) -> None:
+        """Let the regulator feel a tick; one that it was too slow to answer it feels, too."""
         contacts, out, regulator = self._inputs.contacts[row], self._out, self._regulator
         stamp = int(self._recorded.stamps[row])
         for config in self._configurations[names.REGULATOR].until(stamp):
@@ -272,7 +274,10 @@ class ShadowLoop:
                 regulator.reset()
         for force in self._forces.until(stamp):
             regulator.goal = force
-        out.grasp_force[row] = regulator.step(stamp, contacts, self._recorded.forces[row])
+        grasp_force = regulator.step(stamp, contacts, self._recorded.forces[row])
+        if not is_answered:
+            return
+        out.grasp_force[row] = grasp_force
         out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
         out.friction[row] = regulator.learned_friction
 

@@ -6,7 +6,8 @@ import pytest
 from support.controllers import REST, TICK, Bench
 
 from tactile_hand_ros.control.contact import in_palm, joint_torques
-from tactile_hand_ros.control.controller import MOST_CHECKED, MOST_WAITING, Mode
+from tactile_hand_ros.control.controller import Mode
+from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -130,13 +131,13 @@ def test_contacts_that_move_a_fifth_of_the_tolerance_of_touch_under_standing_joi
     assert bench.step(contacts=bench.elsewhere(0.0, -0.02, 0.0)).mode is Mode.DRIVE
 
 
-def test_of_several_doubts_the_force_is_named_first_and_the_touch_before_the_joints():
+def test_of_several_doubts_the_touch_is_named_first_and_the_force_before_its_shape():
     bench = Bench(touch_tolerance=0.01, grasp_force_limit=12.0)
     bench.step()
-    far = {"contacts": bench.elsewhere(0.0, 0.02, 0.0), "optimal_forces": 2.0 * bench.optimal}
-    assert "k_f = 13 N" in bench.step(**far, grasp_force=13.0).reason
-    assert "add up to 2" in bench.step(**far).reason
-    assert "20 mm off" in bench.step(contacts=far["contacts"]).reason
+    wrong = {"grasp_force": 13.0, "optimal_forces": 2.0 * bench.optimal}
+    assert "20 mm off" in bench.step(**wrong, contacts=bench.elsewhere(0.0, 0.02, 0.0)).reason
+    assert "k_f = 13 N" in bench.step(**wrong).reason
+    assert "add up to 2" in bench.step(optimal_forces=wrong["optimal_forces"]).reason
 
 
 def test_a_law_without_optimal_forces_is_not_asked_for_their_sum():

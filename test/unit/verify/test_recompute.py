@@ -117,6 +117,17 @@ def test_missing_messages_leave_their_ticks_out(
     assert grasp.compared == len(record) and grasp.first == int(record.stamps[50])
 
 
+def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(
+    gravity: tuple[Scenario, Record], tmp_path: Path
+) -> None:
+    scenario, record = gravity[0].changed({"plant.pacing": "realtime"}), copy.deepcopy(gravity[1])
+    for name in ("grasp_force", "friction", "slip_evidence", "grip"):
+        getattr(record, name)[50:53] = np.nan
+    result = recompute(write(tmp_path, scenario, record))
+    grasp = next(c for c in result.comparisons if c.topic == "grasp_force")
+    assert grasp.same and grasp.compared == len(record) - 3
+
+
 def without_touch(
     scenario: Scenario, record: Record, held: tuple[int, ...], silent: tuple[int, ...]
 ) -> Record:
