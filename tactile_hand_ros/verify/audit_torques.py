@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does every recorded torque follow from the law, at all ticks at which the hand drove?
 
-The hand's kinematics, the reference filter and the load observer are those of the nodes.
+The law is worked out here independently of the nodes. The hand's kinematics, the reference filter
+and the load observer are theirs.
 """
 
 from __future__ import annotations

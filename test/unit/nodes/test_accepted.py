@@ -36,7 +36,7 @@ class Stage:
 
     def __init__(self, context: Any) -> None:
         self.node = TactileNode("hand", Gains, context=context, namespace="/left")
-        self.accepted = Accepted(self.node, "hand", requests=True)
+        self.accepted = Accepted(self.node, "hand", requests=True, commands=True)
         listened = {
             names.accepted_parameters("hand"): (ParameterEvent, qos.configuration_qos()),
             names.accepted_requests("hand"): (DiagnosticArray, qos.user_qos()),

@@ -157,7 +157,7 @@ class Controller:
         self.node = make(ManipulationControllerNode, **parameters)
         self.commands = keep(self.node._command_publisher)
         self.poses = keep(self.node._pose_publisher)
-        self.accepted = keep(self.node._accepted_publisher)
+        self.accepted = keep(self.node._desired._publisher)
         self.requests = keep(self.node._accepted._requests)
 
     def tick(self, stamp: int) -> None:
@@ -280,7 +280,7 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(
     hand.tick(0)
     position = STATE.contacts.positions.mean(axis=0) + [0.0, 0.01, 0.0]
     message = pose_message(position, np.eye(3), 3 * TICK)
-    hand.node._on_desired(serialize_message(message))
+    hand.node._desired.take(serialize_message(message))
     for tick in range(1, 5):
         hand.tick(tick * TICK)
     (accepted,) = hand.accepted

@@ -33,6 +33,7 @@ def test_the_topics_of_the_paper_and_their_ends() -> None:
         "ground_truth/slip": (PLANT, SENSOR),
         "ground_truth/object_pose": (PLANT,),
         "joint_hold": (PLANT, CONTROLLER),
+        "touch_doubt": (CONTROLLER, REGULATOR),
         "robot_description": (PLANT,),
         "clock": (PLANT,),
         "tactile/contacts": (SENSOR, OPTIMIZER, CONTROLLER),
@@ -67,7 +68,11 @@ def test_the_topics_of_the_paper_and_their_ends() -> None:
         (
             "force_optimizer.cones",
             True,
-            {"tactile/finger_2/wrench": (REGULATOR, OPTIMIZER), "grip_state": (OPTIMIZER,)},
+            {
+                "tactile/finger_2/wrench": (REGULATOR, OPTIMIZER),
+                "touch_doubt": (REGULATOR, OPTIMIZER),
+                "grip_state": (OPTIMIZER,),
+            },
         ),
         (
             "manipulation_controller.law.observer.time",
@@ -87,5 +92,5 @@ def test_a_node_listens_to_what_it_is_configured_to_use(
     before, after = by_topic(), by_topic(**{key: value})
     for topic, subscribers in changed.items():
         assert after[topic].subscribers == subscribers != before[topic].subscribers
-    others = {topic for topic in after if after[topic] != before[topic]} - set(changed)
-    assert all("tactile/finger" in topic for topic in others)
+    others = {topic for topic in after if after[topic] != before.get(topic)} - set(changed)
+    assert all("tactile/finger" in topic or "/requests" in topic for topic in others)

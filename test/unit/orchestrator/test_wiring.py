@@ -93,12 +93,14 @@ def test_a_subscriber_that_is_not_there_is_missing(hand: dict[str, Node]) -> Non
     """That of the cones listens to forces; what is recorded, the recorder."""
     shaped = load_scenario("paper", {**PLAIN, "force_optimizer.cones": True})
     found = Wiring(hand[names.ORCHESTRATOR], shaped, recorded=False)
-    topics = ["grip_state", *(f"tactile/finger_{number}/wrench" for number in (1, 2, 3))]
+    wrenches = [f"tactile/finger_{number}/wrench" for number in (1, 2, 3)]
     lacking = [
         (names.OPTIMIZER, f"{names.OPTIMIZER} does not subscribe to {HAND}/{topic}")
-        for topic in topics
+        for topic in ("touch_doubt", "grip_state", *wrenches)
     ]
-    wait_until(lambda: gaps(found) == lacking)
+    requests = f"{HAND}/accepted/{names.OPTIMIZER}/requests"
+    lacking.append((names.OPTIMIZER, f"{names.OPTIMIZER} does not publish {requests}"))
+    wait_until(lambda: sorted(gaps(found)) == sorted(lacking))
     unrecorded = Wiring(hand[names.ORCHESTRATOR], SCENARIO, recorded=True)
     recorded = [link.topic for link in links(SCENARIO) if link.topic not in names.USER_COMMANDS]
     lacking = [

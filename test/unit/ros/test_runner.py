@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 from types import SimpleNamespace
 from typing import Any
@@ -87,42 +86,6 @@ def test_a_closed_terminal_ends_nodes_unless_it_is_to_be_ignored(
     )
     runner._terminate(signal.SIGHUP, None)
     assert sent == [(42, signal.SIGTERM)]
-
-
-MIB = 2**20
-ENDLESS = resource.RLIM_INFINITY
-
-
-@pytest.mark.parametrize(
-    ("limits", "expected"),
-    [
-        ((ENDLESS, ENDLESS), (101 * MIB, ENDLESS)),
-        ((50 * MIB, ENDLESS), (50 * MIB, ENDLESS)),
-        ((ENDLESS, 60 * MIB), (60 * MIB, 60 * MIB)),
-        ((200 * MIB, 300 * MIB), (101 * MIB, 300 * MIB)),
-    ],
-)
-def test_memory_may_grow_by_its_room_and_no_lower_limit_is_raised(
-    monkeypatch: pytest.MonkeyPatch, limits: tuple[int, int], expected: tuple[int, int]
-) -> None:
-    chosen: list[tuple[int, tuple[int, int]]] = []
-    kernel = SimpleNamespace(
-        RLIMIT_DATA=resource.RLIMIT_DATA,
-        RLIM_INFINITY=ENDLESS,
-        getrlimit=lambda _: limits,
-        setrlimit=lambda *asked: chosen.append(asked),
-    )
-    monkeypatch.setattr(runner, "resource", kernel)
-    monkeypatch.setattr(runner, "_data_bytes", lambda: 100 * MIB)
-    runner._bound_memory(MIB)
-    assert chosen == [(resource.RLIMIT_DATA, expected)]
-
-
-def test_the_size_of_the_data_is_that_of_the_kernel_in_bytes() -> None:
-    before = runner._data_bytes()
-    block = bytearray(64 * MIB)
-    assert 60 * MIB < runner._data_bytes() - before < 80 * MIB
-    del block
 
 
 class ExampleConfig(Config):

@@ -3,8 +3,14 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
+from types import SimpleNamespace
+
+import pytest
+
+from tactile_hand_ros.ros.realtime import memory
 
 _SHOW = """
 import re
@@ -42,3 +48,39 @@ def test_without_the_right_nothing_is_locked_and_it_says_what_to_do() -> None:
     _, locked, reason = shown(import_first + _WITHOUT_RIGHT + _SHOW)
     assert locked == 0
     assert "memlock" in reason
+
+
+MIB = 2**20
+ENDLESS = resource.RLIM_INFINITY
+
+
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        ((ENDLESS, ENDLESS), (101 * MIB, ENDLESS)),
+        ((50 * MIB, ENDLESS), (50 * MIB, ENDLESS)),
+        ((ENDLESS, 60 * MIB), (60 * MIB, 60 * MIB)),
+        ((200 * MIB, 300 * MIB), (101 * MIB, 300 * MIB)),
+    ],
+)
+def test_memory_may_grow_by_its_room_and_no_lower_limit_is_raised(
+    monkeypatch: pytest.MonkeyPatch, limits: tuple[int, int], expected: tuple[int, int]
+) -> None:
+    chosen: list[tuple[int, tuple[int, int]]] = []
+    kernel = SimpleNamespace(
+        RLIMIT_DATA=resource.RLIMIT_DATA,
+        RLIM_INFINITY=ENDLESS,
+        getrlimit=lambda _: limits,
+        setrlimit=lambda *asked: chosen.append(asked),
+    )
+    monkeypatch.setattr(memory, "resource", kernel)
+    monkeypatch.setattr(memory, "_data_bytes", lambda: 100 * MIB)
+    memory.bound_memory(MIB)
+    assert chosen == [(resource.RLIMIT_DATA, expected)]
+
+
+def test_the_size_of_the_data_is_that_of_the_kernel_in_bytes() -> None:
+    before = memory._data_bytes()
+    block = bytearray(64 * MIB)
+    assert 60 * MIB < memory._data_bytes() - before < 80 * MIB
+    del block
