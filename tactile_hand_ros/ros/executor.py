@@ -46,7 +46,7 @@ from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.realtime.memory import bounded_memory
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
-_REQUEST_ROOM = 32 * 2**20
+_REQUEST_ROOM = 8 * 2**20
 """What reading one request may take [bytes]; that of a thousand parameters takes a hundredth."""
 
 _BURST = 100

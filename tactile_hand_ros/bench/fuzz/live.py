@@ -8,7 +8,7 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
@@ -35,8 +35,23 @@ _STILL = 2.0  # s of work without a tick that count as a hang
 _FAR = 0.05  # m that the object may move under attack at rest
 _PAUSE = 0.02  # s between two bursts
 
-_Input = tuple[str, Any, bytes]
-"""Topic of the middleware, type, and a good message."""
+_ROOM = 1000  # bytes that a damaged message may have behind its header
+
+
+class _Input(NamedTuple):
+    """A good message.
+
+    Attributes:
+        topic: Topic of the middleware.
+        kind: Its type.
+        data: The message.
+        room: Bytes that it may have behind its header when it is damaged.
+    """
+
+    topic: str
+    kind: Any
+    data: bytes
+    room: int = _ROOM
 
 
 def _inputs(hand: RunningHand) -> list[_Input]:
@@ -57,7 +72,7 @@ def _inputs(hand: RunningHand) -> list[_Input]:
     for finger in hand.fingers:
         for named in (names.wrench, names.true_wrench, names.optimal_force):
             topics[named(finger)] = WrenchStamped
-    found = [(f"rt/{t}", k, bytes(serialize_message(k()))) for t, k in topics.items()]
+    found = [_Input(f"rt/{t}", k, bytes(serialize_message(k()))) for t, k in topics.items()]
     value = ParameterValue(type=3, double_value=1.0)
     parameters = [Parameter(name="law.k_p", value=value)]
     requests: dict[str, tuple[Any, Any]] = {
@@ -71,10 +86,11 @@ def _inputs(hand: RunningHand) -> list[_Input]:
     for node in NODES:
         for name, (kind, request) in requests.items():
             data = bytes(serialize_message(request))
-            found.append((request_topic(f"/{node}/{name}"), kind.Request, data))
+            found.append(_Input(request_topic(f"/{node}/{name}"), kind.Request, data))
     for service, kind in (("reset", Trigger), ("enable", SetBool), ("grasp", SetBool)):
         topic = request_topic(f"/{names.CONTROLLER}/{service}")
-        found.append((topic, kind.Request, b"\0\1\0\0"))  # too short for a call that acts
+        # Too short for a call that acts: a hand that is asked to let go does so.
+        found.append(_Input(topic, kind.Request, b"\0\1\0\0", room=0))
     return found
 
 
@@ -103,7 +119,7 @@ def fuzz_nodes(report: Report, seconds: float, folder: Path) -> None:
 
 def _attack(hand: RunningHand, report: Report, seconds: float, folder: Path) -> None:
     inputs = _inputs(hand)
-    writers = [RawWriter(hand.node, kind, topic) for topic, kind, _ in inputs]
+    writers = [RawWriter(hand.node, each.kind, each.topic) for each in inputs]
     processes = {name: psutil.Process(p.pid) for name, p in hand.processes.items()}
     memory = {name: process.memory_info().rss for name, process in processes.items()}
     begin, number = time.monotonic(), 0
@@ -113,10 +129,10 @@ def _attack(hand: RunningHand, report: Report, seconds: float, folder: Path) -> 
         for number in range(number, number + _BURST):
             chance = chance_of(report.seed, "live", number)
             which = chance.randrange(len(inputs))
-            data = _damaged_behind_header(inputs[which][2], chance)
+            data = _damaged_behind_header(inputs[which], chance)
             with suppress(RawWriterError):  # more bytes than the type can have are not sent
                 writers[which].write(data)
-            sent.append(f"{inputs[which][0]} {data.hex()}")
+            sent.append(f"{inputs[which].topic} {data.hex()}")
         number += 1
         report.inputs["live"] += _BURST
         _wait(hand)
@@ -141,8 +157,8 @@ def _grown(report: Report, processes: dict[str, psutil.Process], memory: dict[st
     return f"growth: {report.grew_most} by {report.growth / 2**20:.0f} MB"
 
 
-def _damaged_behind_header(data: bytes, chance: random.Random) -> bytes:
-    return data[:4] + damaged(data[4:], chance)[:1000]
+def _damaged_behind_header(given: _Input, chance: random.Random) -> bytes:
+    return given.data[:4] + damaged(given.data[4:], chance)[: given.room]
 
 
 def _wait(hand: RunningHand) -> None:
