@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One command to a hand: it arrives, and its own answer comes back, whoever else is steering."""
+"""One command to a hand: it arrives, and its own answer comes back, also while others steer."""
 
 from __future__ import annotations
 
