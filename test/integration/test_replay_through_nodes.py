@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from support.recorded import PERIOD, START, RunWriter, pose_stamped, write_tick
+from support.recorded import RunWriter, write_run
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
 
@@ -19,13 +18,7 @@ def test_real_nodes_give_what_was_recorded_byte_for_byte(tmp_path: Path) -> None
     scenario = load_scenario("paper", {"duration": 0.5})
     record = ClosedLoop(scenario).run(60)
     with RunWriter(tmp_path / "bag", {"scenario": resolved(scenario)}) as bag:
-        for command in scenario.targets:
-            target = command.target()
-            quaternion = quaternion_from_rotation(target.orientation)
-            pose = pose_stamped(command.stamp, target.position, quaternion)
-            bag.write("/accepted/desired_pose", pose, START)
-        for row in range(len(record)):
-            write_tick(bag, record, row, START + row * PERIOD)
+        write_run(bag, scenario, record)
     comparisons = replay_through_nodes(Run(tmp_path))
     assert [c for c in comparisons if not c.same] == []
     assert [c.compared for c in comparisons] == 7 * [60]

@@ -12,6 +12,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.rotations import quaternion_from_rotation
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000  # log time of the first tick, ns
@@ -140,6 +142,17 @@ def request_message(stamp: int, node: str, service: str, value: str = "") -> Any
         values=[pair],
     )
     return message("diagnostic_msgs/msg/DiagnosticArray", header=header(stamp, ""), status=[status])
+
+
+def write_run(bag: RunWriter, scenario: Scenario, record: Record) -> None:
+    """Write the poses that a scenario commands as accepted ones, and all ticks of its run."""
+    for command in scenario.targets:
+        target = command.target()
+        quaternion = quaternion_from_rotation(target.orientation)
+        pose = pose_stamped(command.stamp, target.position, quaternion)
+        bag.write("/accepted/desired_pose", pose, START)
+    for row in range(len(record)):
+        write_tick(bag, record, row, START + row * PERIOD)
 
 
 def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = "/") -> None:

@@ -19,6 +19,7 @@ from support.recorded import (
     pose_stamped,
     request_message,
     wrench,
+    write_run,
     write_tick,
 )
 
@@ -31,7 +32,6 @@ from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import OWN_LAWS, Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.audit_forces import CONES
@@ -65,13 +65,7 @@ def gravity() -> tuple[Scenario, Record]:
 def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int, str, Any]) -> Run:
     """Write a bag as the recorder would, with further messages given by row, topic and content."""
     with RunWriter(folder / "bag", {"scenario": resolved(scenario)}) as bag:
-        for command in scenario.targets:
-            target = command.target()
-            quaternion = quaternion_from_rotation(target.orientation)
-            pose = pose_stamped(command.stamp, target.position, quaternion)
-            bag.write("/accepted/desired_pose", pose, START)
-        for row in range(len(record)):
-            write_tick(bag, record, row, START + row * PERIOD)
+        write_run(bag, scenario, record)
         for user in scenario.user_forces:
             row = int(np.searchsorted(record.stamps, user.stamp))
             force = wrench(user.stamp, (0.0, user.force, 0.0))
