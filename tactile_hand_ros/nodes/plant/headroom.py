@@ -16,6 +16,9 @@ _TOLERATED = 0.1
 _RESERVE = 0.7
 """Share of the rate that was measured which is recommended: the machine's speed varies."""
 
+_LEAST = 50.0
+"""Lowest rate that is recommended [Hz]: a computer that falls below it is busy with other things."""
+
 
 class Headroom:
     """Compares the ticks that were answered in time with those that were due."""
@@ -63,10 +66,11 @@ class Headroom:
         return self._sentence
 
     def _complaint(self, share: float, answered: float, advice: str) -> str:
+        rate = sustainable(answered, self._time_step)
+        other = f"set plant.rate to {rate:g}" if rate >= _LEAST else "end other programs"
         return (
             f"this computer is too slow for {self._rate:g} Hz: {answered:.0f} ticks/s are answered,"
-            f" {100.0 * share:.0f} % in time; {advice}, or set plant.rate to"
-            f" {sustainable(answered, self._time_step):g}"
+            f" {100.0 * share:.0f} % in time; {advice}, or {other}"
         )
 
 

@@ -93,6 +93,14 @@ def test_the_sentence_has_what_was_measured_and_what_to_do_and_ends_with_its_rea
     assert headroom.judge(2200, 2800, "use fewer fingers") == ""
 
 
+def test_a_rate_too_low_for_a_hand_is_not_recommended() -> None:
+    for answered, remedy in ((144, "set plant.rate to 100"), (20, "end other programs")):
+        now = [0.0]
+        headroom = Headroom(1000.0, 0.001, lambda now=now: now[0])  # type: ignore[misc]
+        now[0] = 2.0
+        assert headroom.judge(0, 2 * answered, "wait").endswith(f"in time; wait, or {remedy}")
+
+
 @given(st.floats(0.1, 1e4), st.sampled_from([1e-3, 5e-4, 2e-4, 3e-3]))
 def test_a_recommended_rate_is_a_whole_number_of_steps_and_below_what_was_measured(
     answered: float, step: float
