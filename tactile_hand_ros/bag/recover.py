@@ -8,29 +8,29 @@ import itertools
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Header
 
-from tactile_hand_ros.bag.bag_file import CHUNK_SIZE, LIBRARY, BagFile
+from tactile_hand_ros.bag.bag_file import LIBRARY
 from tactile_hand_ros.bag.metadata import (
     FILE_NAME,
-    RECORD_KEY,
-    RECORD_NAME,
     BagMetadata,
     FileMetadata,
-    TopicMetadata,
-    merge_topics,
 )
 from tactile_hand_ros.bag.metadata_file import check_regular, read_metadata
-from tactile_hand_ros.bag.qos import parse_qos
+from tactile_hand_ros.bag.rewrite import (
+    RewrittenFile,
+    bag_metadata,
+    compressed,
+    refuse_compressed,
+    rewrite,
+)
 from tactile_hand_ros.bag.salvage import MAGIC, Tally, salvage
 from tactile_hand_ros.bag.stream import is_being_written
-from tactile_hand_ros.bag.yaml_text import load
 from tactile_hand_ros.errors import BagError, counted
 from tactile_hand_ros.files import replace_text
 
@@ -116,7 +116,7 @@ def recover(
         try:
             name = target.resolve().name
             names = [target / f"{name}_{number}.mcap" for number in range(len(files))]
-            return _finish(source, target, [_copy(*pair) for pair in zip(files, names)])
+            return _finish(source, target, [rewrite(*pair) for pair in zip(files, names)])
         except BaseException:  # half a bag would only be in the way of the next attempt
             shutil.rmtree(target, ignore_errors=True)
             raise
@@ -188,7 +188,7 @@ def repair(folder: Path) -> RecoveredBag:
             draft.unlink(missing_ok=True)  # of a repair that was interrupted
             before = _state(file)
             try:
-                copy = _copy(file, draft)
+                copy = rewrite(file, draft)
                 if _state(file) != before:
                     raise BagError(
                         f"The file {file} has changed meanwhile, so somebody still writes it; "
@@ -249,10 +249,10 @@ def _files_of(bag: Path) -> list[Path]:
     files = [file for file in files if not file.name.startswith(".")]
     others = [bag] if bag.is_file() else bag.glob("*.mcap.*")
     if any(file.suffix in _COMPRESSED for file in others):
-        raise _compressed(bag)
+        raise compressed(bag)
     if not files:
         raise BagError(f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered.")
-    _refuse_compressed(bag, _old_metadata(bag))
+    refuse_compressed(bag, _old_metadata(bag))
     for file in files:
         check_regular(file)
         if is_being_written(file):
@@ -261,23 +261,6 @@ def _files_of(bag: Path) -> list[Path]:
                 "finishes it."
             )
     return files
-
-
-def _refuse_compressed(bag: Path, told: Mapping[str, Any]) -> None:
-    """Refuse messages that are compressed one by one; compressed files are known by their names.
-
-    Raises:
-        BagError: If they are.
-    """
-    if told.get("compression_format") and str(told.get("compression_mode")).upper() != "FILE":
-        raise _compressed(bag)
-
-
-def _compressed(bag: Path) -> BagError:
-    return BagError(
-        f"The bag {bag} has files or messages compressed by rosbag2, expected plain or chunk "
-        "compressed MCAP; decompress it with `ros2 bag convert` first."
-    )
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -292,152 +275,12 @@ def _has_end(file: Path) -> bool:
         return size > 2 * len(MAGIC) and stream.read() == MAGIC
 
 
-@dataclass
-class _Copy:
-    """A file that was written again, and what it says about the bag."""
-
-    tally: Tally
-    file: FileMetadata
-    topics: list[TopicMetadata]
-    told: dict[str, Any] = field(default_factory=dict)
-
-
-def _copy(source: Path, target: Path) -> _Copy:
-    """Write everything that can be read from a file to a new one."""
-    with contextlib.closing(_Copier(source, target)) as copier:
-        return copier.run()
-
-
-class _Copier:
-    """Copies records, with the numbers of schemas and channels that the new file gives."""
-
-    def __init__(self, source: Path, target: Path) -> None:
-        self._source, self._target = source, target
-        self._tally = Tally()
-        self._schemas: dict[int, int] = {0: 0}
-        self._types: dict[int, str] = {0: ""}
-        self._channels: dict[int, int] = {}
-        self._topics: dict[int, Channel] = {}
-        self._counts: dict[int, int] = {}
-        self._told: dict[str, Any] = {}
-        self._file: BagFile | None = None
-
-    def run(self) -> _Copy:
-        try:
-            self._file = self._open()
-            for record in salvage(self._source, self._tally):
-                self._put(self._file, record)
-            topics = self._metadata_of_topics()
-            bag = _bag_metadata([self._file.metadata], topics, [self._told])
-            self._file.flush()
-            self._file.add_metadata(RECORD_NAME, bag.record())
-            self._file.finish()
-        except OSError as error:
-            raise BagError(
-                f"{self._target} cannot be written: {error.strerror or error}; free some space or "
-                "choose another folder with --out."
-            ) from error
-        return _Copy(self._tally, self._file.metadata, topics, self._told)
-
-    def close(self) -> None:
-        """Close the file if it is still open after a failure."""
-        if self._file is not None:
-            self._file.abandon()
-
-    def _open(self) -> BagFile:
-        """Create the file, compressed as the broken one."""
-        tally, header = Tally(), Header(profile="ros2", library=LIBRARY)
-        for record in salvage(self._source, tally):
-            if isinstance(record, Header):
-                header = record
-            if isinstance(record, Message):
-                break
-        compression = tally.compression or ("none" if tally.messages else "zstd")
-        return BagFile(self._target, compression, CHUNK_SIZE, header.profile, LIBRARY)
-
-    def _put(self, file: BagFile, record: McapRecord) -> None:
-        if isinstance(record, Message):
-            file.write(
-                self._channels[record.channel_id],
-                record.data,
-                record.log_time,
-                record.publish_time,
-                record.sequence,
-            )
-            self._counts[record.channel_id] += 1
-        elif isinstance(record, Schema):
-            number = file.add_schema(record.name, record.encoding, record.data)
-            self._schemas[record.id], self._types[record.id] = number, record.name
-        elif isinstance(record, Channel):
-            self._put_channel(file, record)
-        elif isinstance(record, Metadata):
-            file.add_metadata(record.name, record.metadata)
-            if record.name == RECORD_NAME:
-                told = _tree(record.metadata)
-                _refuse_compressed(self._source, told)
-                self._told.update(_told(told))
-        elif isinstance(record, Attachment):
-            file.add_attachment(record)
-
-    def _put_channel(self, file: BagFile, record: Channel) -> None:
-        if record.id in self._channels:
-            return
-        schema = self._schemas[record.schema_id]
-        number = file.add_channel(record.topic, record.message_encoding, schema, record.metadata)
-        self._channels[record.id], self._topics[record.id] = number, record
-        self._counts[record.id] = 0
-
-    def _metadata_of_topics(self) -> list[TopicMetadata]:
-        return [
-            TopicMetadata(
-                name=channel.topic,
-                type=self._types[channel.schema_id],
-                offered_qos_profiles=parse_qos(channel.metadata.get("offered_qos_profiles", "")),
-                type_description_hash=channel.metadata.get("topic_type_hash", ""),
-                message_count=self._counts[number],
-                serialization_format=channel.message_encoding,
-            )
-            for number, channel in self._topics.items()
-        ]
-
-
-def _tree(record: Mapping[str, str]) -> dict[str, Any]:
-    """Return the writer's own metadata, nothing if it makes no sense."""
-    try:
-        return dict(load(record[RECORD_KEY]))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return {}
-
-
-def _told(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what metadata says that messages do not."""
-    custom, distro = tree.get("custom_data"), tree.get("ros_distro")
-    told: dict[str, Any] = {"ros_distro": str(distro)} if distro else {}
-    if isinstance(custom, Mapping):
-        told["custom_data"] = {str(key): str(value) for key, value in custom.items()}
-    return told
-
-
-def _bag_metadata(
-    files: Sequence[FileMetadata],
-    topics: Iterable[TopicMetadata],
-    told: Iterable[Mapping[str, Any]],
-    more: Mapping[str, str] | None = None,
-) -> BagMetadata:
-    custom: dict[str, str] = {}
-    distro = os.environ.get("ROS_DISTRO") or "jazzy"
-    for tree in told:
-        custom |= tree.get("custom_data", {})
-        distro = tree.get("ros_distro", distro)
-    return BagMetadata(files, merge_topics(topics), custom | dict(more or {}), distro)
-
-
 def _finish(
-    source: Path, target: Path, copies: Sequence[_Copy], kept: tuple[Path, ...] = ()
+    source: Path, target: Path, copies: Sequence[RewrittenFile], kept: tuple[Path, ...] = ()
 ) -> RecoveredBag:
     """Write the metadata of all files."""
     left = sum(copy.tally.left for copy in copies)
-    metadata = _bag_metadata(
+    metadata = bag_metadata(
         [copy.file if copy.file.path[0] != "." else _renamed(copy.file) for copy in copies],
         [topic for copy in copies for topic in copy.topics],
         [copy.told for copy in copies],
@@ -457,12 +300,12 @@ def _keep(file: Path) -> Path:
     for number in itertools.count():
         kept = file.with_name(f"{file.name}{BROKEN}{number or ''}")
         with contextlib.suppress(FileExistsError):
-            _link_or_copy(file, kept)
+            _link_orrewrite(file, kept)
             break
     return kept
 
 
-def _link_or_copy(file: Path, kept: Path) -> None:
+def _link_orrewrite(file: Path, kept: Path) -> None:
     """Give a file a second name.
 
     Raises:

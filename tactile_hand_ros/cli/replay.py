@@ -114,7 +114,7 @@ def replay(request: ReplayRequest) -> None:
 
 def _recompute(request: ReplayRequest) -> None:
     """Ask the controllers again, and compare their answers with those in the bag."""
-    from tactile_hand_ros.config.model import parse_changes
+    from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r

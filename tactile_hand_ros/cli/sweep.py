@@ -94,7 +94,7 @@ class SweepOptions:
         Raises:
             TactileHandError: If the options do not go together, or a value is refused.
         """
-        from tactile_hand_ros.config.model import parse_changes
+        from tactile_hand_ros.config.plain_yaml import parse_changes
         from tactile_hand_ros.studies.sweep.metrics import METRICS
         from tactile_hand_ros.studies.sweep.sweep import make_sweep, read_sweep
 

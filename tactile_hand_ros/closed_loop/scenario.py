@@ -16,8 +16,9 @@ from tactile_hand_ros.closed_loop.scenario_file import (
     read_layers,
 )
 from tactile_hand_ros.config.angles import HALF_TURN, check_radians
-from tactile_hand_ros.config.model import Config, param, parse_yaml, validate, yaml_text
+from tactile_hand_ros.config.model import Config, param, validate
 from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.config.plain_yaml import parse_yaml, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.joint_hold import JointHoldConfig

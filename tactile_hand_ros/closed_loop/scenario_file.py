@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.config.model import did_you_mean, read_yaml
+from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.config.paths import config_directory, scenario_names
+from tactile_hand_ros.config.plain_yaml import read_yaml
 from tactile_hand_ros.control.own_law import folder_of
 from tactile_hand_ros.errors import ConfigurationError
 

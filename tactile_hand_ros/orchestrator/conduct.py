@@ -17,7 +17,7 @@ from rich.console import Console
 from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.command_line import LastingOutput, os_sentence
-from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.jit.compiled import ensure_compiled, is_complete
 from tactile_hand_ros.orchestrator.claim import claim
@@ -132,21 +132,21 @@ def _run(session: Session, joining: AbstractContextManager[Node], request: Reque
     duration = None if plan.interactive else plan.scenario.duration
     outcome = session.run(joining, make_view(console, duration, quiet=request.quiet))
     # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
-    from tactile_hand_ros.orchestrator import summary
+    from tactile_hand_ros.orchestrator.results import judgement, reading, report, summary, table
 
-    results = summary.read_results(plan, directory, finished=outcome.is_complete)
-    verdict = summary.judge(plan, outcome, results, session.signals.exit_code)
+    results = reading.read_results(plan, directory, finished=outcome.is_complete)
+    verdict = judgement.judge(plan, outcome, results, session.signals.exit_code)
     summary.write_summary(plan, directory, outcome, results, verdict)
     if results.metrics:
-        console.print(summary.table(plan, outcome, results))
-    deadlines = summary.deadlines_of(plan, outcome)
+        console.print(table.table(plan, outcome, results))
+    deadlines = reading.deadlines_of(plan, outcome)
     if deadlines is not None and deadlines.too_slow:
         tell(deadlines.too_slow)
-    if request.report and (line := summary.report_line(results)):
+    if request.report and (line := report.report_line(results)):
         tell(line)
     if request.open_report:
-        tell(summary.open_report(directory))
-    tell(f"{summary.told(verdict, results)}; everything is in {directory.path}")
+        tell(report.open_report(directory))
+    tell(f"{judgement.told(verdict, results)}; everything is in {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone
         print(*verdict.reasons, sep="\n", end="\n" * bool(verdict.reasons), file=sys.stderr)
     if output.problem is not None and not outcome.interrupted:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, resolved
-from tactile_hand_ros.config.model import parse_yaml
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError, counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.ledger import Assumption

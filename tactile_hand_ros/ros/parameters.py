@@ -21,22 +21,17 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tactile_hand_ros.config.model import (
-    Config,
-    allowed,
+from tactile_hand_ros.config.explanation import allowed, did_you_mean
+from tactile_hand_ros.config.fields import (
     bound_of,
     choices_of,
-    did_you_mean,
     element_type,
-    flatten,
-    from_flat,
-    is_config,
     is_live,
     is_sequence,
-    leaves,
-    parse_yaml,
     unit_of,
 )
+from tactile_hand_ros.config.model import Config, flatten, from_flat, is_config, leaves
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.guard import described
 

@@ -19,7 +19,8 @@ from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.config.model import parse_yaml, read_yaml, validate
+from tactile_hand_ros.config.model import validate
+from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand

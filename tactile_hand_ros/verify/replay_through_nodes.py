@@ -31,7 +31,8 @@ from std_srvs.srv import SetBool, Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.scenario import changed
-from tactile_hand_ros.config.model import Config, is_live, leaves
+from tactile_hand_ros.config.fields import is_live
+from tactile_hand_ros.config.model import Config, leaves
 from tactile_hand_ros.control.laws import Target, law_of
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain, private_context

@@ -81,7 +81,7 @@ BLIND_NODES = sorted(
 # The one file that replays a bag through real nodes.
 WITH_RCLPY = {f"{PACKAGE}/verify/replay_through_nodes.py"}
 CHANGING = {
-    *("BagWriter", "Span", "Tally", "_Channel", "_Copy", "Layout", "_Messages"),
+    *("BagWriter", "Span", "Tally", "_Channel", "Layout", "_Messages"),
     *("Results", "RunOutcome", "ReplayProgress", "_Rejections", "Cluster", "Report", "Soak"),
 }
 """Dataclasses that are not frozen."""

@@ -17,7 +17,7 @@ _RESERVE = 0.7
 """Share of the rate that was measured which is recommended: the machine's speed varies."""
 
 _LEAST = 50.0
-"""Lowest rate that is recommended [Hz]: a computer that falls below it is busy with other things."""
+"""Lowest rate that is recommended [Hz]; a computer that falls below it is busy otherwise."""
 
 
 class Headroom:

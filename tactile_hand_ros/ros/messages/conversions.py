@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedback, JoyFeedbackArray
 from std_msgs.msg import Float64
 
-from tactile_hand_ros.config.model import did_you_mean
+from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import rotation_from_quaternion

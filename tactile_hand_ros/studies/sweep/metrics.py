@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario
-from tactile_hand_ros.config.model import did_you_mean
+from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics

@@ -545,7 +545,7 @@ def test_file_that_grows_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Mon
     """Other recorders lock nothing; one that writes meanwhile loses nothing."""
     write_bag(tmp_path / "run")
     file = cut(tmp_path / "run", 9000)
-    copy = recover_module._copy
+    copy = recover_module.rewrite
 
     def copy_while_somebody_writes(source: Path, target: Path) -> object:
         done = copy(source, target)
@@ -553,7 +553,7 @@ def test_file_that_grows_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Mon
             stream.write(b"more")
         return done
 
-    monkeypatch.setattr(recover_module, "_copy", copy_while_somebody_writes)
+    monkeypatch.setattr(recover_module, "rewrite", copy_while_somebody_writes)
     with pytest.raises(BagError, match="has changed meanwhile"):
         repair(tmp_path / "run")
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["run_0.mcap"]

@@ -9,25 +9,18 @@ import pytest
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
+from tactile_hand_ros.config.explanation import did_you_mean
+from tactile_hand_ros.config.fields import bound_of, choices_of, element_type, is_live, unit_of
 from tactile_hand_ros.config.model import (
     Config,
-    bound_of,
-    choices_of,
-    did_you_mean,
-    element_type,
     flatten,
     from_flat,
-    is_live,
     leaves,
     load_yaml,
     param,
-    parse_changes,
-    parse_yaml,
-    read_yaml,
-    unit_of,
     validate,
-    yaml_text,
 )
+from tactile_hand_ros.config.plain_yaml import parse_changes, parse_yaml, read_yaml, yaml_text
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 
 

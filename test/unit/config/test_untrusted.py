@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tactile_hand_ros.config.model import parse_yaml
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.config.untrusted import LARGEST, MOST_VALUES, check_yaml, read_text
 from tactile_hand_ros.errors import ConfigurationError
 

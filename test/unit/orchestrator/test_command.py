@@ -10,7 +10,7 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.config.model import parse_changes
+from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.orchestrator.command import split_ros_arguments
 from tactile_hand_ros.orchestrator.conduct import conduct, full_namespace, shares_process

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from support.recorded import random_record, write_record
 
-from tactile_hand_ros.orchestrator.summary import Results, report_line
+from tactile_hand_ros.orchestrator.results.reading import Results
+from tactile_hand_ros.orchestrator.results.report import report_line
 from tactile_hand_ros.run.run import Run
 
 

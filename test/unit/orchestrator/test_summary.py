@@ -16,19 +16,17 @@ from rich.table import Table
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
-from tactile_hand_ros.orchestrator.summary import (
-    GoalVerdict,
+from tactile_hand_ros.orchestrator.results.judgement import GoalVerdict, judge, told
+from tactile_hand_ros.orchestrator.results.reading import (
     Results,
     expected_ticks,
     incomplete,
-    judge,
     read_results,
-    table,
-    told,
-    write_summary,
 )
+from tactile_hand_ros.orchestrator.results.summary import write_summary
+from tactile_hand_ros.orchestrator.results.table import table
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.run.metrics import metrics
 
 PLAN = Plan(load_scenario("paper", {"duration": 0.1}))

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tactile_hand_ros.config.model import yaml_text
+from tactile_hand_ros.config.plain_yaml import yaml_text
 from tactile_hand_ros.report import facts
 from tactile_hand_ros.report.settings import differing, labels
 

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a configuration is refused, in words: the place, what was given and what is allowed."""
+
+from __future__ import annotations
+
+import enum
+import types
+import typing
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from tactile_hand_ros.config.fields import (
+    bound_of,
+    choices_of,
+    element_type,
+    is_sequence,
+    unit_of,
+)
+from tactile_hand_ros.errors import ConfigurationError, nearest
+
+_MOST_LISTED = 30  # names in a sentence
+
+Source = str | Callable[[str], str]
+"""Where a value came from: the name of a file or interface, or a function of its dotted place."""
+
+
+def explain(
+    error: ValidationError, model: type[BaseModel], source: Source = ""
+) -> ConfigurationError:
+    """Turn pydantic's findings into one sentence each: place, what was given, what is allowed."""
+    findings = _said_once(error.errors(include_url=False))
+    places = [_place(finding["loc"]) for finding in findings]
+    sources = [source if isinstance(source, str) else source(place) for place in places]
+    lines = [after_source(s) + _sentence(f, model) for s, f in zip(sources, findings, strict=True)]
+    return ConfigurationError("\n".join(lines), source=sources[0], place=places[0])
+
+
+def _said_once(findings: Sequence[Any]) -> list[Any]:
+    """Leave out what is wrong in a section only because it repeats a value of the top."""
+    known = {(finding["loc"], repr(finding.get("input"))) for finding in findings}
+    return [
+        finding
+        for finding in findings
+        if len(finding["loc"]) < 2 or (finding["loc"][1:], repr(finding.get("input"))) not in known
+    ]
+
+
+def after_source(source: str) -> str:
+    """Return where something came from as the beginning of a sentence; empty if unknown."""
+    return f"{source}: " if source else ""
+
+
+def _place(location: Iterable[int | str]) -> str:
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    return text.removeprefix(".")
+
+
+def _sentence(finding: Any, model: type[BaseModel]) -> str:
+    location, kind, given = finding["loc"], finding["type"], finding.get("input")
+    place = _place(location) or "the content"
+    if kind == "extra_forbidden":
+        return _unknown_key(location, model)
+    if kind == "missing":
+        return f"{place} is missing, expected {allowed_at(model, location)}."
+    if kind in ("value_error", "assertion_error") and not _is_lookalike(finding):
+        reason = str(finding["ctx"]["error"]).rstrip(".")
+        return f"{place} is refused: {reason}." if location else f"{reason}."
+    expected = allowed_at(model, location)
+    if location and isinstance(location[-1], int):  # an item's limits are not the list's
+        expected = " ".join([expected, *_phrases(finding.get("ctx", {}).get)])
+    return f"{place} is {shortened(given)}, expected {expected}."
+
+
+def _is_lookalike(finding: Any) -> bool:
+    return str(finding["ctx"]["error"]).endswith("is not a number")
+
+
+def shortened(value: Any, limit: int = 60) -> str:
+    """Return a value as text of at most so many characters."""
+    text = repr(value.value) if isinstance(value, enum.Enum) else repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _unknown_key(location: tuple[int | str, ...], model: type[BaseModel]) -> str:
+    parent, _ = _walk(model, location[:-1])
+    valid = list(parent.model_fields) if _is_model(parent) else []
+    where = f" in {_place(location[:-1])}" if len(location) > 1 else ""
+    return f"unknown key '{location[-1]}'{where}{did_you_mean(str(location[-1]), valid)}"
+
+
+def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
+    """Return a suffix that ends the sentence with the nearest valid name and, if few, with all."""
+    names = sorted(valid)
+    hint = nearest(wrong, names)
+    if len(names) > _MOST_LISTED:
+        return f"{hint} `tactile-hand show paper` lists all {len(names)}."
+    return f"{hint} Valid are: {', '.join(names)}." if names else hint
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _walk(model: type[BaseModel], location: Iterable[int | str]) -> tuple[Any, FieldInfo | None]:
+    """Follow a location to its type and the field that declares it; unknown steps are skipped."""
+    annotation: Any = model
+    field: FieldInfo | None = None
+    for part in location:
+        if isinstance(part, int):
+            annotation = element_type(annotation)
+        elif _is_model(annotation) and part in annotation.model_fields:
+            field = annotation.model_fields[part]
+            annotation = field.annotation
+    return annotation, field
+
+
+def allowed_at(model: type[BaseModel], location: Iterable[int | str]) -> str:
+    """Describe in words what a place in a model accepts."""
+    location = tuple(location)
+    annotation, field = _walk(model, location)
+    if not location or field is None:
+        return "a mapping of " + ", ".join(model.model_fields)
+    return allowed(annotation, field)
+
+
+def allowed(annotation: Any, field: FieldInfo) -> str:
+    """Describe in words what a field accepts, e.g. ``a finite number >= 0 and <= 1 N``."""
+    text = _kind(annotation)
+    limits = _limits(field)
+    if limits:
+        text += " " + " and ".join(limits)
+    unit = unit_of(field)
+    return f"{text} {unit}" if unit else text
+
+
+_KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text"}
+
+
+def _kind(annotation: Any) -> str:
+    choices = choices_of(annotation)
+    if choices:
+        return "one of " + ", ".join(choices)
+    if is_sequence(annotation):
+        return f"a list of which each item is {_kind(element_type(annotation))}"
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        kinds = [_kind(part) for part in typing.get_args(annotation)]
+        return " or ".join(kinds)
+    if _is_model(annotation):
+        return "a mapping of " + ", ".join(annotation.model_fields)
+    if annotation is type(None):
+        return "nothing"
+    return _KINDS.get(annotation, "a valid value")
+
+
+_LIMITS: tuple[tuple[str, Callable[[Any], str]], ...] = (
+    ("ge", lambda bound: f">= {bound}"),
+    ("gt", lambda bound: f"> {bound}"),
+    ("le", lambda bound: f"<= {bound}"),
+    ("lt", lambda bound: f"< {bound}"),
+    ("min_length", lambda bound: f"with at least {bound} items"),
+    ("max_length", lambda bound: f"with at most {bound} items"),
+)
+
+
+def _limits(field: FieldInfo) -> list[str]:
+    return _phrases(lambda name: bound_of(field, name))
+
+
+def _phrases(bound_named: Callable[[str], Any]) -> list[str]:
+    bounds = ((phrase, bound_named(name)) for name, phrase in _LIMITS)
+    return [phrase(bound) for phrase, bound in bounds if bound is not None]
