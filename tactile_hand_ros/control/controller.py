@@ -83,6 +83,14 @@ class ControllerConfig(Config):
         live=True,
         ge=0.0,
     )
+    touch_latency: float = param(
+        0.015,
+        "largest age of measured forces; they are compared with the joint torques since then",
+        unit="s",
+        live=True,
+        ge=0.0,
+        le=0.5,
+    )
     grasp_force_limit: float = param(
         0.0, "largest k_f that is believed, 0 for any", unit="N", live=True, ge=0.0
     )
@@ -403,7 +411,8 @@ class Controller:
         if self._feels and forces is not None and applied is not None:
             terms = self.hand.dynamics(theta, rates)
             tips, touch = terms[0], (contacts, forces, applied)
-            problem = self._press.step(stamp, rates, terms, *touch, c.force_tolerance)
+            allowed = c.force_tolerance, c.touch_latency
+            problem = self._press.step(stamp, rates, terms, *touch, *allowed)
         else:
             tips = self.hand.fingertips(theta)
         touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)

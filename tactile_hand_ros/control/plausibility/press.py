@@ -32,8 +32,35 @@ class _Frozen(NamedTuple):
     pressed: Array
 
 
+class _Range:
+    """Between which values something was lately."""
+
+    def __init__(self, stamp: int, value: Array) -> None:
+        """Begin with a value at a tick, ns."""
+        self._since, self._low, self._high = stamp, value, value
+        self._earlier = value, value
+
+    def take(self, stamp: int, value: Array, age: float) -> None:
+        """Take the value at a tick, ns; keep those of an age, s, and of up to twice that."""
+        if 1e-9 * (stamp - self._since) < age:
+            self._low, self._high = np.minimum(self._low, value), np.maximum(self._high, value)
+            return
+        self._earlier = (self._low, self._high) if age > 0.0 else (value, value)
+        self._since, self._low, self._high = stamp, value, value
+
+    def beyond(self, value: Array) -> Array:
+        """Return how far a value is outside, zero inside."""
+        low, high = self._earlier
+        above = value - np.maximum(self._high, high)
+        below = value - np.minimum(self._low, low)
+        return np.maximum(above, 0.0) + np.minimum(below, 0.0)
+
+
 class PressWatch:
-    """Compares the measured forces with the torques that the joints report."""
+    """Compares the measured forces with the torques that the joints report.
+
+    A skin's samples are some milliseconds old: its forces may belong to any torque since then.
+    """
 
     def __init__(self) -> None:
         """Start without a past."""
@@ -42,7 +69,9 @@ class PressWatch:
     def reset(self) -> None:
         """Forget the past: time or grasp are new."""
         self._last: tuple[int, Array] | None = None
-        self._pressed = self._excess = np.zeros(0)
+        self._pressed = self._felt = np.zeros(0)
+        self._began = 0
+        self._range: _Range | None = None
         self._frozen: list[_Frozen] = []
         self._finest: list[float] = []  # smallest change of a component of each force, N
 
@@ -55,6 +84,7 @@ class PressWatch:
         forces: Array,
         applied: Array,
         tolerance: float,
+        latency: float = 0.0,
     ) -> str:
         """Return why forces and torques do not fit each other; empty if they do.
 
@@ -68,6 +98,7 @@ class PressWatch:
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
             tolerance: Largest error of J_h^T f_c as a share of it.
+            latency: Largest age of the forces, s. For so long after a reset nothing is compared.
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
@@ -76,13 +107,18 @@ class PressWatch:
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
         felt = joint_torques(*tips, contacts.positions, in_palm(contacts.rotations, forces, 1.0))
-        if not self._pressed.size:
-            self._pressed, self._excess = pressed, np.zeros_like(pressed)
+        if self._range is None:
+            self._pressed = self._felt = pressed
+            self._began, self._range = stamp, _Range(stamp, pressed)
         share = 1.0 - math.exp(-dt / FELT_TIME)
         self._pressed = self._pressed + share * (pressed - self._pressed)
-        self._excess = self._excess + share * (felt - pressed - self._excess)
+        if 1e-9 * (stamp - self._began) < latency:  # forces may be those of torques before
+            felt = self._pressed
+        self._felt = self._felt + share * (felt - self._felt)
+        self._range.take(stamp, self._pressed, latency)
+        excess = self._range.beyond(self._felt)
         most = _LEAST + tolerance * math.sqrt(self._pressed @ self._pressed)
-        if math.sqrt(self._excess @ self._excess) > most:
+        if math.sqrt(excess @ excess) > most:
             return "forces and joint torques do not fit each other; holding until they do"
         if self._is_frozen(stamp, tips, forces):
             return "the forces of a finger do not change although its torques do; holding"

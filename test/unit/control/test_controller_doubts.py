@@ -11,7 +11,7 @@ from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
-FEELS = {"law__observer__time": 0.02}
+FEELS = {"law__observer__time": 0.02, "touch_latency": 0.0}
 DO_NOT_FIT = "forces and joint torques do not fit"
 
 
