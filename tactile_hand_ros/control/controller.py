@@ -141,7 +141,7 @@ class Controller:
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
         doubts: Whether joints and touch did not fit each other when they last came; touch teaches
-            nothing then.
+            nothing then. An open or disabled hand doubts nothing.
         joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
             integral and the reference wait for the end of that.
     """
@@ -190,12 +190,16 @@ class Controller:
         self._grasp_force = self._more = 0.0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
-        self.doubts = False
-        self._doubted: int | None = None  # first tick of those with an implausible input
+        self._trust()
         self._drove = False
         self._open_stamp: int | None = None
         self._grasp: Grasp | None = None
         self._targets.reset()
+
+    def _trust(self) -> None:
+        """Forget all doubts."""
+        self.doubts = False
+        self._doubted: int | None = None  # first tick of those with an implausible input
 
     @property
     def target(self) -> Target | None:
@@ -444,6 +448,7 @@ class Controller:
         return held._replace(withheld=is_new or held.withheld)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
+        self._trust()
         self._hold.release()
         self._reference.reset()
         self._regrasp.follow(theta)
@@ -472,6 +477,7 @@ class Controller:
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
+        self._trust()
         # After a gap the fingers go on from where they are, and do not make up for it at once.
         dt = 0.0 if self._open_stamp is None else 1e-9 * (stamp - self._open_stamp)
         self._open_stamp = stamp

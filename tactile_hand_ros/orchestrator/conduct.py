@@ -33,7 +33,7 @@ from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling, parse_cpus, parse_priority
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling, chosen_cpus, parse_priority
 
 
 class OutputError(TactileHandError):
@@ -53,7 +53,7 @@ def conduct(
         Interrupted: If a signal came before anything was started.
     """
     check_environment(os.environ)
-    scenario = _checked(request)
+    scenario, scheduling = _checked(request), _scheduling(request)
     # In real time, the first use of a page that a fork shares would cost time in a tick.
     if scenario.plant.pacing == "realtime" or not is_complete():
         launcher.drop_preloaded()
@@ -67,15 +67,19 @@ def conduct(
         composed=shares_process(scenario, request.composed),
         separate_recorder=request.separate_recorder,
         startup_timeout=request.startup_timeout,
-        scheduling=Scheduling(
-            parse_priority(str(request.priority)), parse_cpus(request.cpus) if request.cpus else ()
-        ),
+        scheduling=scheduling,
     )
     with ros_context(ros_arguments) as ros, claim(ros.get_domain_id(), plan.namespace) as held:
         signals.check()
         directory = RunDirectory.create(request.out, plan.scenario.name)
         session = Session(plan, directory, launcher, signals, held)
         return _run(session, graph_node(ros, plan.namespace), request)
+
+
+def _scheduling(request: Request) -> Scheduling:
+    """Return how the nodes are to run."""
+    cpus = chosen_cpus(request.cpus) if request.cpus else ()
+    return Scheduling(parse_priority(str(request.priority)), cpus)
 
 
 def _checked(request: Request) -> Scenario:

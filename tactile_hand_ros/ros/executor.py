@@ -46,8 +46,8 @@ from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.realtime.memory import bounded_memory
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
-_REQUEST_ROOM = 8 * 2**20
-"""What reading one request may take [bytes]; that of a thousand parameters takes a hundredth."""
+_REQUEST_ROOM = 2 * 2**20
+"""What reading one request may take [bytes]; that of a thousand parameters takes a twentieth."""
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""

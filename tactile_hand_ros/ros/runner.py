@@ -23,7 +23,7 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
-from tactile_hand_ros.ros.realtime.memory import bound_memory
+from tactile_hand_ros.ros.realtime.memory import bound_memory, pad_heaps
 from tactile_hand_ros.ros.realtime.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
@@ -147,6 +147,7 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
     use_sockets()
+    pad_heaps()  # before there are threads
     direct = len(factories) > 1 and is_supported() and share_process()
     try:
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])

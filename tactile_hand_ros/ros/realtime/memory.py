@@ -12,11 +12,15 @@ import ctypes
 import os
 import resource
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # mlockall(2): lock pages once they are in use, no sooner
-_TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # mallopt(3)
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_MAX = -1, -2, -4  # mallopt(3)
+_PAD = 2 * 2**20  # bytes that each heap has in hand; they are not in use before they are needed
+_MUCH = 2**20  # bytes left behind that are worth the time to return them
+_ORDINARY = 128 * 1024  # free bytes at the top of a heap from which it is cut, unless it is kept
+_LARGE = 100 * 1024  # bytes whose return makes the C library look at the top of a heap
 _STACK_BYTES = 256 * 1024
 _ADVICE = "run as root, or set memlock to unlimited in /etc/security/limits.conf"
 
@@ -53,14 +57,45 @@ def _is_unlimited() -> bool:
     return hard == resource.RLIM_INFINITY or os.geteuid() == 0
 
 
+def pad_heaps() -> None:
+    """Let each heap have memory in hand, and return large blocks to the system when they are freed.
+
+    Call it before there are threads. While `bounded_memory` is in force, a thread of the middleware
+    that needs more than its heap has would end the process. The C library then no longer
+    raises the size from which blocks are returned; it would keep up to 64 MB a heap.
+    """
+    _mallopt(_TOP_PAD, _PAD)
+
+
 def keep_heap() -> None:
     """Let the C library keep memory that is freed: to return it means to fault it in again."""
-    try:
+    global _keeps
+    _keeps = True
+    _mallopt(_TRIM_THRESHOLD, -1)
+    _mallopt(_MMAP_MAX, 0)
+
+
+_keeps = False
+
+
+def _mallopt(option: int, value: int) -> None:
+    with suppress(OSError, AttributeError):  # a C library without mallopt
+        ctypes.CDLL(None).mallopt(option, value)
+
+
+def _return_memory() -> None:
+    """Return free memory to the system, that of the heap that this thread uses included.
+
+    A thread whose heap may not grow goes on in another one, whose top `malloc_trim` leaves alone.
+    """
+    _mallopt(_TRIM_THRESHOLD, _ORDINARY)
+    with suppress(OSError, AttributeError):  # a C library without malloc_trim
         library = ctypes.CDLL(None)
-        library.mallopt(_TRIM_THRESHOLD, -1)
-        library.mallopt(_MMAP_MAX, 0)
-    except (OSError, AttributeError):  # a C library without mallopt
-        return
+        library.malloc_trim(0)
+        library.malloc.restype, library.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+        library.free(library.malloc(_LARGE))
+    if _keeps:
+        _mallopt(_TRIM_THRESHOLD, -1)
 
 
 def touch_stack() -> None:
@@ -87,18 +122,26 @@ def bounded_memory(room: int) -> Iterator[None]:
 
     The C code that reads a request believes the length of a sequence: six damaged bytes then ask
     for gigabytes and occupy the process for half a minute. Beyond the bound that fails at once.
+    What the block leaves behind in the heap is returned; the next one would take as much again.
     """
-    before = resource.getrlimit(resource.RLIMIT_DATA)
+    before, in_use = resource.getrlimit(resource.RLIMIT_DATA), _status("RssAnon")
     bound_memory(room)
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
+        if _status("RssAnon") > in_use + _MUCH:
+            _return_memory()
 
 
 def _data_bytes() -> int:
     """Return the size of the private writable memory of this process, as the limit counts it."""
+    return _status("VmData")
+
+
+def _status(name: str) -> int:
+    """Return a size that the kernel knows of this process [bytes]."""
     for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("VmData:"):
+        if line.startswith(f"{name}:"):
             return 1024 * int(line.split()[1])
-    raise OSError("/proc/self/status has no line VmData; expected Linux")
+    raise OSError(f"/proc/self/status has no line {name}; expected Linux")

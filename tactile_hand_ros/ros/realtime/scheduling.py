@@ -70,8 +70,8 @@ class Scheduling:
             _ask(what, self._set_policy, "run as root, or allow rtprio in limits.conf")
         if self.cpus:
             what = f"{CPUS} {format_cpus(self.cpus)}"
-            here = format_cpus(range(os.cpu_count() or 1))
-            _ask(what, self._set_cpus, f"this machine has the processors {here}")
+            here = format_cpus(sorted(os.sched_getaffinity(0)))
+            _ask(what, self._set_cpus, f"this process runs on {here}")
 
     def prepare(self, context: Context) -> None:
         """Prepare for real time, if that is asked for, when all nodes have been made.
@@ -146,7 +146,7 @@ def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
         else:
             left.append(word)
     asked = any(word.partition("=")[0] == CPUS for word in words)
-    cpus = parse_cpus(values[CPUS]) if asked else ()
+    cpus = chosen_cpus(values[CPUS]) if asked else ()
     return Scheduling(parse_priority(values[PRIORITY]), cpus, real_time), left
 
 
@@ -180,6 +180,30 @@ def parse_cpus(text: str) -> tuple[int, ...]:
             )
         found.update(range(int(first), int(last) + 1))
     return tuple(sorted(found))
+
+
+def chosen_cpus(text: str) -> tuple[int, ...]:
+    """Read a list of processors to run on, such as ``0,2-3``.
+
+    Raises:
+        ConfigurationError: If it is not such a list, or names a processor that is not there.
+    """
+    cpus, here = parse_cpus(text), present_cpus()
+    missing = [cpu for cpu in cpus if cpu not in here]
+    if missing:
+        raise ConfigurationError(
+            f"{CPUS} is '{text}', but this machine has no processor {missing[0]}; it has"
+            f" {format_cpus(here)}."
+        )
+    return cpus
+
+
+def present_cpus() -> tuple[int, ...]:
+    """Return the processors that are switched on; a container may allow fewer."""
+    file = Path("/sys/devices/system/cpu/online")
+    if file.exists():
+        return parse_cpus(file.read_text(encoding="ascii").strip())
+    return tuple(range(os.cpu_count() or 1))
 
 
 def format_cpus(cpus: Sequence[int]) -> str:

@@ -67,7 +67,7 @@ def run_campaign(
                 yield outcome
             continue
         while left:
-            for outcome in _run_session(left):
+            for outcome in _run_session(tuple(left)):
                 progress(str(left.pop(0).cell))
                 yield outcome
 

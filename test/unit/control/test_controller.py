@@ -633,6 +633,23 @@ def test_inputs_that_do_not_fit_are_doubted_until_they_do():
     assert not bench.controller.doubts  # touch may be right all the same
 
 
+@pytest.mark.parametrize("end", ["open", "disabled"])
+def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
+    """What touch has to teach then would be refused for ever: no doubt ends without a grasp."""
+    bench = Bench(input_timeout=0.1)
+    bench.step()
+    wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
+    bench.step(100, **wrong)
+    assert bench.controller.doubts
+    if end == "open":
+        bench.controller.release()
+    bench.controller.enabled = end == "open"
+    assert bench.step(**wrong).mode is Mode(end) and not bench.controller.doubts
+    bench.controller.reset()
+    bench.controller.enabled = True
+    assert bench.step(**wrong).withheld  # a doubt that is new
+
+
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     bench = Bench()
     bench.step()

@@ -72,6 +72,7 @@ def asked_for(folder: Path, **options: Any) -> Request:
         ({"namespace": "1st"}, "the namespace is '1st'"),
         ({"priority": 100}, "--priority is '100'"),
         ({"cpus": "all"}, "--cpus is 'all'"),
+        ({"cpus": "0,9999"}, "'0,9999', but this machine has no processor 9999"),
     ],
 )
 def test_what_is_refused_starts_nothing(

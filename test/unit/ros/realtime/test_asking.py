@@ -103,14 +103,14 @@ def test_each_refusal_is_told_with_advice_until_the_next_request(
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(scheduling.os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(scheduling.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(scheduling.os, "sched_getaffinity", lambda _: {2, 0, 1})
     Scheduling(5, (100_000_000_000,)).apply()
     level, message, _ = reported()
     first, second = message.split("; ")
     assert level == WARN
     assert first.startswith("--priority 5 was refused (Operation not permitted): run as root")
     assert second.startswith("--cpus 100000000000 was refused (")
-    assert second.endswith("this machine has the processors 0,1,2")
+    assert second.endswith("this process runs on 0,1,2")
     Scheduling().apply()
     assert reported()[0] == OK
 

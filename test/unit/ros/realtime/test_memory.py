@@ -84,3 +84,51 @@ def test_the_size_of_the_data_is_that_of_the_kernel_in_bytes() -> None:
     block = bytearray(64 * MIB)
     assert 60 * MIB < memory._data_bytes() - before < 80 * MIB
     del block
+
+
+_READ = """
+import ctypes, re, threading
+from tactile_hand_ros.ros.realtime.memory import bounded_memory, keep_heap, pad_heaps
+def megabytes(name):
+    return int(re.search(name + r":\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
+library = ctypes.CDLL(None)
+library.malloc.restype, library.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+taken = (ctypes.c_void_p * (6_000_000 // {size}))()
+def read():
+    with bounded_memory(8 * 2**20):
+        for i in range(len(taken)):
+            taken[i] = library.malloc({size})
+        if {answered}:
+            taken[-1] = None  # what an answer leaves above all the rest
+        for block in taken:
+            library.free(block)
+before = megabytes("RssAnon")
+{prepare}()
+for _ in range(3):
+    if {elsewhere}:
+        reader = threading.Thread(target=read)
+        reader.start()
+        reader.join()
+    else:
+        read()
+print(megabytes("RssAnon") - before)
+"""
+
+
+@pytest.mark.parametrize(
+    ("prepare", "size", "answered", "elsewhere"),
+    [
+        ("pad_heaps", 4000, True, False),
+        ("keep_heap", 4000, True, False),
+        ("pad_heaps", 100, False, True),
+        ("keep_heap", 100, False, True),
+    ],
+)
+def test_what_a_request_took_is_returned(
+    prepare: str, size: int, answered: bool, elsewhere: bool
+) -> None:
+    """Also from a second heap, in which a thread goes on whose first one may not grow."""
+    given = {"prepare": prepare, "size": size, "answered": answered, "elsewhere": elsewhere}
+    script = _READ.format(**given)
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert float(ran.stdout) < 5.0  # of the 6 that one request took

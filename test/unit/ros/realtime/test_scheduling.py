@@ -15,20 +15,32 @@ from tactile_hand_ros.ros.realtime.scheduling import (
     Scheduling,
     format_cpus,
     parse_cpus,
+    present_cpus,
     take_scheduling,
     yield_while_resending,
 )
 
 
-@given(st.integers(0, 99), st.sets(st.integers(0, 300)).map(sorted).map(tuple))
+def lists_of(numbers):
+    return st.sets(numbers).map(sorted).map(tuple)
+
+
+@given(st.integers(0, 99), lists_of(st.sampled_from(present_cpus())))
 def test_what_is_written_is_read(priority, cpus):
     asked = Scheduling(priority, cpus)
     assert take_scheduling(asked.arguments) == (asked, [])
 
 
+def test_a_processor_that_is_not_there_is_refused():
+    assert set(os.sched_getaffinity(0)) <= set(present_cpus())
+    missing = present_cpus()[-1] + 1
+    with pytest.raises(ConfigurationError, match=f"no processor {missing}; it has 0"):
+        take_scheduling(["--cpus", f"0-{missing + 2}"])
+
+
 def test_other_words_are_left_alone():
-    words = ["--priority=7", "-h", "--cpus", "1", "other"]
-    assert take_scheduling(words) == (Scheduling(7, (1,)), ["-h", "other"])
+    words = ["--priority=7", "-h", "--cpus", "0", "other"]
+    assert take_scheduling(words) == (Scheduling(7, (0,)), ["-h", "other"])
     assert take_scheduling([]) == (Scheduling(), [])
 
 

@@ -2,6 +2,9 @@
 """A campaign keeps each result at once, goes on where it stopped, and sums up."""
 
 import json
+from contextlib import nullcontext
+
+import pytest
 
 from tactile_hand_ros.studies.faults import campaign, space, tables
 from tactile_hand_ros.studies.faults.figure import faults_figure
@@ -24,6 +27,23 @@ def test_what_is_kept_is_not_run_again(tmp_path):
     known = campaign.load(tmp_path)
     assert known == done[:7]
     assert list(campaign.run_campaign(RUNS[:7], known)) == []
+
+
+@pytest.mark.parametrize("broken", [None, 1])
+def test_every_run_of_a_session_is_done_once_also_after_one_that_broke_it(monkeypatch, broken):
+    cell = RUNS[0].cell
+    runs = [space.Run(cell, seed) for seed in range(5)]
+
+    def one(_, run):
+        if run.seed == broken:
+            raise TimeoutError("no answer")
+        return made(run)
+
+    monkeypatch.setattr(campaign, "RunningHand", lambda *_, **__: nullcontext())
+    monkeypatch.setattr(campaign, "run_one", one)
+    outcomes = list(campaign.run_campaign(runs))
+    assert [outcome.seed for outcome in outcomes] == [0, 1, 2, 3, 4]
+    assert [bool(outcome.error) for outcome in outcomes] == [s == broken for s in range(5)]
 
 
 def test_the_tables_leave_out_what_could_not_be_judged(tmp_path):
