@@ -79,6 +79,13 @@ def test_a_process_that_does_not_end_says_where_it_stands():
         assert process.wait() == -signal.SIGABRT
 
 
+def test_a_process_that_has_ended_leaves_no_files_open():
+    with CapturedProcess([sys.executable, "-c", "print(1)"]) as process:
+        assert process.wait() == 0 and process.stdout == "1\n"
+        files = list(process._files)
+    assert len(files) == 2 and all(file.closed for file in files)
+
+
 def test_an_exception_in_the_spinning_thread_reaches_the_test():
     with isolated_domain() as domain, private_context(domain) as context:
         node = rclpy.create_node("a", context=context)

@@ -52,12 +52,8 @@ def main() -> int:
     if not chosen:
         console.print("mutate: no function differs from", args.since, "(--all: every function)")
         return 2
-    try:
-        with tempfile.TemporaryDirectory(prefix="mutate-") as scratch:
-            trials = _try(chosen, args, Path(scratch), console)
-    except RuntimeError as error:
-        console.print(f"mutate: {error}", style="red", markup=False)
-        return 2
+    with tempfile.TemporaryDirectory(prefix="mutate-") as scratch:
+        trials = _try(chosen, args, Path(scratch), console)
     keys = {trial: _key(trial) for trial in trials}
     found = scores(trials, keys, total)
     _print_scores(found, console)
@@ -133,7 +129,7 @@ def _print_survivor(trial: Trial, console: Console) -> None:
     mutant = trial.mutant
     place = f"{mutant.path}:{mutant.line} {mutant.function}: {trial.verdict}"
     console.print(place, style="yellow", markup=False, highlight=False)
-    console.print(mutant.diff(_source(trial)), markup=False, highlight=False)
+    console.print(mutant.diff(_source(trial)), markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_scores(found: dict[str, Score], console: Console) -> None:

@@ -351,7 +351,7 @@ def test_the_auxiliary_pose_has_the_frame_of_the_contacts(make: Callable[..., An
 def test_advice_is_what_has_not_been_done_yet(
     monkeypatch: pytest.MonkeyPatch, alone: bool, policy: int, advice: str
 ) -> None:
-    monkeypatch.setattr(real_time.os, "sched_getscheduler", lambda _: policy)
+    monkeypatch.setattr(real_time.os, "sched_getscheduler", {0: policy}.__getitem__)
     assert real_time._advice(is_alone=alone) == advice
 
 

@@ -58,3 +58,14 @@ def test_parameters_are_of_the_node_in_any_namespace(tmp_path: Path) -> None:
     path = run.write_parameters("plant", load_scenario("paper").plant)
     content = yaml.safe_load(path.read_text())
     assert content["/**/plant"]["ros__parameters"]["rate"] == 500.0
+
+
+def test_folders_above_are_made_and_latest_names_the_newest(tmp_path: Path) -> None:
+    root = tmp_path / "a" / "b"
+    now = datetime.datetime(2026, 1, 2, 3, 4, 5)
+    runs = [RunDirectory.create(root, "pull it/now", now) for _ in range(3)]
+    stem = "20260102-030405-pull_it_now"
+    assert [run.path.name for run in runs] == [stem, f"{stem}-2", f"{stem}-3"]
+    assert (root / "latest").resolve() == runs[-1].path.resolve()
+    assert (runs[0].path / "logs").is_dir() and (runs[0].path / "parameters").is_dir()
+    assert runs[0].log("plant") == runs[0].path / "logs" / "plant.log"

@@ -222,8 +222,10 @@ def test_a_graph_is_awaited_until_nothing_is_missing(make: Callable[..., Session
         asked[0] -= 1
         return missing(asked[0])()
 
+    waits: list[float] = []
+    session.signals.wait = waits.append  # type: ignore[method-assign]
     session._await_graph(ever_less)
-    assert asked == [0] and "graph_matched" in session.outcome.startup
+    assert waits == [0.03, 0.03] and asked == [0] and "graph_matched" in session.outcome.startup
 
 
 class Hand:
@@ -370,3 +372,10 @@ def test_one_run_has_a_domain_and_namespace_until_it_ends() -> None:
             with pytest.raises(ClaimedError, match=re.escape(expected)):
                 claim(231, place)
     claim(231, place).close()
+
+
+def test_a_second_signal_makes_it_less_patient(make: Callable[..., Session]) -> None:
+    session = make()
+    for count, hurries in ((0, False), (1, False), (2, True)):
+        session.signals.count = count
+        assert session._processes._in_a_hurry() is hurries

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause
 
 FLOOD = """
 import os, signal, threading
@@ -82,3 +82,26 @@ def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
     )
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) > 0
+
+
+@pytest.mark.parametrize("ignored", [[], [signal.SIGHUP], [signal.SIGINT, signal.SIGTERM]])
+def test_all_three_signals_are_watched_but_a_hangup_that_is_to_be_ignored(
+    monkeypatch: pytest.MonkeyPatch, ignored: list[int]
+) -> None:
+    handlers: dict[int, object] = {}
+    monkeypatch.setattr(
+        signal, "getsignal", lambda number: signal.SIG_IGN if number in ignored else None
+    )
+    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
+    signals = Signals()
+    signals.install()
+    monkeypatch.undo()
+    left = {signal.SIGHUP} & set(ignored)
+    assert set(handlers) == {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} - left
+    assert set(handlers.values()) == {signals._note} and (signals.number, signals.count) == (0, 0)
+
+
+def test_a_pause_lasts_as_long_as_it_should() -> None:
+    began = time.monotonic()
+    pause(0.02)
+    assert 0.0199 < time.monotonic() - began < 1.0

@@ -208,3 +208,9 @@ def test_a_report_is_opened_where_there_is_one(
     if exists:
         (tmp_path / "report.html").touch()
     assert open_report(RunDirectory(tmp_path)).startswith(begins)
+
+
+def test_a_table_has_four_columns_of_which_numbers_stand_to_the_right() -> None:
+    found = table(PLAN, STARTED, Results(METRICS, RECORDING))
+    assert [str(column.header) for column in found.columns] == ["result", "value", "goal", ""]
+    assert [column.justify for column in found.columns] == ["left", "right", "right", "left"]

@@ -113,3 +113,17 @@ def test_the_rate_is_that_between_two_stamps_that_differ(monkeypatch: pytest.Mon
     now += 0.25
     assert rate(302_000_000) == 100.0
     assert rate(402_000_000) == 100.0  # no time has passed
+
+
+def test_no_thread_of_its_own_draws_the_bar_and_nothing_is_left_of_it() -> None:
+    where = console(force_terminal=True)
+    bar = Bar(where, 5.0)
+    live = bar._progress.live
+    assert not live.auto_refresh and live.transient
+
+
+def test_a_line_is_one_line_however_long() -> None:
+    where = console(force_terminal=False)
+    with Lines(where, None) as lines:
+        lines.show(LOOK, 250.0, "[bold]" + "x" * 400)
+    assert written(where).count("\n") == 1 and "[bold]xxx" in written(where)

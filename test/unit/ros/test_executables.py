@@ -3,6 +3,7 @@
 
 import pytest
 
+from tactile_hand_ros.ros import executables
 from tactile_hand_ros.ros.executables import (
     ExecutableError,
     executable_directory,
@@ -25,3 +26,16 @@ def test_an_index_that_is_not_there_is_named(monkeypatch, capsys, prefix):
 def test_an_unknown_executable_is_named_with_the_known_ones():
     with pytest.raises(ExecutableError, match="'no_such_node': choose one of composed, "):
         executable_path("no_such_node")
+
+
+def test_an_executable_is_become_with_its_arguments(monkeypatch):
+    become = []
+    monkeypatch.setattr(executables.os, "execve", lambda *args: become.extend(args))
+    main(["plant", "--help"])
+    path = executable_path("plant")
+    assert become == [path, [str(path), "--help"], executables.child_environment()]
+
+
+def test_what_is_no_executable_is_refused(capsys):
+    assert main(["plnt"]) == 2 and main([]) == 2
+    assert "plnt" in capsys.readouterr().err

@@ -7,6 +7,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.ros import middleware
 from tactile_hand_ros.ros.middleware import share_process, socket_settings
 
 RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -85,3 +87,14 @@ def test_with_another_profile_or_middleware_endpoints_of_a_process_match_as_usua
     for key, value in given.items():
         monkeypatch.setenv(key, value)
     assert not share_process()
+
+
+def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What needs the configuration will say so."""
+    monkeypatch.setenv(PROFILE, socket_settings({})[PROFILE])
+
+    def fail() -> Path:
+        raise ConfigurationError("no configuration")
+
+    monkeypatch.setattr(middleware, "config_directory", fail)
+    assert socket_settings({}) == {} and not share_process()

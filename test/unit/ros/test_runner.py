@@ -12,7 +12,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros import runner
 
 LOOSE = TactileHandError("the cable is loose, fix it.")
@@ -162,3 +162,119 @@ def test_help_has_the_words_of_each_node_and_how_to_pass_parameters() -> None:
     first, second, arguments, usage = text.split("\n\n")
     assert first == "Does this and that." and second == ""
     assert "--priority N" in arguments and "--params-file FILE" in usage
+
+
+def test_what_exists_at_the_start_is_left_to_no_collector_and_then_it_spins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[Any] = []
+    collector = SimpleNamespace(
+        freeze=lambda: calls.append("freeze"), enable=lambda: calls.append("enable")
+    )
+    monkeypatch.setattr(runner, "gc", collector)
+    monkeypatch.setattr(runner, "spin", calls.append)
+    scheduling: Any = SimpleNamespace(prepare=calls.append)
+    node: Any = SimpleNamespace(context="context")
+    assert runner._serve([node], scheduling) == 0
+    assert calls == ["freeze", "enable", "context", [node]]
+
+    def fail(_: Any) -> None:
+        raise LOOSE
+
+    monkeypatch.setattr(runner, "spin", fail)
+    assert runner._serve([node], scheduling) == 1
+
+
+class Middleware:
+    """Stands in for rclpy and notes what it is asked."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, supported: bool, shares: bool) -> None:
+        self.calls: list[Any] = []
+        self.error: Exception | None = None
+        monkeypatch.setattr(runner, "use_sockets", lambda: self.calls.append("sockets"))
+        monkeypatch.setattr(runner, "is_supported", lambda: supported)
+        monkeypatch.setattr(
+            runner, "share_process", lambda: bool(self.calls.append("share")) or shares
+        )
+        monkeypatch.setattr(runner, "deliver_directly", lambda c: self.calls.append(("direct", c)))
+        monkeypatch.setattr(runner, "rclpy", self)
+
+    def init(self, args: list[str]) -> None:
+        self.calls.append(("init", args))
+        if self.error is not None:
+            raise self.error
+
+    def get_default_context(self) -> str:
+        return "context"
+
+
+@pytest.mark.parametrize(
+    ("count", "supported", "shares", "expected"),
+    [
+        (1, True, True, []),
+        (2, True, True, ["share", "direct"]),
+        (2, False, True, []),
+        (2, True, False, ["share"]),
+    ],
+)
+def test_several_nodes_of_a_process_deliver_directly_where_that_is_possible(
+    monkeypatch: pytest.MonkeyPatch, count: int, supported: bool, shares: bool, expected: list[str]
+) -> None:
+    ros = Middleware(monkeypatch, supported=supported, shares=shares)
+    line = ["program", "--ros-args", "-r", "a:=b"]
+    runner._init(line, [Example] * count)
+    init, direct = ("init", line), ("direct", "context")
+    share = ["share"] if "share" in expected else []
+    assert ros.calls == ["sockets", *share, init, *([direct] if "direct" in expected else [])]
+
+
+def test_arguments_that_are_not_known_or_cannot_be_used_are_refused_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ros = Middleware(monkeypatch, supported=True, shares=True)
+    with pytest.raises(ConfigurationError, match="unknown argument '--fast', expected --priority"):
+        runner._init(["program", "--fast", "--slow"], [Example])
+    for word in ("-h", "--help"):
+        with pytest.raises(SystemExit) as ended:
+            runner._init(["program", word], [Example])
+        assert ended.value.code == 0
+        assert capsys.readouterr().out.startswith("Does this and that.\n\nArguments: ")
+    ros.error = RuntimeError("failed to initialize rcl: no such rule, at ./src/file.c:7")
+    with pytest.raises(
+        ConfigurationError, match=r"^the ROS arguments cannot be used: no such rule\.$"
+    ):
+        runner._init(["program"], [Example])
+
+
+def test_a_process_makes_checks_and_serves_its_nodes_and_ends_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done: list[Any] = []
+    monkeypatch.setattr(runner, "_let_signals_shut_down", lambda: done.append("signals"))
+    monkeypatch.setattr(runner, "_init", lambda line, _: done.append(line) or "scheduling")
+    monkeypatch.setattr(runner, "bound_memory", done.append)
+    monkeypatch.setattr(runner, "_serve", lambda nodes, how: done.append((len(nodes), how)) or 1)
+    monkeypatch.setattr(runner, "rclpy", SimpleNamespace(try_shutdown=lambda: done.append("end")))
+
+    def named(name: str) -> Any:
+        node: Any = Example(done, name)
+        node.config = None
+        node.check_ready = lambda: done.append(f"check {name}")
+        return node
+
+    factories = [lambda: named("a"), lambda: named("b")]
+    ends = ["close b", "destroy b", "close a", "destroy a", "end"]
+    assert runner.run_nodes(factories, ["program"], room=5) == 1
+    start = ["signals", ["program"]]
+    assert done == [*start, "check a", "ready", "check b", "ready", 5, (2, "scheduling"), *ends]
+    done.clear()
+    monkeypatch.setattr(runner.sys, "argv", ["other"])
+
+    def refuse() -> Any:
+        raise LOOSE
+
+    assert runner.run_nodes([factories[0], refuse]) == 2
+    assert done == ["signals", ["other"], "close a", "destroy a", "end"]
+    assert capsys.readouterr().err == "the cable is loose, fix it.\n"
+    done.clear()
+    assert runner.run_node(factories[0], ["x"]) == 1 and 512 * 2**20 in done

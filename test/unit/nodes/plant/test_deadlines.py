@@ -145,3 +145,49 @@ def test_each_skipped_tick_has_the_cause_of_the_late_one_before_it() -> None:
     deadlines.answered(0)  # just in time
     assert (deadlines.in_time, deadlines.late) == (2, 1)
     watch.close()
+
+
+class Noted:
+    """A watch that notes what it is asked."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, object]] = []
+
+    def begin(self, behind: float) -> None:
+        self.calls.append(("begin", behind))
+
+    def end(self, *, in_time: bool) -> None:
+        self.calls.append(("end", in_time))
+
+    def cause(self, *, awaits_others: bool) -> str:
+        self.calls.append(("cause", awaits_others))
+        return "preemption"
+
+    def cause_before(self) -> str:
+        return "recorder"
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_the_watch_follows_each_tick_and_names_its_cause(others: bool) -> None:
+    watch = Noted()
+    deadlines = Deadlines(watch, awaits_others=others)  # type: ignore[arg-type]
+    deadlines.begin()
+    deadlines.due(3, 5_000_000)
+    deadlines.answered(0)
+    deadlines.answered(1)
+    deadlines.due(2, 1_000_000)
+    deadlines.answered(1)
+    deadlines.due(1, 0)
+    deadlines.answered(-1)
+    assert watch.calls == [
+        ("begin", 0.0),
+        *(("cause", others), ("begin", 0.005), ("end", True)),
+        *(("begin", 0.001), ("cause", others), ("end", False)),
+        *(("begin", 0.0), ("end", True)),
+    ]
+    assert deadlines.causes == {"preemption": 4, "recorder": 1}
+    assert (deadlines.in_time, deadlines.late, deadlines.skipped) == (2, 2, 3)
+
+
+def test_one_tick_a_second_is_recommended_to_a_computer_that_answers_two() -> None:
+    assert sustainable(1.5 / 0.7, 0.001) == 1.0

@@ -201,6 +201,17 @@ def test_a_long_silence_holds_the_joints_while_time_goes_on(
     assert rig.state()[1] == 4 and rig.driver.mode == "running"
 
 
+@pytest.mark.parametrize(
+    ("resend", "timeout", "period"), [(0.5, 2.0, 125_000_000), (2.0, 0.5, 125_000_000)]
+)
+def test_silence_is_looked_for_four_times_in_the_shorter_of_its_limits(
+    make: Callable[..., Rig], resend: float, timeout: float, period: int
+) -> None:
+    rig = make(resend_after=resend, command_timeout=timeout)
+    assert rig.driver._watcher.timer_period_ns == period
+    assert rig.driver._pacer.timer_period_ns == TICK
+
+
 def test_before_the_first_command_a_silence_only_warns(
     make: Callable[..., Rig], clock: Any
 ) -> None:
@@ -243,7 +254,7 @@ def test_two_senders_that_disagree_are_both_refused_until_half_a_second_is_over(
     assert rig.status() == (ERROR, f"{CONFLICT}; the joints are held")
     clock.now += 0.49
     rig.driver._on_watch()
-    assert rig.state() == ("holding", 2)
+    assert rig.state() == ("holding", 2) and rig.follows_the_clock() and rig.node._run.refusing
     clock.now += 0.02
     rig.driver._on_watch()
     assert not rig.follows_the_clock() and not rig.node._run.refusing
@@ -354,3 +365,39 @@ def test_that_the_joints_are_held_is_published_at_each_change_and_told_ten_times
     rig.answer(4 * TICK)
     rig.driver._advance(1)
     assert rig.told == told + 2 and rig.status()[0] == OK
+
+
+def test_a_running_plant_publishes_its_first_tick_again_at_a_reset(
+    make: Callable[..., Rig],
+) -> None:
+    rig, sent = make(), list[int]()
+    rig.answer(0)
+    rig.answer(TICK)
+    told, rig.driver._topics.publish = rig.told, lambda _, stamp: sent.append(stamp)  # type: ignore[method-assign]
+    rig.driver.reset()
+    assert sent == [0] and rig.told == told + 1 and rig.state() == ("running", 0)
+    rig.answer(0, OTHER)  # no conflict with what was answered before
+    assert sent == [0, TICK] and rig.values()["conflicting_commands"] == 0
+
+
+def test_real_time_is_judged_from_the_first_answer_to_the_end(make: Callable[..., Rig]) -> None:
+    rig, calls = make(pacing="realtime", duration=0.008), list[Any]()
+    rig.driver._real_time = SimpleNamespace(  # type: ignore[assignment]
+        start=lambda: calls.append("start"),
+        stop=lambda: calls.append("stop"),
+        answered=lambda: calls.append("answered"),
+        due=calls.append,
+        close=lambda: calls.append("close"),
+    )
+    rig.answer(0)
+    due = [0, 2, 1, 5]
+    rig.driver._pace.due = lambda: due.pop(0)  # type: ignore[method-assign]
+    rig.driver._on_pace()
+    rig.driver._on_pace()
+    rig.answer(TICK)  # of a tick that others have followed
+    rig.answer(2 * TICK)
+    rig.driver._on_pace()
+    rig.driver._on_pace()
+    rig.driver.close()
+    assert calls == ["start", "answered", 2, "answered", 1, 5, "stop", "close"]
+    rig.driver._real_time = SimpleNamespace(close=lambda: None)  # type: ignore[assignment]

@@ -83,6 +83,7 @@ def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
     made.report(shown.__setitem__)
     assert (shown["lost_s"], shown["missed_ticks"]) == (pytest.approx(3.0), 0)
     assert shown["jitter_max_us"] == "0"
+    assert not made._delays.any()  # to the nanosecond
 
 
 @pytest.mark.parametrize(("late", "due", "lost"), [(0, 201, 0), (1, 1, 200 * TICK + 1)])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,6 +13,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Int64
 
+from tactile_hand_ros.nodes.recorder import raw_topic
 from tactile_hand_ros.nodes.recorder.raw_topic import RawTopic, adapted_qos
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
@@ -142,3 +144,39 @@ def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
     assert topic.latched is not has_come and (topic._subscription is first) is has_come
     if not has_come:
         assert stage.taken[:1] == [9]
+
+
+def test_a_message_has_the_times_of_the_middleware_or_that_at_which_it_was_taken(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    topic, asked, got = stage.topic(), list[Any](), list[tuple[bytes, int, int]]()
+
+    def taken(subscription: Any, limit: int) -> Iterator[tuple[bytes, dict[str, Any]]]:
+        asked.append((subscription, limit))
+        for data, number, received, sent in ((b"a", 5, 9, 8), (b"b", None, 9, 0), (b"c", 7, 0, 0)):
+            times = {"received_timestamp": received, "source_timestamp": sent}
+            yield data, {"publication_sequence_number": number, **times}
+
+    monkeypatch.setattr(raw_topic, "taken", taken)
+    began = time.time_ns()
+    assert topic.drain(lambda _, *what: got.append(what)) == 3
+    assert asked == [(topic._subscription, topic._qos.depth)] and topic.received == 3
+    assert got[:2] == [(b"a", 9, 8), (b"b", 9, 9)]
+    data, received, sent = got[2]
+    assert data == b"c" and began <= received == sent <= time.time_ns()
+    assert topic.lost == 1  # the 6
+
+
+def test_a_subscription_has_no_events_of_its_own(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default rclpy would log each publisher whose quality of service does not fit."""
+    asked: list[dict[str, Any]] = []
+    made = raw_topic.SubscriptionEventCallbacks
+    monkeypatch.setattr(
+        raw_topic,
+        "SubscriptionEventCallbacks",
+        lambda **options: asked.append(options) or made(**options),
+    )
+    stage.topic()
+    assert asked == [{"use_default_callbacks": False}]

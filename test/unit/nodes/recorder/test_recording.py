@@ -17,6 +17,7 @@ from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.nodes.recorder import recording as recording_module
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
+from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -96,6 +97,7 @@ def test_a_publisher_that_comes_later_is_recorded_and_gaps_are_told(stage: Stage
     stage.publish("/left/a")
     wait_until(lambda: recording.step() == 0 and topic.publishers == 1 and stage.met("/left/a"))
     assert topic.channel is not None
+    assert Recording.calm_after == 5.0 and SharedRecording.calm_after == 0.5
     stage.publish("/left/a", 1)
     wait_until(lambda: recording.step() == 1)
     topic._sequence.lost = 7
@@ -147,4 +149,69 @@ def test_chunks_reach_the_disk_once_in_a_flush_period(
     assert flushed == [1000.0, 1010.0]
     assert looked == [1000.0, 1001.0, 1010.0, 1011.0]
     monkeypatch.undo()
+    recording.close()
+
+
+def test_a_topic_with_publishers_is_in_the_bag_before_its_first_message(stage: Stage) -> None:
+    stage.publish("/left/a")
+    recording, opened = stage.record(), list[Any]()
+    add_channel = recording._writer.add_channel
+
+    def noted(*args: Any, **options: Any) -> int:
+        opened.append((args, options))
+        return add_channel(*args, **options)
+
+    recording._writer.add_channel = noted  # type: ignore[method-assign]
+    wait_until(lambda: recording.step() == 0 and recording._topics)
+    (topic,) = recording._topics.values()
+    assert topic.channel == 1 and topic.publishers == 1
+    (((name, kind), options),) = opened
+    assert (name, kind) == ("/left/a", "std_msgs/msg/Int64")
+    assert options["type_hash"].startswith("RIHS01_") and len(options["offers"]) == 1
+    recording.close()
+
+
+def test_a_type_that_is_not_installed_is_refused_once_with_its_topic(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, lines = stage.record(), list[str]()
+    logger = stage.node.get_logger()
+    monkeypatch.setattr(logger, "error", lines.append)
+    monkeypatch.setattr(stage.node, "get_logger", lambda: logger)
+    for _ in range(2):
+        assert not recording._consider("/left/odd", "no_such_msgs/msg/Odd")
+    assert not recording._consider("/right/a", "std_msgs/msg/Int64")  # not chosen
+    assert recording.status.refused == 1 and recording.status.topics == 0
+    assert len(lines) == 1 and lines[0].startswith("/left/odd is not recorded: ")
+    assert recording._consider("/left/a", "std_msgs/msg/Int64")
+    assert recording._topics["/left/a"].channel is None  # no publisher yet
+    recording.close()
+
+
+def test_a_bag_is_made_as_it_is_configured(stage: Stage) -> None:
+    recording = stage.record(
+        compression="lz4",
+        chunk_size=2048,
+        split_size=4096,
+        split_duration=1.5,
+        snapshot_duration=0.5,
+        scenario="name: x",
+    )
+    assert recording._buffer is not None and recording._buffer._duration == 500_000_000
+    stage.bag.parent.joinpath("other").mkdir()
+    config = RecorderConfig(output=str(stage.bag.parent / "new"), scenario="name: x")
+    asked = recording._bag(recording._config.changed({"output": config.output}))
+    custom = asked.pop("custom_data")
+    assert asked == {
+        "folder": Path(config.output),
+        "compression": "lz4",
+        "chunk_size": 2048,
+        "max_size": 4096,
+        "max_duration": 1_500_000_000,
+        "earlier": None,
+        "lazy": True,
+    }
+    assert custom["scenario"] == "name: x"
+    plain = stage.node  # without a snapshot everything is written at once
+    assert not Recording(plain, config)._bag(config.changed({"output": "elsewhere"}))["lazy"]
     recording.close()

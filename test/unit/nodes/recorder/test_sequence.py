@@ -35,6 +35,11 @@ def test_interleaved_publishers_without_loss_count_zero(order: list[str]) -> Non
     assert lost(numbers) == 0
 
 
+def test_a_gap_replaces_what_was_expected() -> None:
+    """The number that never came is not waited for: a 5 after it begins a new publisher."""
+    assert lost([1, 2, 5, 10, 5]) == 2 + 4
+
+
 def test_restarted_publisher_is_no_loss() -> None:
     """A new process numbers its messages from one again."""
     assert lost([1, 2, 3, 1, 2]) == 0

@@ -17,6 +17,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 
+from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.replay import offered_qos
 
 INFINITE = QosTime(2147483647, 4294967295)
@@ -82,3 +83,24 @@ def test_a_time_limit_is_kept_unless_there_is_none(
     found = getattr(offered_qos([offer(**{name: limit})], 1), name)
     without = getattr(offered_qos([], 1), name)
     assert found == (without if expected is None else expected)
+
+
+def test_of_several_publishers_the_limits_of_the_first_are_kept() -> None:
+    offers = [offer(deadline=QosTime(1, 0)), offer(deadline=QosTime(2, 0))]
+    assert offered_qos(offers, 1).deadline == Duration(seconds=1)
+
+
+def test_by_default_a_bag_is_replayed_as_it_was_recorded() -> None:
+    assert vars(ReplayOptions()) == {
+        "rate": 1.0,
+        "start_offset": 0.0,
+        "loop": False,
+        "topics": (".*",),
+        "exclude": (),
+        "clock": 0.0,
+        "namespace": "",
+        "paused": False,
+        "delay": 0.0,
+    }
+    begin = {"position": 0.0, "duration": 0.0, "messages": 0, "paused": False, "late": 0.0}
+    assert vars(ReplayProgress()) == begin

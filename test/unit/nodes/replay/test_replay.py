@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,16 +13,19 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Int64
+from std_msgs.msg import Float64, Int64
 from std_srvs.srv import SetBool
 
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.nodes.replay import replay as replay_module
+from tactile_hand_ros.nodes.replay.node import replaying
 from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.replay import Replay
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.wire import stamp_of
+from tactile_hand_ros.ros.processes import wait_until
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = OfferedQos(durability="transient_local")
@@ -197,3 +201,115 @@ def test_a_delay_comes_before_the_first_message(play: Callable[..., Player]) -> 
     player, began = play(delay=0.05, rate=100.0), time.monotonic()
     player.replay.run()
     assert player.sent[0][2] - began >= 0.0499
+
+
+def test_each_publisher_waits_up_to_a_second_for_its_subscribers(
+    play: Callable[..., Player],
+) -> None:
+    player, waited = play(rate=100.0), list[tuple[str, float]]()
+    for topic, publisher in player.replay._publishers.items():
+        publisher.wait_for_all_acked = lambda timeout, topic=topic: waited.append(
+            (topic, 1e-9 * timeout.nanoseconds)
+        )
+    player.replay.run()
+    assert sorted(waited) == [("/clock", 1.0), ("/number", 1.0), ("/robot", 1.0)]
+
+
+def test_a_round_of_a_loop_takes_a_tenth_of_a_second(play: Callable[..., Player]) -> None:
+    player, delays = play(loop=True, delay=0.5, rate=100.0), list[float]()
+    player.replay._pause_for = lambda delay, *_: delays.append(delay)  # type: ignore[method-assign]
+    player.replay.run(stop=lambda: len(delays) > 2)
+    assert delays[0] == 0.5 and all(0.0 < delay < 0.1 for delay in delays[1:])
+
+
+def test_between_messages_it_sleeps_as_long_as_it_may(play: Callable[..., Player]) -> None:
+    player, slept = play(topics=("/number",)), list[float]()
+    wait = player.replay._changed.wait
+    player.replay._changed.wait = lambda timeout: slept.append(timeout) or wait(timeout)  # type: ignore[method-assign, func-returns-value]
+    player.replay.run()
+    assert 4 <= len(slept) < 40 and all(0.0 <= each <= 0.0101 for each in slept)
+    assert max(slept) > 0.001
+
+
+@pytest.mark.parametrize(("early", "position"), [(10**9, 0.0), (-(10**9), 0.04), (-STEP, 0.01)])
+def test_the_position_is_that_in_the_bag(
+    play: Callable[..., Player], early: int, position: float
+) -> None:
+    player, seen = play(), list[float]()
+    player.replay._timeline.jump(BEGIN - early, 0.0)
+    player.replay._note(0.0, lambda progress: seen.append(progress.position))
+    assert seen == [pytest.approx(position)]
+
+
+def test_a_latched_publisher_keeps_all_messages_of_its_topic(play: Callable[..., Player]) -> None:
+    profiles = {t: p.qos_profile for t, p in play().replay._publishers.items()}
+    assert {topic: profile.depth for topic, profile in profiles.items()} == {
+        "/robot": 2,
+        "/clock": 1000,
+        "/number": 1000,
+    }
+
+
+def test_what_cannot_be_published_is_named(
+    play: Callable[..., Player], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, node = tmp_path / "other", play().replay._node
+    with BagWriter(folder) as writer:
+        writer.add_channel("/number", TYPE)
+        other = writer.add_channel("/other", "std_msgs/msg/Float64")
+        writer.write(other, serialize_message(Float64()), BEGIN, BEGIN)
+    known, missing = replay_module.message_class, [TYPE]
+
+    def class_of(kind: str) -> Any:
+        if kind in missing:
+            raise BagError(f"{kind} is not installed")
+        return known(kind)
+
+    monkeypatch.setattr(replay_module, "message_class", class_of)
+    replay = Replay(node, folder, ReplayOptions())
+    assert replay.skipped == {"/number": f"{TYPE} is not installed"}
+    assert replay.topics == ["/other"]
+    replay.close()
+    missing.append("std_msgs/msg/Float64")
+    words = f"published: {TYPE} is not installed; std_msgs/msg/Float64 is not installed"
+    with pytest.raises(BagError, match=words):
+        Replay(node, folder, ReplayOptions())
+
+
+def test_a_bag_without_messages_cannot_be_replayed(
+    play: Callable[..., Player], tmp_path: Path
+) -> None:
+    with BagWriter(tmp_path / "empty") as writer:
+        writer.add_channel("/number", TYPE)
+    with pytest.raises(BagError, match="has no message; there is nothing to replay"):
+        Replay(play().replay._node, tmp_path / "empty", ReplayOptions())
+
+
+def test_a_replay_has_a_node_a_context_and_a_thread_of_its_own_while_it_lasts(bag: Path) -> None:
+    before = threading.active_count()
+    with isolated_domain() as domain, private_context(domain) as context:
+        user = Node("user", context=context, start_parameter_services=False)
+        client = user.create_client(SetBool, "/replay/pause")
+        with replaying(bag, ReplayOptions(paused=True)) as player:
+            node = player._node
+            assert node.context.ok() and node.get_name() == "replay"
+            wait_until(client.service_is_ready)
+            client.call_async(SetBool.Request(data=False))
+            wait_until(lambda: not player.progress.paused)
+            assert threading.active_count() > before
+        assert not node.context.ok()
+        with pytest.raises(Exception, match=r"."):
+            next(iter(player._messages()))  # the bag is closed
+        user.destroy_node()
+    wait_until(lambda: threading.active_count() <= before)
+
+
+def test_a_bag_that_cannot_be_replayed_leaves_nothing_behind(tmp_path: Path) -> None:
+    before = threading.active_count()
+    with (
+        isolated_domain(),
+        pytest.raises(BagError),
+        replaying(tmp_path / "none", ReplayOptions()),
+    ):
+        pass
+    wait_until(lambda: threading.active_count() <= before)

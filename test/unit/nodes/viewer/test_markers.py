@@ -144,6 +144,12 @@ def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
         assert [m.ns for m in markers(drawn).markers] == ["all", "object", "contacts", "goal"]
 
 
+def test_no_force_at_all_is_drawn_without_a_division_by_zero() -> None:
+    with np.errstate(all="raise"):
+        drawn = markers(scene(forces=np.zeros((5, 3)))).markers
+    assert {marker.ns for marker in drawn} == {"all", "object", "contacts", "goal"}
+
+
 def test_a_force_along_the_face_has_no_cone() -> None:
     forces = np.array([[1.0, 0.0, 0.0]])
     drawn = scene(contacts=[frame("c", 1)], forces=forces, friction=np.array([0.5]))

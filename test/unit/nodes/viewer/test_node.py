@@ -164,3 +164,34 @@ def test_with_tf2_links_contacts_and_object_are_transforms(
     assert [t.child_frame_id for t in sent[-1].transforms][-3:] == [
         f"left/{name}" for name in (*contacts, "object")
     ]
+
+
+def test_before_the_first_message_each_contact_is_unknown(stage: Stage) -> None:
+    contacts = stage.viewer._contacts()
+    assert [contact.name for contact in contacts] == [f"{name}_contact" for name in FINGERS]
+    assert {(c.position.shape, c.quaternion.shape) for c in contacts} == {((3,), (4,))}
+    assert not any(contact.is_known for contact in contacts)
+
+
+def test_with_tf2_what_does_not_move_is_published_once_and_latched(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, sent = list[Any](), list[Any]()
+
+    def create(kind: Any, topic: str, profile: Any) -> Any:
+        made.append((kind, topic, profile.durability.name))
+        return SimpleNamespace(publish=sent.append, topic=topic)
+
+    monkeypatch.setattr(viewer, "TFMessage", SimpleNamespace)
+    monkeypatch.setattr(stage.viewer, "create_publisher", create)
+    moving: Any = stage.viewer._publish_static()
+    assert made == [
+        (SimpleNamespace, "/tf_static", "TRANSIENT_LOCAL"),
+        (SimpleNamespace, "/tf", "VOLATILE"),
+    ]
+    assert moving.topic == "/tf"
+    (message,) = sent
+    fixed = LinkFrames(Hand.load("paper", "").description).fixed()
+    assert [t.child_frame_id for t in message.transforms] == [f"left/{f.name}" for f in fixed]
+    stamps = {(t.header.stamp.sec, t.header.stamp.nanosec) for t in message.transforms}
+    assert fixed and stamps == {(0, 0)}

@@ -132,3 +132,77 @@ def test_what_a_request_took_is_returned(
     script = _READ.format(**given)
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert float(ran.stdout) < 5.0  # of the 6 that one request took
+
+
+class Library:
+    """A C library that notes what it is asked for, or lacks it."""
+
+    def __init__(self, answer: int = 0) -> None:
+        self.calls: list[tuple[str, int, int]] = []
+        self._answer = answer
+
+    def mlockall(self, flags: int) -> int:
+        self.calls.append(("mlockall", flags, 0))
+        return self._answer
+
+    def mallopt(self, option: int, value: int) -> int:
+        self.calls.append(("mallopt", option, value))
+        return 1
+
+
+def test_all_memory_is_locked_on_use_and_the_heap_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The numbers are those of mlockall(2) and mallopt(3)."""
+    library = Library()
+    monkeypatch.setattr(memory, "_is_unlimited", lambda: True)
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda *_, **__: library)
+    assert memory.lock_memory() == ""
+    memory.keep_heap()
+    assert library.calls == [("mlockall", 7, 0), ("mallopt", -1, -1), ("mallopt", -4, 0)]
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda *_, **__: Library(-1))
+    monkeypatch.setattr(memory.ctypes, "get_errno", lambda: 12)
+    assert memory.lock_memory().startswith("Cannot allocate memory: run as root")
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda *_, **__: object())
+    assert memory.lock_memory() == "this system has no mlockall"
+    memory.keep_heap()
+
+
+@pytest.mark.parametrize(
+    ("hard", "user", "unlimited", "raised"),
+    [
+        (ENDLESS, 1000, True, [(ENDLESS, ENDLESS)]),
+        (ENDLESS, 0, True, [(ENDLESS, ENDLESS)]),
+        (65536, 0, True, []),
+        (65536, 1000, False, []),
+    ],
+)
+def test_who_may_lock_memory(
+    monkeypatch: pytest.MonkeyPatch, hard: int, user: int, unlimited: bool, raised: list[object]
+) -> None:
+    limits: list[object] = []
+    monkeypatch.setattr(memory.os, "geteuid", lambda: user)
+    monkeypatch.setattr(memory.resource, "getrlimit", lambda _: (4096, hard))
+    monkeypatch.setattr(memory.resource, "setrlimit", lambda _, limit: limits.append(limit))
+    assert memory._is_unlimited() == unlimited and limits == raised
+
+
+def test_256_kib_of_the_stack_are_touched() -> None:
+    assert memory.ctypes.sizeof(memory._Block) == 256 << 10
+
+
+def test_a_kernel_without_the_size_of_the_data_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory.Path, "read_text", lambda *_, **__: "VmRSS: 5 kB\nVmData:\t7 kB\n")
+    assert memory._data_bytes() == 7 << 10
+    monkeypatch.setattr(memory.Path, "read_text", lambda *_, **__: "VmRSS: 5 kB\n")
+    with pytest.raises(OSError, match="no line VmData; expected Linux"):
+        memory._data_bytes()
+
+
+def test_in_a_block_the_data_may_grow_by_its_room_and_then_as_before() -> None:
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with memory.bounded_memory(64 * MIB):
+        soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        assert 60 * MIB < soft - memory._data_bytes() <= 64 * MIB and hard == before[1]
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    with pytest.raises(KeyError), memory.bounded_memory(64 * MIB):
+        raise KeyError
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The base of all nodes: rhythm, peers, guarded callbacks; one node that nothing spins."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
+from tactile_hand_ros.ros import node as module
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import ERROR, OK
+from tactile_hand_ros.ros.direct_take import subscribe_directly
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.executor import WaitSetExecutor
+from tactile_hand_ros.ros.node import TactileNode, peer_count, set_period
+from tactile_hand_ros.ros.processes import wait_until
+
+
+class Gains(Config):
+    """Two live numbers."""
+
+    gain: float = param(1.0, "Gain", ge=0.0, live=True)
+    other: float = param(1.0, "Other", live=True)
+
+
+class Example(TactileNode[Gains]):
+    """A node that fails on demand."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("example", Gains, **kwargs)
+        self.calls: list[Any] = []
+
+    def on_config(self, config: Gains) -> None:
+        self.calls.append(config)
+        if config.gain == 13.0:
+            raise TactileHandError("13 brings bad luck.")
+        if config.gain == 14.0:
+            raise KeyError("left")
+
+    def check_config(self, config: Gains) -> None:
+        if config.gain == 15.0:
+            raise TactileHandError("15 is too much.")
+        if config.gain == 16.0:
+            raise KeyError("left")
+
+    def on_report(self) -> None:
+        self.calls.append("report")
+
+    def to_safe_state(self, reason: str) -> None:
+        self.calls.append(("safe", reason))
+
+    def on_rejected(self, source: str, reason: str) -> None:
+        self.calls.append((source, reason))
+
+
+@pytest.fixture
+def context() -> Iterator[Any]:
+    with isolated_domain() as domain, private_context(domain) as made:
+        yield made
+
+
+@pytest.fixture
+def node(context: Any) -> Iterator[Example]:
+    made = Example(context=context, namespace="/left")
+    yield made
+    made.destroy_node()
+
+
+def test_health_is_reported_each_second_and_peers_are_looked_for_ten_times(node: Example) -> None:
+    assert sorted(timer.timer_period_ns for timer in node.timers) == [100_000_000, 1_000_000_000]
+    attention = node._attention
+    assert (attention._often, attention._rarely, attention._calm_after) == (0.1, 1.0, 5.0)
+    assert node._peers_timer.timer_period_ns == 100_000_000
+
+
+def test_a_peer_that_comes_or_goes_is_reported_at_once(
+    node: Example, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, now = list[int](), {"publications /left/x": 1}
+    monkeypatch.setattr(node, "publish_diagnostics", lambda: told.append(1))
+    monkeypatch.setattr(node, "peers", lambda: dict(now))
+    monkeypatch.setattr(node._attention, "period", lambda changed: 0.25 if changed else 0.75)
+
+    def look() -> tuple[int, str, int]:
+        node._look_for_peers()
+        facts = {pair.key: pair.value for pair in node.diagnostics.status().values}
+        period = node._peers_timer.timer_period_ns
+        return len(told), facts.get("publications /left/x", ""), period
+
+    assert look() == (1, "1", 250_000_000)
+    assert look() == (1, "1", 750_000_000)
+    now.clear()
+    assert look() == (2, "0", 250_000_000)
+    assert look() == (2, "0", 750_000_000)
+
+
+def test_peers_are_counted_by_topic_and_end(node: Example, context: Any) -> None:
+    """Those that no executor serves as well."""
+    node.create_publisher(Float64, "x", 1)
+    subscribe_directly(node, Float64, "x", QoSProfile(depth=1))
+    wait_until(lambda: peer_count(_texts(node.peers()), "publications", "/left/x") == 1)
+    wait_until(lambda: node.peers()["subscriptions /left/x"] == 1)
+    assert peer_count({}, "publications", "/left/x") == 0
+    assert "/left/x" not in [each.topic_name for each in node.subscriptions]
+
+
+def _texts(counts: dict[str, int]) -> dict[str, str]:
+    return {key: str(count) for key, count in counts.items()}
+
+
+def test_a_report_is_gathered_and_then_published(
+    node: Example, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent, scheduled = list[Any](), list[Any]()
+    monkeypatch.setattr(node._diagnostics_publisher, "publish", sent.append)
+    monkeypatch.setattr(module, "report_scheduling", scheduled.append)
+    monkeypatch.setattr(node, "get_clock", lambda: SimpleNamespace(now=lambda: _Stamp()))
+    node.publish_diagnostics()
+    assert node.calls == ["report"] and scheduled == [node.diagnostics]
+    (message,) = sent
+    assert [status.name for status in message.status] == ["/left/example"]
+    assert message.header.stamp.sec == 7
+    waiting: list[Any] = []
+    node._between_ticks = SimpleNamespace(  # type: ignore[assignment]
+        run=waiting.append, tick_done=lambda: waiting.append("done")
+    )
+    node.publish_diagnostics()
+    waiting.pop()()
+    assert node.calls == ["report"] * 2 and len(sent) == 1
+    waiting.pop()()
+    assert len(sent) == 2
+    node._on_peers_due()
+    assert waiting.pop() == node._look_for_peers
+    node.tick_done()
+    assert waiting == ["done"]
+
+
+class _Stamp:
+    """A time of the clock."""
+
+    def to_msg(self) -> Any:
+        from builtin_interfaces.msg import Time
+
+        return Time(sec=7)
+
+
+def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
+    node: Example,
+) -> None:
+    def change(value: float) -> tuple[bool, str]:
+        (result,) = node.set_parameters([Parameter("gain", value=value)])
+        return result.successful, result.reason
+
+    assert change(13.0)[0] and node.config.gain == 13.0
+    status = node.diagnostics.status()
+    assert (status.level, status.message) == (ERROR, "13 brings bad luck.")
+    assert change(2.0)[0] and node.diagnostics.status().level == OK
+    assert change(14.0)[0] and node.diagnostics.errors == {"configuration": 1}
+    assert node.calls[-1][0] == "safe"
+    assert change(15.0) == (False, "15 is too much.")
+    successful, reason = change(16.0)
+    assert not successful and reason.startswith("KeyError at ros/parameters.py:")
+    assert node.config.gain == 14.0
+    assert not change(-1.0)[0]
+
+
+def test_a_declaration_that_rcl_refuses_is_an_error_and_leaves_no_node(
+    context: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = SimpleNamespace(successful=False, reason="no")
+    ended: list[str] = []
+    destroy = TactileNode.destroy_node
+    monkeypatch.setattr(TactileNode, "set_parameters_atomically", lambda *_: result)
+    monkeypatch.setattr(
+        TactileNode, "destroy_node", lambda node: ended.append(node.get_name()) or destroy(node)
+    )
+    with pytest.raises(ConfigurationError, match=r"/example: no\."):
+        Example(context=context)
+    assert ended == ["example"]
+
+
+def test_callbacks_are_guarded_under_their_names(node: Example) -> None:
+    def fail(*_: Any) -> None:
+        raise ValueError("odd")
+
+    def refuse(*_: Any) -> None:
+        raise MessageError("no")
+
+    node.create_timer(10.0, fail).callback()
+    node.create_timer(10.0, functools.partial(fail)).callback()
+    node.subscribe(Float64, "x", fail).callback(Float64())
+    node.guarded("work", fail)()
+    service = node.create_service(Trigger, "~/do", refuse)
+    answer = service.callback(Trigger.Request(), Trigger.Response(success=True))
+    assert not answer.success
+    name = "test_callbacks_are_guarded_under_their_names.<locals>.fail"
+    assert set(node.diagnostics.errors) == {f"timer {name}", "timer partial", "x", "work"}
+    assert node.diagnostics.rejected == {"~/do": 1}
+    node.reject("x", "too far")
+    node.reject("x", MessageError("far"))
+    node.survive("y", MessageError("also"))
+    assert node.diagnostics.rejected == {"~/do": 1, "x": 2, "y": 1}
+    assert node.calls[-3:] == [("x", "too far"), ("x", "far"), ("y", "also")]
+
+
+def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> None:
+    given = QoSProfile(depth=7)
+    made = node.subscribe(Float64, "x", print, profile=given, raw=True)
+    assert made.qos_profile.depth == 7 and made.raw
+    plain, sensor = (node.subscribe(Float64, n, print, sensor=n == "s") for n in ("p", "s"))
+    assert plain.qos_profile.depth == qos.tick_qos().depth and not plain.raw
+    known = set(node.get_parameters_by_prefix("qos_overrides"))
+    assert known and all(name.startswith("/left/s.subscription.") for name in known)
+    made.qos_profile.depth = 9
+    assert given.depth == 7 and sensor.qos_profile.depth == plain.qos_profile.depth
+
+
+def test_what_waits_for_the_end_of_reading_waits_only_where_that_is_known(
+    node: Example, context: Any
+) -> None:
+    calls: list[int] = []
+    node.after_reading(lambda: calls.append(1))
+    assert calls == [1]
+    for kind, waits in ((WaitSetExecutor, True), (SingleThreadedExecutor, False)):
+        executor: Any = kind(context=context)
+        executor.add_node(node)
+        node.after_reading(lambda: calls.append(2))
+        assert calls == ([1] if waits else [1, 2])
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def test_a_period_changes_only_where_it_is_another(node: Example) -> None:
+    class Timer:
+        """A timer that counts how often its period is set."""
+
+        count, period = 0, 5_000_000
+
+        @property
+        def timer_period_ns(self) -> int:
+            return self.period
+
+        @timer_period_ns.setter
+        def timer_period_ns(self, value: int) -> None:
+            self.count += 1
+            self.period = value
+
+    timer: Any = Timer()
+    set_period(timer, 0.005)
+    assert timer.count == 0
+    set_period(timer, 0.0060000001)
+    assert (timer.count, timer.period) == (1, 6_000_000)
+
+
+def test_a_plain_node_is_what_rclpy_makes(node: Example) -> None:
+    assert isinstance(node, Node) and node.fatal == ()
+    assert node.close() is None  # type: ignore[func-returns-value]
+    node.check_ready()
