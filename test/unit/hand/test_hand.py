@@ -361,6 +361,30 @@ def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
         Hand.load(str(path))
 
 
+def test_inertias_count_against_each_other_and_not_in_kilograms(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text().replace('mass value="0.2"', 'mass value="2e-11"')
+    for moment in ("0.001", "0.002", "0.0025"):
+        text = text.replace(f'"{moment}"', f'"{float(moment) * 1e-10!r}"')
+    urdf.write_text(text)
+    theta = np.ones(9)
+    light = Hand.load(str(path)).dynamics(theta, theta)[1]
+    heavy = Hand.load(str(write_hand(tmp_path, [3, 3, 3]))).dynamics(theta, theta)[1]
+    np.testing.assert_allclose(1e10 * light, heavy, rtol=1e-9, atol=1e-12)
+
+
+def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
+    """Which body has which number is no matter: only what stands still keeps its place."""
+    mount = '<parent link="f1_link_{}"/><child link="f1_tip"/>'
+    path = edited(tmp_path, mount.format(3), mount.format(1))
+    plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
+    theta, _ = random_posture(plain, 8)
+    reach, longer = (h.tip_positions(theta)[0] - h.bases[0] for h in (plain, long))
+    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
+    assert np.linalg.norm(reach) == pytest.approx(0.3) == plain.spans[0]
+
+
 def test_longer_links_leave_the_fingers_where_they_are_mounted(tmp_path):
     path = str(write_hand(tmp_path, [3, 4, 5]))
     plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)

@@ -529,11 +529,15 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path)
     with RunWriter(tmp_path / "bag") as bag:
         for tick in range(4):
             tick_only(bag, tick, tick)
-        for stamp, node, key in ((3, "manipulation_controller", "a"), (1, "slip_regulator", "b")):
+        late, early = 2 * 10**9 + 3, 10**9 + 5
+        for stamp, node, key in (
+            (late, "manipulation_controller", "a"),
+            (early, "slip_regulator", "b"),
+        ):
             refused = request_message(stamp, node, key, "too far")
             bag.write(f"/rejected/{node}", refused, stamp)
     run = Run(tmp_path / "bag")
-    assert run.refusals == [(1, "b", "too far"), (3, "a", "too far")]
+    assert run.refusals == [(early, "b", "too far"), (late, "a", "too far")]
     assert [each.text for each in run.events if each.kind == "refusal"] == [
         "b is refused: too far",
         "a is refused: too far",
