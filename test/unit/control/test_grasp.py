@@ -102,7 +102,8 @@ def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
 
 
 def test_too_few_joints_have_no_margin():
-    assert joint_margin(np.ones((9, 6))) == 0.0
+    assert joint_margin(np.ones((9, 6))) == joint_margin(np.eye(9)[:, :6]) == 0.0
+    assert joint_margin(np.diag(np.arange(2.0, 11.0), 3)[:9]) == 2.0
     with pytest.raises(GraspError, match="9 x 6"):
         check_joints(np.ones((9, 6)))
 

@@ -122,7 +122,10 @@ def test_the_contact_that_wandered_farthest_counts_from_where_it_was_first_seen(
         turn = Rotation.from_quat(still.contact_quaternions[tick, 1])
         tilted = turn * Rotation.from_rotvec([angle, 0.0, 0.0])  # t_x stays
         still.contact_quaternions[tick, 1] = tilted.as_quat()
-    assert lines(still)["A1"].worst == pytest.approx(0.1 * HAND.radii[1], rel=1e-6)
+    hand = Hand.load("paper")
+    hand.radii = np.array([0.05, 0.03, 0.04])
+    found = {line.name: line for line in ledger(still, hand)}
+    assert found["A1"].worst == pytest.approx(0.1 * 0.03, rel=1e-6)
 
 
 def test_fingertips_and_levers_are_those_of_each_tick(still):

@@ -374,3 +374,12 @@ def test_peaks_of_friction_count_from_20_ms_on() -> None:
     record.forces[1, 0], record.forces[2, 1] = (50.0, 10.0, 0.0), (6.0, 10.0, 8.0)
     found = metrics(record).max_required_friction
     assert found == pytest.approx({"a": 0.0, "b": 1.0, "c": 0.0})
+
+
+def test_settling_counts_from_the_last_of_several_turns_and_shifts() -> None:
+    record = still_record()
+    record.desired_position[2:, 1] = 1e-4
+    record.desired_quaternion[6:] = record.auxiliary_quaternion[8:] = turned(0.2)
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.2)
+    record.desired_position[7:, 1] = 2e-4
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.1)

@@ -86,6 +86,15 @@ class TestRecord:
         np.testing.assert_array_equal(record.theta, [[1.0, 2.0]] * 3)
         assert np.isnan(record.rates).all() and record.forces.shape == (3, 0, 3)
 
+    def test_a_message_between_two_ticks_belongs_to_neither(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            for tick in (0, 10, 20):
+                tick_only(bag, tick, tick)
+            for stamp in (10, 15):
+                bag.write("/grasp_force", recorded.wrench(stamp, (0.0, float(stamp), 0.0)), 21)
+        record = Run(tmp_path / "bag").record
+        np.testing.assert_array_equal(record.grasp_force, [np.nan, 10.0, np.nan])
+
     def test_repeated_ticks_count_once(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             for at, tick in enumerate([0, 2, 2, 2, 4]):
