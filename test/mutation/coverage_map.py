@@ -18,9 +18,19 @@ from pathlib import Path
 # Slower tests, with coverage and often without compilation, are left out [s].
 _SLOW = 20
 # Folders whose tests start nodes, and which tests of `test/integration` are about others.
-_INTEGRATED = ("ros", "nodes", "orchestrator", "verify")
+_INTEGRATED = {
+    **dict.fromkeys(("ros", "nodes", "orchestrator"), "test_*.py"),
+    "verify": "test_replay_through_nodes.py",
+}
 _OF_OTHERS = ("test_bench_runs", "test_faults", "test_packaging", "test_sweep")
 _RECORDER = "test/mutation/recorder.py"
+# Which of `test/property` are about a folder.
+_LAWS = {
+    "control": ("optimizer", "thin_plates"),
+    "simulation": ("contact_problems", "coulomb", "solid"),
+    **dict.fromkeys(("bag", "config", "closed_loop"), ("hostile_files",)),
+    **dict.fromkeys(("ros", "nodes", "orchestrator"), ("hostile_files", "hostile_messages")),
+}
 # Tests of other folders that look closely at this one.
 _ELSEWHERE = {
     "hand": ("control/test_reach_cost", "simulation/test_calibration"),
@@ -119,13 +129,11 @@ def _suites(root: Path, folder: str) -> list[str]:
     """Return the files of tests of a folder."""
     top = root / "test/unit"
     mirrored = (top / folder).rglob("test_*.py") if folder else top.glob("test_*.py")
-    is_integrated = folder in _INTEGRATED
-    # Those of `jit` compile whatever they import; the others of `property` start no node.
-    laws = "test_hostile_*.py" if is_integrated else "test_*.py"
-    common = (root / "test/property").glob(laws) if folder not in ("", "jit") else ()
-    integrated = (root / "test/integration").glob("test_*.py") if is_integrated else ()
+    laws = [root / f"test/property/test_{name}.py" for name in _LAWS.get(folder, ())]
+    started = _INTEGRATED.get(folder)
+    integrated = (root / "test/integration").glob(started) if started else ()
     elsewhere = [top / f"{name}.py" for name in _ELSEWHERE.get(folder, ())]
-    found = [*mirrored, *common, *integrated, *elsewhere]
+    found = [*mirrored, *laws, *integrated, *elsewhere]
     return sorted(str(path.relative_to(root)) for path in found if path.stem not in _OF_OTHERS)
 
 

@@ -54,6 +54,9 @@ def test_palm_x_takes_over_where_the_projection_is_shorter_than_a_thousandth(up,
     def t_z(length):
         return contact_frame(np.array([*(length * level), up * np.sqrt(1.0 - length**2)]))[:, 2]
 
+    for length in (1.01e-3, 0.99e-3):
+        normal = np.array([*(length * level), up * np.sqrt(1.0 - length**2)])
+        assert abs(t_z(length) @ normal) < 1e-12
     np.testing.assert_allclose(t_z(1.01e-3), [*(-up * level), 0.0], atol=2e-3)
     np.testing.assert_allclose(t_z(0.99e-3), [1.0, 0.0, 0.0], atol=2e-3)
     assert np.linalg.norm(t_z(0.99e-3)) == pytest.approx(1.0, abs=1e-12)

@@ -10,8 +10,8 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
-from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING, Grasp, TargetQueue
 from tactile_hand_ros.errors import GraspError, PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -712,3 +712,10 @@ def test_an_object_outlives_its_controller_and_the_blind_start_of_the_next():
         loop.advance(held.torque)
     assert loop.state.contacts.all_touching
     assert np.linalg.norm(loop.state.position - before) < 1e-3
+
+
+def test_a_new_queue_judges_the_first_pose_that_it_is_given(bench):
+    queue = TargetQueue(bench.controller.hand)
+    grasp = Grasp(bench.theta, bench.contacts, AuxiliaryPose(bench.centroid, np.eye(3)))
+    with pytest.raises(PoseError):
+        queue.command(bench.target(0.0, 0.0, 2.0), 0, None, grasp)

@@ -102,7 +102,8 @@ def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
 
 
 def test_too_few_joints_have_no_margin():
-    assert joint_margin(np.ones((9, 6))) == 0.0
+    assert joint_margin(np.ones((9, 6))) == joint_margin(np.eye(9)[:, :6]) == 0.0
+    assert joint_margin(np.diag(np.arange(2.0, 11.0), 3)[:9]) == 2.0
     with pytest.raises(GraspError, match="9 x 6"):
         check_joints(np.ones((9, 6)))
 
@@ -111,6 +112,8 @@ def test_required_friction_of_known_forces():
     forces = np.array([[3.0, 10.0, 4.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     np.testing.assert_array_equal(required_friction(forces), [0.5, 0.0, 0.0, np.inf])
     assert required_friction(np.array([0.0, -1.0, 0.1])) == np.inf
+    weak = np.array([[0.3, 0.5, 0.4], [3e-9, 4e-9, 4e-9]])
+    np.testing.assert_allclose(required_friction(weak), [1.0, 1.25])
     assert required_friction(np.zeros((5, 2, 3))).shape == (5, 2)
 
 

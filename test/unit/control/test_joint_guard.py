@@ -457,3 +457,13 @@ def test_age_is_counted_in_ticks_that_have_begun(late, age, reason):
     stamp = follow(made) * TICK
     made.step(stamp, THETA, STILL, TorqueCommand(stamp - late, TORQUE + 1e-6))
     assert (made.age, made.reason) == (age, reason)
+
+
+@pytest.mark.parametrize("limit", [0, 1, 5])
+def test_a_command_may_be_as_old_as_the_configuration_says(limit):
+    for late, reason in ((limit, ""), (limit + 1, joint_guard.LATE)):
+        made = guard(age_limit=limit)
+        last = follow(made) - 1
+        for tick in range(1, late + 1):
+            step(made, last + tick, TORQUE, answers=last)
+        assert made.reason == reason

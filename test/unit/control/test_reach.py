@@ -52,6 +52,7 @@ class Carried:
 
     def __init__(self):
         self.hand = Hand.load("paper")
+        self.hand.radii = np.array([0.06, 0.03, 0.05])
         self.shift, self.turn = (
             np.array([0.03, -0.04, 0.02]),
             rotation_from_vector([0.3, -0.2, 0.4]),

@@ -53,9 +53,10 @@ def test_engaging_twice_keeps_the_first_and_releasing_forgets():
 
 
 def test_does_not_follow_arrays_that_change_later():
-    hold, posture = SafeHold(HoldConfig()), POSTURE.copy()
-    hold.engage(posture, SQUEEZE)
+    hold, posture, squeeze = SafeHold(HoldConfig()), POSTURE.copy(), SQUEEZE.copy()
+    hold.engage(posture, squeeze)
     posture += 1.0
+    squeeze += 1.0
     np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3), INERTIA), SQUEEZE)
 
 

@@ -9,6 +9,7 @@ from support.hands import tip_rotations, write_hand
 from tactile_hand_ros.config.hand_config import find_hand, load_hand_config
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.kinematics import mirrored
 
 START = np.tile([1.047, 0.0, 1.571], 3)
 STEP = 1e-6
@@ -361,6 +362,30 @@ def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
         Hand.load(str(path))
 
 
+def test_inertias_count_against_each_other_and_not_in_kilograms(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text().replace('mass value="0.2"', 'mass value="2e-11"')
+    for moment in ("0.001", "0.002", "0.0025"):
+        text = text.replace(f'"{moment}"', f'"{float(moment) * 1e-10!r}"')
+    urdf.write_text(text)
+    theta = np.ones(9)
+    light = Hand.load(str(path)).dynamics(theta, theta)[1]
+    heavy = Hand.load(str(write_hand(tmp_path, [3, 3, 3]))).dynamics(theta, theta)[1]
+    np.testing.assert_allclose(1e10 * light, heavy, rtol=1e-9, atol=1e-12)
+
+
+def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
+    """Which body has which number is no matter: only what stands still keeps its place."""
+    mount = '<parent link="f1_link_{}"/><child link="f1_tip"/>'
+    path = edited(tmp_path, mount.format(3), mount.format(1))
+    plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
+    theta, _ = random_posture(plain, 8)
+    reach, longer = (h.tip_positions(theta)[0] - h.bases[0] for h in (plain, long))
+    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
+    assert np.linalg.norm(reach) == pytest.approx(0.3) == plain.spans[0]
+
+
 def test_longer_links_leave_the_fingers_where_they_are_mounted(tmp_path):
     path = str(write_hand(tmp_path, [3, 4, 5]))
     plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
@@ -421,3 +446,24 @@ def test_a_tip_that_is_not_there_is_answered_with_the_links_and_not_the_joints(t
     with pytest.raises(HandModelError, match=r"its links are: palm, f1_base, .*f3_tip$") as caught:
         Hand.load(path)
     assert "joint" not in str(caught.value)
+
+
+def test_links_that_are_higher_up_have_more_energy():
+    hand = Hand.load("paper", gravity=np.array([0.0, 0.0, -9.81]))
+    assert hand.potential_energy(START) > hand.potential_energy(np.zeros(9)) + 1.0
+
+
+def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf, (name, end) = tmp_path / "hand.urdf", ('<joint name="f2_joint_3"', "</joint>")
+    plain, text = Hand.load(str(path)), urdf.read_text()
+    head, _, rest = text.partition(name)
+    joint, _, tail = rest.partition(end)
+    joint = joint.replace("revolute", "prismatic").replace('lower="-3"', 'lower="-0.4"')
+    urdf.write_text(head + name + joint.replace('upper="3"', 'upper="0.1"') + end + tail)
+    added = Hand.load(str(path)).spans - plain.spans
+    np.testing.assert_allclose(added, [0.0, 0.4, 0.0], atol=1e-12)
+
+
+def test_only_the_upper_triangle_counts():
+    np.testing.assert_array_equal(mirrored(np.array([[1.0, 2.0], [9.0, 3.0]])), [[1, 2], [2, 3]])

@@ -83,6 +83,7 @@ def turned(moments, seed):
         ([1.0, 2.0, 3.032], "none above the sum"),
         ([-0.9e-9, 1.0, 1.0], ""),
         ([-1.1e-9, 1.0, 1.0], "none below 0"),
+        ([-1.1e-12, 1e-3, 1e-3], "none below 0"),
         ([0.0, 0.0, 0.0], ""),
     ],
 )

@@ -54,6 +54,9 @@ def test_ticks_that_were_not_recorded_are_no_drop() -> None:
     record = touched(3, 3, 0, 0)
     record.forces[2:] = np.nan
     assert math.isnan(dropped_at(record))
+    record = touched(3, 0, 3, 0, 0)
+    record.forces[1] = np.nan
+    assert dropped_at(record) == pytest.approx(0.3)
 
 
 @pytest.fixture(scope="module")

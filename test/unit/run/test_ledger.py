@@ -6,6 +6,7 @@ import copy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.equations import hand_jacobian
 from support.outcomes import run_scenario
 from support.plants import plant
 
@@ -121,7 +122,29 @@ def test_the_contact_that_wandered_farthest_counts_from_where_it_was_first_seen(
         turn = Rotation.from_quat(still.contact_quaternions[tick, 1])
         tilted = turn * Rotation.from_rotvec([angle, 0.0, 0.0])  # t_x stays
         still.contact_quaternions[tick, 1] = tilted.as_quat()
-    assert lines(still)["A1"].worst == pytest.approx(0.1 * HAND.radii[1], rel=1e-6)
+    hand = Hand.load("paper")
+    hand.radii = np.array([0.05, 0.03, 0.04])
+    found = {line.name: line for line in ledger(still, hand)}
+    assert found["A1"].worst == pytest.approx(0.1 * 0.03, rel=1e-6)
+
+
+def test_fingertips_and_levers_are_those_of_each_tick(still):
+    """From tick 20 on the joints are elsewhere, and the contacts have turned with the tips."""
+    before, later = still.theta[0].copy(), still.theta[0] + np.linspace(-0.3, 0.4, 9)
+    angle, least = lines(still)["A2"].worst, lines(still)["A5"].worst
+    turns = HAND.tip_rotations(later) @ HAND.tip_rotations(before).swapaxes(1, 2)
+    still.theta[20:] = later
+    for i in range(3):
+        seen = Rotation.from_matrix(turns[i]) * Rotation.from_quat(still.contact_quaternions[0, i])
+        still.contact_quaternions[20:, i] = seen.as_quat()
+    found = lines(still)
+    assert found["A1"].worst < 1e-7
+    assert found["A2"].worst == pytest.approx(angle)
+    points = still.contact_positions[0]
+    levers = [hand_jacobian(*HAND.fingertips(theta), points) for theta in (before, later)]
+    margins = [np.linalg.svd(each, compute_uv=False)[-1] for each in levers]
+    assert least == pytest.approx(margins[0])
+    assert found["A5"].worst == pytest.approx(min(margins)) and margins[0] != margins[1]
 
 
 def test_the_least_evidence_that_is_left_is_that_of_the_worst_contact_that_is_known(still):

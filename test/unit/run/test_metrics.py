@@ -258,6 +258,21 @@ def test_object_that_moves_with_the_grasp_does_not_move_in_it() -> None:
     assert m.max_object_rotation_in_grasp_rad == pytest.approx(0.4)
 
 
+def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls() -> None:
+    """About another axis at every tick, with an object that lies askew in the hand."""
+    record, random = still_record(), np.random.default_rng(7)
+    askew, place, spots = rotation_from_vector([0.5, -0.9, 0.2]), random.normal(size=3), np.eye(3)
+    for tick in range(len(record)):
+        turn, centre = rotation_from_vector(random.normal(size=3)), random.normal(size=3)
+        record.auxiliary_position[tick] = centre
+        record.auxiliary_quaternion[tick] = quaternion_from_rotation(turn)
+        record.object_position[tick] = centre + turn @ place
+        record.object_quaternion[tick] = quaternion_from_rotation(turn @ askew)
+        record.true_positions[tick] = record.object_position[tick] + spots @ (turn @ askew).T
+    moved, turned_by = derived.motion_in_grasp(record)
+    assert max(moved.max(), turned_by.max(), derived.rolling(record).max()) < 1e-13
+
+
 def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known() -> None:
     record = still_record()
     record.object_position[:], record.object_quaternion[:] = 0.0, STRAIGHT
@@ -359,3 +374,12 @@ def test_peaks_of_friction_count_from_20_ms_on() -> None:
     record.forces[1, 0], record.forces[2, 1] = (50.0, 10.0, 0.0), (6.0, 10.0, 8.0)
     found = metrics(record).max_required_friction
     assert found == pytest.approx({"a": 0.0, "b": 1.0, "c": 0.0})
+
+
+def test_settling_counts_from_the_last_of_several_turns_and_shifts() -> None:
+    record = still_record()
+    record.desired_position[2:, 1] = 1e-4
+    record.desired_quaternion[6:] = record.auxiliary_quaternion[8:] = turned(0.2)
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.2)
+    record.desired_position[7:, 1] = 2e-4
+    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.1)

@@ -86,6 +86,15 @@ class TestRecord:
         np.testing.assert_array_equal(record.theta, [[1.0, 2.0]] * 3)
         assert np.isnan(record.rates).all() and record.forces.shape == (3, 0, 3)
 
+    def test_a_message_between_two_ticks_belongs_to_neither(self, tmp_path: Path) -> None:
+        with RunWriter(tmp_path / "bag") as bag:
+            for tick in (0, 10, 20):
+                tick_only(bag, tick, tick)
+            for stamp in (10, 15):
+                bag.write("/grasp_force", recorded.wrench(stamp, (0.0, float(stamp), 0.0)), 21)
+        record = Run(tmp_path / "bag").record
+        np.testing.assert_array_equal(record.grasp_force, [np.nan, 10.0, np.nan])
+
     def test_repeated_ticks_count_once(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             for at, tick in enumerate([0, 2, 2, 2, 4]):
@@ -529,11 +538,15 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path)
     with RunWriter(tmp_path / "bag") as bag:
         for tick in range(4):
             tick_only(bag, tick, tick)
-        for stamp, node, key in ((3, "manipulation_controller", "a"), (1, "slip_regulator", "b")):
+        late, early = 2 * 10**9 + 3, 10**9 + 5
+        for stamp, node, key in (
+            (late, "manipulation_controller", "a"),
+            (early, "slip_regulator", "b"),
+        ):
             refused = request_message(stamp, node, key, "too far")
             bag.write(f"/rejected/{node}", refused, stamp)
     run = Run(tmp_path / "bag")
-    assert run.refusals == [(1, "b", "too far"), (3, "a", "too far")]
+    assert run.refusals == [(early, "b", "too far"), (late, "a", "too far")]
     assert [each.text for each in run.events if each.kind == "refusal"] == [
         "b is refused: too far",
         "a is refused: too far",

@@ -77,3 +77,14 @@ def test_events_at_the_start_and_at_the_end_are_none() -> None:
     changed = {"plant.disturbances": pushes, "plant.friction_changes": [], "duration": 8.0}
     found = recoveries(record_of(lambda t: 0.0), load_scenario("pull", changed))
     assert [each.start for each in found] == [1.0]
+
+
+def test_pushes_and_changes_of_friction_count_from_their_own_time_between_two_ticks() -> None:
+    push = {"kind": "step", "start": 1.004, "force": [0.0, 3.0, 4.0]}
+    changes = [{"start": 3.002, "friction": 0.2}]
+    scenario = load_scenario(
+        "pull", {"plant.disturbances": [push], "plant.friction_changes": changes, "duration": 8.0}
+    )
+    first, second = recoveries(record_of(lambda t: 0.002 if 1.0 < t < 1.495 else 0.0), scenario)
+    assert (first.start, first.time) == (1.004, pytest.approx(0.496))
+    assert (second.start, second.time) == (3.002, 0.0)

@@ -34,7 +34,7 @@ def test_unknown_namespace() -> None:
 
 def test_no_hand() -> None:
     with pytest.raises(BagError, match="no topic joint_states"):
-        find_prefix(["/joint_states_raw", "/clock"], None, "bag")
+        find_prefix(["/joint_states_raw", "/other_joint_states", "/clock"], None, "bag")
 
 
 def test_fingers_in_natural_order_and_of_this_hand_only() -> None:

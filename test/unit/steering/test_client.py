@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Float64
@@ -148,6 +149,7 @@ def test_a_pose_is_asked_for_once_and_has_the_time_from_which_it_is_the_target(
     point = pose.pose.position
     assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
     assert (turn_of(pose) * wanted.inv()).magnitude() < 1e-9
+    assert (pose.header.stamp.sec, pose.header.stamp.nanosec) == (0, 0)  # from now on
 
 
 def test_a_turn_counts_from_the_present_orientation_about_the_axes_of_the_palm(
@@ -166,6 +168,7 @@ def test_a_squeeze_has_the_time_at_which_it_takes_effect(hand: Hand, client: Han
 def test_what_stays_without_an_answer_is_sent_again(
     hand: Hand, client: HandClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert module._AGAIN == 1.0  # s
     monkeypatch.setattr(module, "_AGAIN", 0.05)
     hand.ignored = 2
     assert client.squeeze(3.0) == pytest.approx(12.5)
@@ -226,6 +229,55 @@ def test_a_hand_that_does_not_know_its_pose_cannot_turn_from_it(
         with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
             client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
     assert served["real"].poses == []
+
+
+def test_a_user_is_a_node_for_a_while_whose_parameters_are_its_own(context: Context) -> None:
+    with user_node(context, "/alone") as node:
+        offered = node.get_service_names_and_types_by_node(node.get_name(), "/alone")
+        assert not [name for name, _ in offered if "parameters" in name]
+    with pytest.raises(InvalidHandle):
+        node.get_name()
+
+
+@pytest.fixture
+def half(context: Context) -> Iterator[Node]:
+    """Return a node where a part of a hand may be."""
+    node = Node("half", context=context, namespace="/half")
+    yield node
+    node.destroy_node()
+
+
+def absent_for_a_user(context: Context, command: Callable[[HandClient], Any]) -> None:
+    with user_node(context, "/half") as node, pytest.raises(SteeringError, match="no hand is"):
+        command(HandClient(node, 0.1))
+
+
+@pytest.mark.parametrize("missing", ["command", "accepted", "rejected"])
+def test_a_squeeze_is_sent_only_where_it_is_taken_and_answered(
+    half: Node, context: Context, missing: str
+) -> None:
+    if missing != "command":
+        half.create_subscription(Float64, names.USER_GRASP_FORCE, id, qos.user_qos())
+    if missing != "accepted":
+        half.create_publisher(WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos())
+    if missing != "rejected":
+        half.create_publisher(DiagnosticArray, names.rejected(names.REGULATOR), qos.user_qos())
+    absent_for_a_user(context, lambda client: client.squeeze(1.0))
+
+
+def test_nothing_is_reset_before_the_controller_is_there(half: Node, context: Context) -> None:
+    """It is reset last: what began without it would stay half done."""
+    called: list[Any] = []
+
+    def answer(request: Any, response: Trigger.Response) -> Trigger.Response:
+        called.append(request)
+        response.success = True
+        return response
+
+    half.create_service(Trigger, f"{names.PLANT}/reset", answer)
+    with spinning(half):
+        absent_for_a_user(context, lambda client: client.reset())
+    assert called == []
 
 
 def test_without_a_hand_there_is_one_sentence(context: Context) -> None:

@@ -6,7 +6,7 @@ import pytest
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.plausibility.press import PressWatch
+from tactile_hand_ros.control.plausibility.press import PressWatch, _noticeable
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -204,3 +204,26 @@ def test_a_finger_may_repeat_its_force_for_forty_milliseconds():
     """From the tick on at which the comparison began, 1 ms."""
     assert not any(frozen(1.0, (20.0, 40.9)))
     assert [bool(each) for each in frozen(1.0, (20.0, 41.1))] == [False, False, False, True]
+
+
+def test_what_a_skin_must_notice_is_a_share_and_three_of_its_steps_at_the_longest_lever():
+    linear = 0.1 * np.array([[3.0, 1.0, 0.0], [4.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
+    assert _noticeable(2.0, linear, 0.001) == pytest.approx(0.002 + 0.02 + 3.0 * 0.5 * 0.001)
+    assert _noticeable(2.0, linear, 0.1) == _noticeable(2.0, linear, np.inf) == 0.05 + 0.1
+
+
+@pytest.mark.parametrize(("factor", "found"), [(0.999, False), (1.001, True)])
+def test_the_finest_of_all_changes_of_a_force_counts(factor, found):
+    """Once one component has changed by 1 mN, and later all of them by more."""
+    base = torque(FORCES)
+    own = base[3:6]
+    lever = np.linalg.norm(TERMS[0].linear[1], axis=0).max()
+    limit = 0.002 + 0.01 * np.abs(own).max() + 3.0 * lever * 0.001
+    changed = base + factor * limit * np.eye(9)[3]
+    shifts = ([0.0] * 3, [0.2, 0.0, 0.3], [0.2, 0.001, 0.7], [0.0] * 3, [0.0] * 3, [0.0] * 3)
+    seen = []
+    for tick, (stamp, shift) in enumerate(zip((0, 1, 2, 3, 1000, 1001), shifts, strict=True)):
+        moving = noisy(tick)
+        moving[1] = FORCES[1] + shift
+        seen += at_rest((stamp,), moving, changed if tick > 3 else base)
+    assert bool(verdicts(seen, 1e3)[-1]) == found
