@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -32,34 +33,10 @@ class _Frozen(NamedTuple):
     pressed: Array
 
 
-class _Range:
-    """Between which values something was lately."""
-
-    def __init__(self, stamp: int, value: Array) -> None:
-        """Begin with a value at a tick, ns."""
-        self._since, self._low, self._high = stamp, value, value
-        self._earlier = value, value
-
-    def take(self, stamp: int, value: Array, age: float) -> None:
-        """Take the value at a tick, ns; keep those of an age, s, and of up to twice that."""
-        if 1e-9 * (stamp - self._since) < age:
-            self._low, self._high = np.minimum(self._low, value), np.maximum(self._high, value)
-            return
-        self._earlier = (self._low, self._high) if age > 0.0 else (value, value)
-        self._since, self._low, self._high = stamp, value, value
-
-    def beyond(self, value: Array) -> Array:
-        """Return how far a value is outside, zero inside."""
-        low, high = self._earlier
-        above = value - np.maximum(self._high, high)
-        below = value - np.minimum(self._low, low)
-        return np.maximum(above, 0.0) + np.minimum(below, 0.0)
-
-
 class PressWatch:
     """Compares the measured forces with the torques that the joints report.
 
-    A skin's samples are some milliseconds old: its forces may belong to any torque since then.
+    A skin's samples are some milliseconds old: its forces are those of one time since then.
     """
 
     def __init__(self) -> None:
@@ -71,7 +48,8 @@ class PressWatch:
         self._last: tuple[int, Array] | None = None
         self._pressed = self._felt = np.zeros(0)
         self._began = 0
-        self._range: _Range | None = None
+        self._past: deque[Array] = deque()
+        self._stamps: deque[int] = deque()
         self._frozen: list[_Frozen] = []
         self._finest: list[float] = []  # smallest change of a component of each force, N
 
@@ -107,22 +85,34 @@ class PressWatch:
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
         felt = joint_torques(*tips, contacts.positions, in_palm(contacts.rotations, forces, 1.0))
-        if self._range is None:
+        if not self._past:
             self._pressed = self._felt = pressed
-            self._began, self._range = stamp, _Range(stamp, pressed)
+            self._began = stamp
         share = 1.0 - math.exp(-dt / FELT_TIME)
         self._pressed = self._pressed + share * (pressed - self._pressed)
         if 1e-9 * (stamp - self._began) < latency:  # forces may be those of torques before
             felt = self._pressed
         self._felt = self._felt + share * (felt - self._felt)
-        self._range.take(stamp, self._pressed, latency)
-        excess = self._range.beyond(self._felt)
-        most = _LEAST + tolerance * math.sqrt(self._pressed @ self._pressed)
-        if math.sqrt(excess @ excess) > most:
+        self._remember(stamp, latency)
+        if not any(self._fits(past, tolerance) for past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
         if self._is_frozen(stamp, tips, forces):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
+
+    def _remember(self, stamp: int, latency: float) -> None:
+        """Keep what was pressed at the times that the forces may be of."""
+        self._past.append(self._pressed)
+        self._stamps.append(stamp)
+        while 1e-9 * (stamp - self._stamps[0]) > latency:
+            self._past.popleft()
+            self._stamps.popleft()
+
+    def _fits(self, pressed: Array, tolerance: float) -> bool:
+        """Return whether what is felt may be what was pressed at some time, shape (m,), N m."""
+        error = self._felt - pressed
+        most = _LEAST + tolerance * math.sqrt(pressed @ pressed)
+        return math.sqrt(error @ error) <= most
 
     def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array) -> bool:
         """Return whether a finger repeats its force to the bit for long, under another torque."""

@@ -16,9 +16,10 @@ from rclpy.context import Context
 from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator import command, conduct, participation, processes, summary
+from tactile_hand_ros.orchestrator import command, conduct, participation, processes
 from tactile_hand_ros.orchestrator.claim import ClaimedError, claim
 from tactile_hand_ros.orchestrator.request import Request, _scenarios
+from tactile_hand_ros.orchestrator.results import judgement, reading, report, summary, table
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
@@ -208,32 +209,32 @@ def test_who_steers_is_told_how_and_a_bar_has_an_end_only_if_the_run_has_one(
     assert isinstance(silent.views[0][1], Silence) and not isinstance(silent.views[0][1], Bar)
 
 
-@pytest.mark.parametrize("report", [True, False])
+@pytest.mark.parametrize("wanted", [True, False])
 def test_report_table_and_pace_are_shown_where_there_are_any(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, report: Any
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, wanted: Any
 ) -> None:
     asked: list[Any] = []
 
     def read(plan: Any, directory: Any, *, finished: bool) -> Any:
         asked.append((directory, finished))
-        return summary.Results({"a": 1})
+        return reading.Results({"a": 1})
 
-    monkeypatch.setattr(summary, "read_results", read)
-    monkeypatch.setattr(summary, "judge", lambda *_: summary.GoalVerdict("x", ["why", "so"], 5))
+    monkeypatch.setattr(reading, "read_results", read)
+    monkeypatch.setattr(judgement, "judge", lambda *_: judgement.GoalVerdict("x", ["why", "so"], 5))
     monkeypatch.setattr(summary, "write_summary", lambda *args: asked.append(len(args)))
-    monkeypatch.setattr(summary, "table", lambda *_: "the table")
+    monkeypatch.setattr(table, "table", lambda *_: "the table")
     slow = SimpleNamespace(too_slow="too slow")
-    monkeypatch.setattr(summary, "deadlines_of", lambda *_: slow)
-    monkeypatch.setattr(summary, "report_line", lambda _: "report: here")
-    monkeypatch.setattr(summary, "open_report", lambda _: "opened it")
+    monkeypatch.setattr(reading, "deadlines_of", lambda *_: slow)
+    monkeypatch.setattr(report, "report_line", lambda _: "report: here")
+    monkeypatch.setattr(report, "open_report", lambda _: "opened it")
     session = Shown(tmp_path, RunOutcome(failure="broken"))
-    code, lines, errors = shown(session, capsys, report=report, open_report=report)
+    code, lines, errors = shown(session, capsys, report=wanted, open_report=wanted)
     assert asked == [(session.directory, False), 5]
-    own = ["report: here", "opened it"] if report else []
+    own = ["report: here", "opened it"] if wanted else []
     assert lines[2:] == ["the table", "too slow", *own, f"x; everything is in {tmp_path}"]
     assert (code, errors) == (5, ["why", "so"])
     slow.too_slow = ""
-    monkeypatch.setattr(summary, "read_results", lambda *_, finished: summary.Results())
+    monkeypatch.setattr(reading, "read_results", lambda *_, finished: reading.Results())
     assert shown(session, capsys, report=False)[1][2:] == [f"x; everything is in {tmp_path}"]
 
 
@@ -242,7 +243,7 @@ class Bag:
 
     def __init__(self, ticks: int = 51, lost: str = "0") -> None:
         recording = {"absent": [], "topics": {}}
-        told = {} if lost == "0" else {summary.LOST_KEY: lost}
+        told = {} if lost == "0" else {reading.LOST_KEY: lost}
         self.metrics = SimpleNamespace(to_dict=lambda: {"ticks": ticks})
         self.bag_metrics = SimpleNamespace(to_dict=lambda: dict(recording))
         self.ledger = [SimpleNamespace(to_dict=lambda: {"name": "A1"})]
@@ -270,9 +271,9 @@ def test_a_bag_is_checked_for_ticks_and_losses(
 ) -> None:
     given: list[Any] = []
     bag = Bag(ticks, lost)
-    monkeypatch.setattr(summary, "Run", lambda *args, **own: given.append((args, own)) or bag)
+    monkeypatch.setattr(reading, "Run", lambda *args, **own: given.append((args, own)) or bag)
     plan = Plan(load_scenario("paper", {"duration": 0.1}), "/left", interactive=True)
-    found = summary.read_results(plan, RunDirectory(tmp_path), finished=finished)
+    found = reading.read_results(plan, RunDirectory(tmp_path), finished=finished)
     assert given == [((tmp_path,), {"namespace": "/left", "steered": True})]
     assert found.problems == problems and found.run is bag  # type: ignore[comparison-overlap]
     assert found.recording["expected_ticks"] == (51 if finished else None)

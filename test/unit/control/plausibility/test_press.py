@@ -57,6 +57,18 @@ def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
     assert 50 + 8 <= found <= 50 + 17
 
 
+def test_one_finger_that_is_later_than_the_others_is_doubted():
+    """A finger whose skin is stuck while the squeeze grows: no time fits all three."""
+
+    def grows(tick):
+        return noisy(tick) * (4.0 if tick >= 50 else 1.0)
+
+    def one_stays(tick):
+        return np.vstack([noisy(min(tick, 49))[:1], grows(tick)[1:]])
+
+    assert first_doubt(one_stays, grows, latency=0.015) in (50, 51, 52, 53)
+
+
 def test_what_is_wrong_under_steady_torques_is_doubted_no_later_for_a_late_skin():
     wrong = lambda tick: noisy(tick) * (-1.0 if tick >= 50 else 1.0)  # noqa: E731
     assert first_doubt(wrong, noisy, latency=0.015) in (50, 51, 52)
