@@ -174,7 +174,10 @@ class WriterProcess:
         while self._waiting and select.select([], [self._pipe], [], _PATIENCE)[1]:
             self.send()
         if not select.select([self._answers], [], [], _PATIENCE)[0]:
-            raise BagError(f"The process that writes {self.folder} has not answered; it was ended.")
+            raise BagError(
+                f"The process that writes {self.folder} has not answered for {_PATIENCE:g} s;"
+                f" `tactile-hand recover {self.folder}` saves what it has written."
+            )
         return self._received()
 
     def _received(self) -> Any:
