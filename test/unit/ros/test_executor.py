@@ -150,7 +150,7 @@ def test_bytes_that_cannot_be_read_concern_their_owner(
     monkeypatch.undo()
 
 
-def test_a_request_is_read_with_8_mib_of_room(
+def test_a_request_is_read_with_2_mib_of_room(
     executor: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rooms: list[int] = []
@@ -158,7 +158,7 @@ def test_a_request_is_read_with_8_mib_of_room(
         module, "bounded_memory", lambda room: rooms.append(room) or bounded_memory(room)
     )
     monkeypatch.setattr(SingleThreadedExecutor, "_take_service", lambda *_: "good")
-    assert executor._take_service(SimpleNamespace()) == "good" and rooms == [8 << 20]
+    assert executor._take_service(SimpleNamespace()) == "good" and rooms == [2 << 20]
 
 
 @pytest.fixture
