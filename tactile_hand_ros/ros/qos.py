@@ -14,10 +14,9 @@ from rclpy.qos import (
 TICK_DEPTH = 100
 """Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
 
-PUBLISHED_DEPTH = 1000
-"""Messages that a publisher keeps of a tick topic: 2 s at 500 Hz, for a recorder that fell behind.
-In lockstep all nodes wait for each other, but none waits for the recorder. A subscriber that stays
-slow loses messages whatever is kept, and costs the publisher the more the more it keeps."""
+PUBLISHED_DEPTH = 3000
+"""Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
+In lockstep all nodes wait for each other, but none waits for the recorder."""
 
 
 def tick_qos() -> QoSProfile:

@@ -11,7 +11,7 @@ from tactile_hand_ros.ros import qos
 
 PROFILES = {
     "tick": (qos.tick_qos, 100, DurabilityPolicy.VOLATILE),
-    "tick publisher": (qos.tick_publisher_qos, 1000, DurabilityPolicy.VOLATILE),
+    "tick publisher": (qos.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
     "latched": (qos.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
     "user": (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
 }
