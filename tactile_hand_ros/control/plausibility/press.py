@@ -48,8 +48,7 @@ class PressWatch:
         self._last: tuple[int, Array] | None = None
         self._pressed = self._felt = np.zeros(0)
         self._began = 0
-        self._past: deque[Array] = deque()
-        self._stamps: deque[int] = deque()
+        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and what was pressed then
         self._frozen: list[_Frozen] = []
         self._finest: list[float] = []  # smallest change of a component of each force, N
 
@@ -94,7 +93,7 @@ class PressWatch:
             felt = self._pressed
         self._felt = self._felt + share * (felt - self._felt)
         self._remember(stamp, latency)
-        if not any(self._fits(past, tolerance) for past in reversed(self._past)):
+        if not any(self._fits(past, tolerance) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
         if self._is_frozen(stamp, tips, forces):
             return "the forces of a finger do not change although its torques do; holding"
@@ -102,11 +101,9 @@ class PressWatch:
 
     def _remember(self, stamp: int, latency: float) -> None:
         """Keep what was pressed at the times that the forces may be of."""
-        self._past.append(self._pressed)
-        self._stamps.append(stamp)
-        while 1e-9 * (stamp - self._stamps[0]) > latency:
+        self._past.append((stamp, self._pressed))
+        while 1e-9 * (stamp - self._past[0][0]) > latency:
             self._past.popleft()
-            self._stamps.popleft()
 
     def _fits(self, pressed: Array, tolerance: float) -> bool:
         """Return whether what is felt may be what was pressed at some time, shape (m,), N m."""
