@@ -16,11 +16,7 @@ from typing import Any
 from mcap.records import Header
 
 from tactile_hand_ros.bag.bag_file import LIBRARY
-from tactile_hand_ros.bag.metadata import (
-    FILE_NAME,
-    BagMetadata,
-    FileMetadata,
-)
+from tactile_hand_ros.bag.metadata import FILE_NAME, BagMetadata, FileMetadata
 from tactile_hand_ros.bag.metadata_file import check_regular, read_metadata
 from tactile_hand_ros.bag.rewrite import (
     RewrittenFile,
@@ -300,12 +296,12 @@ def _keep(file: Path) -> Path:
     for number in itertools.count():
         kept = file.with_name(f"{file.name}{BROKEN}{number or ''}")
         with contextlib.suppress(FileExistsError):
-            _link_orrewrite(file, kept)
+            _link_or_copy(file, kept)
             break
     return kept
 
 
-def _link_orrewrite(file: Path, kept: Path) -> None:
+def _link_or_copy(file: Path, kept: Path) -> None:
     """Give a file a second name.
 
     Raises:

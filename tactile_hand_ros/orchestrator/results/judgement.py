@@ -78,7 +78,7 @@ def _missed(plan: Plan, outcome: RunOutcome, results: Results) -> list[str]:
         seen = None if math.isnan(outcome.position_error) else outcome.position_error
         checks = [Judged("final position error", seen, goal.position_error, "m")]
     return [
-        f"the {each.name} is {_known(each.value)} {each.unit}, the goal is {each.limit:g} "
+        f"the {each.name} is {number(each.value)} {each.unit}, the goal is {each.limit:g} "
         f"{each.unit}"
         for each in checks
         if not each.passed
@@ -92,5 +92,6 @@ def told(verdict: GoalVerdict, results: Results) -> str:
     return verdict.outcome
 
 
-def _known(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Return a number with four digits, or that it is not known."""
     return "unknown" if value is None else f"{value:.4g}"

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP
 from tactile_hand_ros.names import JOINT_COMMAND
+from tactile_hand_ros.orchestrator.results.judgement import number
 from tactile_hand_ros.orchestrator.results.reading import Results, deadlines_of, is_lockstep
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.tables import milli, recovery_rows
@@ -42,12 +43,12 @@ def _rows(plan: Plan, outcome: RunOutcome, results: Results) -> list[Row]:
         *(_held_rows(plan, results) if held else []),
         *_slip_rows(plan, m),
         _plain("required friction, peak", f"{max(friction):.3f}" if friction else "unknown"),
-        _plain("peak joint rate", f"{_number(m['peak_joint_rate_rad_per_s'])} rad/s"),
+        _plain("peak joint rate", f"{number(m['peak_joint_rate_rad_per_s'])} rad/s"),
         _plain("ticks with a lost contact", str(m["contacts_lost_ticks"])),
         _row("ticks", str(m["ticks"]), expected, not expected or expected == str(m["ticks"])),
         *_answered(plan, r),
         *_deadline_rows(deadlines_of(plan, outcome)),
-        _plain("tick rate", f"{_number(r['ticks_per_second'])} ticks/s"),
+        _plain("tick rate", f"{number(r['ticks_per_second'])} ticks/s"),
         _row("messages recorded, lost", f"{r['messages']}, {lost}", "none lost", not lost),
         _plain("start to first tick", _seconds(outcome.startup.get("first_tick_answered"))),
     ]
@@ -72,18 +73,18 @@ def _held_rows(plan: Plan, results: Results) -> list[Row]:
     recovered = recovery_rows(results.run.recoveries) if results.run is not None else []
     errors = judged(m, plan.scenario.goal)[:2]
     goals = [] if plan.interactive else errors
-    total = f"{_number(m['normal_force_sum_N'])} N"
+    total = f"{number(m['normal_force_sum_N'])} N"
     return [
         *(_limited(each, bool(goals)) for each in errors),
         *([_plain("settling time", _seconds(m["settling_time_s"]))] if goals else []),
-        _plain("squeeze k_f", f"{_number(m['final_grasp_force_N'])} N"),
+        _plain("squeeze k_f", f"{number(m['final_grasp_force_N'])} N"),
         _plain(
             "sum of normal forces", f"{total}, {_percent(m['normal_force_sum_relative_error'])} off"
         ),
         *(
             _plain(
                 f"normal force, {finger}",
-                f"{_number(force)} N, k_f f* = {_number(m['optimal_normal_forces_N'][finger])} N",
+                f"{number(force)} N, k_f f* = {number(m['optimal_normal_forces_N'][finger])} N",
             )
             for finger, force in m["final_normal_forces_N"].items()
         ),
@@ -131,10 +132,6 @@ def _deadline_rows(deadlines: Deadlines | None) -> list[Row]:
 
 def _seconds(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.4g} s"
-
-
-def _number(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4g}"
 
 
 def _percent(value: float | None) -> str:
