@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
@@ -28,7 +26,6 @@ from tactile_hand_ros.nodes.plant import real_time
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import OK, WARN
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.streams import Joints
@@ -51,26 +48,6 @@ def keep(publisher: Any) -> list[Any]:
 def level(node: Any) -> tuple[bytes, str]:
     status = node.diagnostics.status()
     return status.level, status.message
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[Any]:
-    with isolated_domain() as domain, private_context(domain) as made:
-        yield made
-
-
-@pytest.fixture
-def make(context: Any) -> Iterator[Callable[..., Any]]:
-    made: list[Node] = []
-
-    def _make(kind: type[Node], **parameters: Any) -> Any:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        made.append(kind(context=context, parameter_overrides=overrides))
-        return made[-1]
-
-    yield _make
-    for node in made:
-        node.destroy_node()
 
 
 class Regulator:
@@ -372,7 +349,6 @@ def test_a_computer_that_is_too_slow_is_complained_of_once(
         assert shown.get(f"fault {names.TOO_SLOW}") == expected
     assert lines == ["too slow"] and found["in_time_ticks"] == 0
     assert shown[names.TOO_SLOW] == "slower"
-    node.close()
 
 
 def test_in_lockstep_nothing_is_judged(make: Callable[..., Any]) -> None:
@@ -383,7 +359,6 @@ def test_in_lockstep_nothing_is_judged(make: Callable[..., Any]) -> None:
     watch.answered()
     watch.report(found.__setitem__)
     assert found == {"late_commands": 0}
-    node.close()
 
 
 def test_in_real_time_ticks_are_judged_until_time_stands_still(make: Callable[..., Any]) -> None:
@@ -409,4 +384,3 @@ def test_in_real_time_ticks_are_judged_until_time_stands_still(make: Callable[..
     watch.stop()
     watch.answered()
     assert counted() == (1, 1, 2)
-    node.close()

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -25,7 +24,6 @@ from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.nodes.tactile_sensor.node import TactileSensorNode
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import ContactPoses, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.streams import Joints
@@ -52,27 +50,6 @@ def keep(publisher: Any) -> list[Any]:
 
 def said(node: Any) -> dict[str, str]:
     return {pair.key: pair.value for pair in node.diagnostics.status().values}
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[Any]:
-    with isolated_domain() as domain, private_context(domain) as made:
-        yield made
-
-
-@pytest.fixture
-def make(context: Any) -> Iterator[Callable[..., Any]]:
-    made: list[Any] = []
-
-    def _make(kind: type[Node], **parameters: Any) -> Any:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        made.append(kind(context=context, parameter_overrides=overrides))
-        return made[-1]
-
-    yield _make
-    for node in made:
-        node.close()
-        node.destroy_node()
 
 
 class Optimizer:
