@@ -39,10 +39,12 @@ from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wa
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
-_NOT_EVERY_TICK = (
-    *(names.ROBOT_DESCRIPTION, names.JOINT_HOLD, names.TOUCH_DOUBT),
-    names.HAPTIC_FEEDBACK,
+_NOW_AND_THEN = (
+    *(names.ROBOT_DESCRIPTION, names.JOINT_HOLD, names.TOUCH_DOUBT, names.HAPTIC_FEEDBACK),
+    *("accepted/", "rejected/"),
 )
+"""How the names of those topics begin that do not get a message at each tick."""
+
 _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s
@@ -83,6 +85,15 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
         plant = next(m for m, roles in zip(members, processes, strict=True) if PLANT in roles)
         plant.wait_for_output("ticks/s", _PATIENCE)
         return float(plant.stdout.split()[0])
+
+
+def each_tick() -> list[Link]:
+    """Return the topics that get a message at each tick."""
+    return [
+        link
+        for link in links(load_scenario(SCENARIO))
+        if link.publisher in NODES and not link.topic.startswith(_NOW_AND_THEN)
+    ]
 
 
 class Role:
@@ -156,15 +167,10 @@ class Role:
 def main() -> None:
     """Serve the roles until a signal."""
     names, recorders, ticks = sys.argv[1].split(","), int(sys.argv[2]), int(sys.argv[3])
-    wiring = [
-        link
-        for link in links(load_scenario(SCENARIO))
-        if link.publisher in NODES and link.topic not in _NOT_EVERY_TICK
-    ]
     use_sockets()
     rclpy.init()
     try:
-        spin([Role(name, wiring, recorders, ticks).node for name in names])
+        spin([Role(name, each_tick(), recorders, ticks).node for name in names])
     except (KeyboardInterrupt, ExternalShutdownException):
         return
 

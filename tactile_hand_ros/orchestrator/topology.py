@@ -50,7 +50,7 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.TOUCH_DOUBT, names.CONTROLLER, (names.REGULATOR, *shaping)),
         Link(names.ROBOT_DESCRIPTION, names.PLANT),
         Link(names.CLOCK, names.PLANT),
-        Link(names.CONTACTS, names.SENSOR, (names.OPTIMIZER, names.CONTROLLER)),
+        Link(names.CONTACTS, names.SENSOR, _ACTING),
         Link(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
         Link(names.GRIP_STATE, names.REGULATOR, shaping),
         Link(names.HAPTIC_FEEDBACK, names.REGULATOR),

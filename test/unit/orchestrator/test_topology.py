@@ -36,7 +36,7 @@ def test_the_topics_of_the_paper_and_their_ends() -> None:
         "touch_doubt": (CONTROLLER, REGULATOR),
         "robot_description": (PLANT,),
         "clock": (PLANT,),
-        "tactile/contacts": (SENSOR, OPTIMIZER, CONTROLLER),
+        "tactile/contacts": (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER),
         "grasp_force": (REGULATOR, CONTROLLER),
         "grip_state": (REGULATOR,),
         "haptic_feedback": (REGULATOR,),
