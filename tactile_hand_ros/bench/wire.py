@@ -25,7 +25,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from tactile_hand_ros import names
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import SCENARIO, Workload
 from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
@@ -39,12 +38,6 @@ from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wa
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
-_NOW_AND_THEN = (
-    *(names.ROBOT_DESCRIPTION, names.JOINT_HOLD, names.TOUCH_DOUBT, names.HAPTIC_FEEDBACK),
-    *("accepted/", "rejected/"),
-)
-"""How the names of those topics begin that do not get a message at each tick."""
-
 _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s
@@ -92,7 +85,7 @@ def each_tick() -> list[Link]:
     return [
         link
         for link in links(load_scenario(SCENARIO))
-        if link.publisher in NODES and not link.topic.startswith(_NOW_AND_THEN)
+        if link.publisher in NODES and link.each_tick
     ]
 
 

@@ -14,11 +14,19 @@ _ACTING = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
 
 @dataclass(frozen=True)
 class Link:
-    """One topic, who publishes it and who must have subscribed to it."""
+    """One topic, who publishes it and who must have subscribed to it.
+
+    Attributes:
+        topic: Relative name.
+        publisher: A node.
+        subscribers: Other nodes.
+        each_tick: Whether each tick has a message of it.
+    """
 
     topic: str
     publisher: str
     subscribers: tuple[str, ...] = ()
+    each_tick: bool = True
 
 
 def links(scenario: Scenario) -> list[Link]:
@@ -46,26 +54,31 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.TRUE_CONTACTS, names.PLANT, (names.SENSOR,)),
         Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, names.PLANT),
-        Link(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
-        Link(names.TOUCH_DOUBT, names.CONTROLLER, (names.REGULATOR, *shaping)),
-        Link(names.ROBOT_DESCRIPTION, names.PLANT),
+        _event(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
+        _event(names.TOUCH_DOUBT, names.CONTROLLER, (names.REGULATOR, *shaping)),
+        _event(names.ROBOT_DESCRIPTION, names.PLANT),
         Link(names.CLOCK, names.PLANT),
         Link(names.CONTACTS, names.SENSOR, _ACTING),
         Link(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
         Link(names.GRIP_STATE, names.REGULATOR, shaping),
-        Link(names.HAPTIC_FEEDBACK, names.REGULATOR),
+        _event(names.HAPTIC_FEEDBACK, names.REGULATOR),
         Link(names.JOINT_COMMAND, names.CONTROLLER, (names.PLANT,)),
         Link(names.AUXILIARY_POSE, names.CONTROLLER),
-        Link(names.ACCEPTED_POSE, names.CONTROLLER),
-        Link(names.ACCEPTED_FORCE, names.REGULATOR),
-        *(Link(names.accepted_parameters(node), node) for node in _ACTING),
+        _event(names.ACCEPTED_POSE, names.CONTROLLER),
+        _event(names.ACCEPTED_FORCE, names.REGULATOR),
+        *(_event(names.accepted_parameters(node), node) for node in _ACTING),
         *(
-            Link(names.accepted_requests(node), node)
+            _event(names.accepted_requests(node), node)
             for node in (names.REGULATOR, *shaping, names.CONTROLLER)
         ),
-        Link(names.rejected(names.REGULATOR), names.REGULATOR),
-        Link(names.rejected(names.CONTROLLER), names.CONTROLLER),
-        Link(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
-        Link(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
+        _event(names.rejected(names.REGULATOR), names.REGULATOR),
+        _event(names.rejected(names.CONTROLLER), names.CONTROLLER),
+        _event(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
+        _event(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
         *per_finger,
     ]
+
+
+def _event(topic: str, publisher: str, subscribers: tuple[str, ...] = ()) -> Link:
+    """Return a topic that has messages now and then."""
+    return Link(topic, publisher, subscribers, each_tick=False)
