@@ -8,8 +8,9 @@ import pytest
 
 from tactile_hand_ros.bench.realtime.cases import LOADED, LoadCase, run_load_case
 from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
-from tactile_hand_ros.bench.wire import rate
-from tactile_hand_ros.closed_loop.scenario import NODES
+from tactile_hand_ros.bench.wire import each_tick, rate
+from tactile_hand_ros.bench.written import written_calls
+from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 
 
 def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:
@@ -37,3 +38,12 @@ def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
 def test_ticks_go_round_by_messages_alone() -> None:
     """Between two processes, and among the nodes of each."""
     assert rate((",".join(NODES[:2]), ",".join(NODES[2:])), 20, recorded=False) > 0.0
+
+
+def test_the_wire_carries_what_a_tick_does() -> None:
+    wiring = each_tick()
+    assert (len(wiring), sum(len(link.subscribers) for link in wiring)) == (19, 17)
+
+
+def test_function_calls_can_write_a_bag() -> None:
+    assert written_calls(load_scenario("paper"), 20) > 0.0

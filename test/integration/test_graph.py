@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.bench.written import TickMessages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
@@ -138,6 +139,16 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
     return {topic: [data for data, _ in groupby(sent)] for topic, sent in found.items()}
 
 
+def encoded(run: Record) -> dict[str, list[bytes]]:
+    """Return the bytes of every topic for a run by function calls."""
+    found: dict[str, list[bytes]] = {}
+    messages = TickMessages(run)
+    for row in range(len(run)):
+        for topic, _, data in messages.of(row):
+            found.setdefault(f"/{topic}", []).append(data)
+    return found
+
+
 def assert_same(recorded: Record, expected: Record) -> None:
     """Compare, to the bit, everything that ticks carry."""
     assert recorded.finger_names == expected.finger_names
@@ -167,7 +178,9 @@ def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph: Graph
 def test_the_graph_gives_the_numbers_of_function_calls(
     bags: dict[str, Path], name: str, noise: dict[str, float]
 ) -> None:
-    assert_same(Run(bags[name]).record, ClosedLoop(noisy(noise)).run())
+    expected = ClosedLoop(noisy(noise)).run()
+    assert_same(Run(bags[name]).record, expected)
+    assert payloads(bags[name]) == encoded(expected)
 
 
 def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:

@@ -55,7 +55,9 @@ LAYERS = {
     "steering": BASE | {"ros"},
     "orchestrator": BASE | RUNS | {"report", "ros", "nodes"},
     "studies": BASE | RUNS | {"report", "simulation", "ros", "nodes"},
-    "bench": BASE | RUNS | {"report", "verify", "simulation", "ros", "orchestrator", "studies"},
+    "bench": BASE
+    | RUNS
+    | {"report", "verify", "simulation", "ros", "orchestrator", "studies", "nodes"},
 }
 CLOCKS = {"time", "datetime"}
 # What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.

@@ -84,7 +84,7 @@ def test_ends_that_have_not_met_are_named(hand: dict[str, Node]) -> None:
     wait_until(lambda: len(gaps(wiring, facts)) == 2)
     assert gaps(wiring, facts) == [
         (names.OPTIMIZER, f"{names.OPTIMIZER} has not met the publisher of {topic}"),
-        (names.SENSOR, f"{names.SENSOR} has met 1 of 2 subscribers of {topic}"),
+        (names.SENSOR, f"{names.SENSOR} has met 1 of 3 subscribers of {topic}"),
     ]
     assert gaps(wiring) == []
 

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop by function calls that writes the bag of a run: a limit for nodes in one process."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
+from tactile_hand_ros.ros.messages.wire import (
+    ContactsCodec,
+    GripCodec,
+    JointCodec,
+    PoseCodec,
+    SlipCodec,
+    WrenchCodec,
+    clock_bytes,
+)
+
+_JOINTS = "sensor_msgs/msg/JointState"
+_CONTACTS = "geometry_msgs/msg/PoseArray"
+_WRENCH = "geometry_msgs/msg/WrenchStamped"
+_POSE = "geometry_msgs/msg/PoseStamped"
+_CLOCK = "rosgraph_msgs/msg/Clock"
+
+Message = tuple[str, str, bytes]
+"""Topic, type and bytes."""
+
+
+def written_calls(scenario: Scenario, ticks: int) -> float:
+    """Return how many ticks a second are computed by function calls, encoded and given to a writer.
+
+    The writer is that of a recorder which shares its process with the nodes.
+
+    Args:
+        scenario: What is run.
+        ticks: How many ticks.
+    """
+    loop = ClosedLoop(scenario)
+    hand = loop.plant.hand
+    record = Record.empty(ticks, hand.finger_names, hand.joint_names)
+    messages = TickMessages(record)
+    writer, channels = WriterProcess(), dict[str, int]()
+    with tempfile.TemporaryDirectory() as folder:
+        writer.begin(Path(folder) / "bag", compression="zstd")
+        writer.check()
+        began = time.perf_counter()
+        for row in range(ticks):
+            loop.tick(record, row)
+            for topic, kind, data in messages.of(row):
+                if topic not in channels:
+                    channels[topic] = writer.add_channel(topic, kind)
+                now = time.time_ns()
+                writer.write(channels[topic], data, now, now)
+            writer.send()
+        passed = time.perf_counter() - began
+        writer.close()
+    return ticks / passed
+
+
+class TickMessages:
+    """Encodes the ticks of a record as the nodes would."""
+
+    def __init__(self, record: Record) -> None:
+        """Take a record, which may be filled tick by tick."""
+        self._record = record
+        fingers, joints = record.finger_names, record.joint_names
+        self._states = JointCodec(joints, ("position", "velocity", "effort"))
+        self._command = JointCodec(joints, ("effort",))
+        self._slip, self._grips = SlipCodec(fingers), GripCodec(fingers)
+        self._contacts, self._pose = ContactsCodec(len(fingers)), PoseCodec()
+        self._squeeze = WrenchCodec(names.PALM_FRAME)
+        self._forces = [WrenchCodec(names.contact_frame(name)) for name in fingers]
+        self._optimal = [
+            WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
+        ]
+
+    def of(self, row: int) -> Iterator[Message]:
+        """Yield the messages of a tick."""
+        yield from self._of_plant(row)
+        yield from self._of_controllers(row)
+
+    def _of_plant(self, row: int) -> Iterator[Message]:
+        r, stamp = self._record, int(self._record.stamps[row])
+        slip = self._slip.encode(stamp, r.true_slid[row], r.true_sliding[row])
+        yield names.TRUE_SLIP, _JOINTS, slip
+        contacts = self._contacts.encode(r.true_positions[row], r.true_quaternions[row], stamp)
+        yield names.TRUE_CONTACTS, _CONTACTS, contacts
+        triples = zip(r.finger_names, self._forces, r.true_forces[row].tolist(), strict=True)
+        for name, codec, force in triples:
+            yield names.true_wrench(name), _WRENCH, codec.encode(force, stamp)
+        states = self._states.encode(stamp, r.theta[row], r.rates[row], r.torque[row])
+        yield names.JOINT_STATES, _JOINTS, states
+        pose = self._pose.encode(r.object_position[row], r.object_quaternion[row], stamp)
+        yield names.OBJECT_POSE, _POSE, pose
+        yield names.CLOCK, _CLOCK, clock_bytes(stamp)
+
+    def _of_controllers(self, row: int) -> Iterator[Message]:
+        r, stamp = self._record, int(self._record.stamps[row])
+        contacts = self._contacts.encode(
+            r.contact_positions[row], r.contact_quaternions[row], stamp
+        )
+        yield names.CONTACTS, _CONTACTS, contacts
+        for name, codec, force in zip(
+            r.finger_names, self._forces, r.forces[row].tolist(), strict=True
+        ):
+            yield names.wrench(name), _WRENCH, codec.encode(force, stamp)
+        grips = self._grips.encode(stamp, r.friction[row], r.slip_evidence[row], r.grip[row])
+        yield names.GRIP_STATE, _JOINTS, grips
+        squeeze = self._squeeze.encode((0.0, float(r.grasp_force[row]), 0.0), stamp)
+        yield names.GRASP_FORCE, _WRENCH, squeeze
+        for name, codec, force in zip(
+            r.finger_names, self._optimal, r.optimal_forces[row].tolist(), strict=True
+        ):
+            yield names.optimal_force(name), _WRENCH, codec.encode(force, stamp)
+        yield names.JOINT_COMMAND, _JOINTS, self._command.encode(stamp, r.command[row])
+        position = r.auxiliary_position[row]
+        if np.isfinite(position[0]):
+            pose = self._pose.encode(position, r.auxiliary_quaternion[row], stamp)
+            yield names.AUXILIARY_POSE, _POSE, pose

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes publish and subscribe to what the orchestrator waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.config.model import Config, flatten, leaves
+from tactile_hand_ros.nodes.composed import MEMBERS
+from tactile_hand_ros.orchestrator.topology import links
+from tactile_hand_ros.ros.parameters import to_ros
+from tactile_hand_ros.ros.qos import tick_publisher_qos
+
+EVERYWHERE = {"/diagnostics", "/parameter_events", "/rosout"}
+
+
+def parameters(config: Config) -> dict[str, Any]:
+    fields = leaves(type(config))
+    values = {name: to_ros(fields[name], value) for name, value in flatten(config).items()}
+    return {name: value for name, value in values.items() if value != []}  # of no type
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes"),
+    [
+        ("paper", {}),
+        ("pull", {}),  # shapes f* by the cones and observes the load
+        ("pinch", {"calibration.link_lengths": 1.01}),  # the sensor needs the joints then
+    ],
+)
+def test_each_node_has_the_ends_that_the_links_of_its_scenario_say(
+    scenario: str, changes: dict[str, Any], make: Callable[..., Any]
+) -> None:
+    wanted = load_scenario(scenario, changes)
+    configs: dict[str, Config] = {
+        names.PLANT: wanted.plant.changed({"autostart": False}),
+        names.SENSOR: wanted.tactile_sensor,
+        names.REGULATOR: wanted.slip_regulator,
+        names.OPTIMIZER: wanted.force_optimizer,
+        names.CONTROLLER: wanted.manipulation_controller,
+    }
+    nodes = [make(kind, **parameters(configs[_name(kind)])) for kind in MEMBERS]
+    sent = {
+        (publisher.topic_name[1:], node.get_name(), _is_tick(publisher))
+        for node in nodes
+        for publisher in node.publishers
+        if publisher.topic_name not in EVERYWHERE
+    }
+    taken = {(each.topic_name[1:], node.get_name()) for node in nodes for each in _all_of(node)}
+    expected = links(wanted)
+    assert taken == {(link.topic, name) for link in expected for name in link.subscribers}
+    from_users = {*names.USER_COMMANDS}
+    assert sent == {
+        (link.topic, link.publisher, link.each_tick)
+        for link in expected
+        if link.topic not in from_users
+    }
+
+
+def _name(kind: type) -> str:
+    return kind.__module__.split(".")[-2]
+
+
+def _is_tick(publisher: Any) -> bool:
+    return bool(publisher.qos_profile == tick_publisher_qos())
+
+
+def _all_of(node: Node) -> list[Any]:
+    return list(Node.subscriptions.fget(node))
