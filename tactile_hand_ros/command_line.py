@@ -79,6 +79,7 @@ class _Signalled(BaseException):
 
 def _ended(program: str, number: signal.Signals) -> int:
     """Say which signal ended a command; return the code that a shell expects."""
+    _drop_unwritten()  # the terminal may be what has gone
     is_ctrl_c = number == signal.SIGINT
     say(program, "interrupted." if is_ctrl_c else f"ended by {number.name}.")
     return 128 + number

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -282,3 +284,24 @@ def test_a_sentence_has_nowhere_to_go_without_a_terminal(
         file.write("lost")  # what the descriptor leads to now
         file.flush()
     assert (tmp_path / "file").read_text() == ""
+
+
+def test_a_signal_gives_its_code_also_where_what_was_printed_cannot_be_written() -> None:
+    """Python itself would end with 120."""
+    program = """
+import os, signal, sys
+from tactile_hand_ros.command_line import run_command
+
+def command():
+    print("text")
+    os.kill(os.getpid(), signal.SIGHUP)
+    signal.pause()
+
+sys.exit(run_command("program", command))
+"""
+    buffered = {**os.environ, "PYTHONUNBUFFERED": ""}
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-c", program], stdout=full, stderr=-1, env=buffered, check=False
+        )
+    assert (ended.returncode, ended.stderr) == (129, b"program: ended by SIGHUP.\n")
