@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -94,9 +95,7 @@ class TickMessages:
         yield names.TRUE_SLIP, _JOINTS, slip
         contacts = self._contacts.encode(r.true_positions[row], r.true_quaternions[row], stamp)
         yield names.TRUE_CONTACTS, _CONTACTS, contacts
-        triples = zip(r.finger_names, self._forces, r.true_forces[row].tolist(), strict=True)
-        for name, codec, force in triples:
-            yield names.true_wrench(name), _WRENCH, codec.encode(force, stamp)
+        yield from self._wrenches(names.true_wrench, self._forces, r.true_forces, row)
         states = self._states.encode(stamp, r.theta[row], r.rates[row], r.torque[row])
         yield names.JOINT_STATES, _JOINTS, states
         pose = self._pose.encode(r.object_position[row], r.object_quaternion[row], stamp)
@@ -109,20 +108,27 @@ class TickMessages:
             r.contact_positions[row], r.contact_quaternions[row], stamp
         )
         yield names.CONTACTS, _CONTACTS, contacts
-        for name, codec, force in zip(
-            r.finger_names, self._forces, r.forces[row].tolist(), strict=True
-        ):
-            yield names.wrench(name), _WRENCH, codec.encode(force, stamp)
+        yield from self._wrenches(names.wrench, self._forces, r.forces, row)
         grips = self._grips.encode(stamp, r.friction[row], r.slip_evidence[row], r.grip[row])
         yield names.GRIP_STATE, _JOINTS, grips
         squeeze = self._squeeze.encode((0.0, float(r.grasp_force[row]), 0.0), stamp)
         yield names.GRASP_FORCE, _WRENCH, squeeze
-        for name, codec, force in zip(
-            r.finger_names, self._optimal, r.optimal_forces[row].tolist(), strict=True
-        ):
-            yield names.optimal_force(name), _WRENCH, codec.encode(force, stamp)
+        yield from self._wrenches(names.optimal_force, self._optimal, r.optimal_forces, row)
         yield names.JOINT_COMMAND, _JOINTS, self._command.encode(stamp, r.command[row])
         position = r.auxiliary_position[row]
         if np.isfinite(position[0]):
             pose = self._pose.encode(position, r.auxiliary_quaternion[row], stamp)
             yield names.AUXILIARY_POSE, _POSE, pose
+
+    def _wrenches(
+        self,
+        topic: Callable[[str], str],
+        codecs: Sequence[WrenchCodec],
+        forces: NDArray[np.float64],
+        row: int,
+    ) -> Iterator[Message]:
+        """Yield the forces of a tick, of those of all ticks of shape (n, k, 3), by finger."""
+        stamp = int(self._record.stamps[row])
+        of_tick = zip(self._record.finger_names, codecs, forces[row].tolist(), strict=True)
+        for name, codec, force in of_tick:
+            yield topic(name), _WRENCH, codec.encode(force, stamp)
