@@ -160,10 +160,11 @@ class Role:
 def main() -> None:
     """Serve the roles until a signal."""
     names, recorders, ticks = sys.argv[1].split(","), int(sys.argv[2]), int(sys.argv[3])
+    wiring = each_tick()
     use_sockets()
     rclpy.init()
     try:
-        spin([Role(name, each_tick(), recorders, ticks).node for name in names])
+        spin([Role(name, wiring, recorders, ticks).node for name in names])
     except (KeyboardInterrupt, ExternalShutdownException):
         return
 
