@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tactile_hand_ros.closed_loop.loop import ClosedLoop
     from tactile_hand_ros.closed_loop.record import Record
-    from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
     from tactile_hand_ros.control.contact import Contacts
     from tactile_hand_ros.control.controller import Controller
     from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from tactile_hand_ros.report.page import write_report
     from tactile_hand_ros.run.metrics import metrics
     from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
     from tactile_hand_ros.simulation.plant import Plant
     from tactile_hand_ros.simulation.skin import TactileSensor
     from tactile_hand_ros.verify.audit import audit
@@ -61,12 +61,12 @@ _HOMES = {
     "Plant": "simulation.plant",
     "Record": "closed_loop.record",
     "Run": "run.run",
-    "Scenario": "closed_loop.scenario",
+    "Scenario": "scenario.scenario",
     "SlipRegulator": "control.slip.regulator",
     "TactileHandError": "errors",
     "TactileSensor": "simulation.skin",
     "audit": "verify.audit",
-    "load_scenario": "closed_loop.scenario",
+    "load_scenario": "scenario.scenario",
     "metrics": "run.metrics",
     "recompute": "verify.recompute",
     "write_report": "report.page",

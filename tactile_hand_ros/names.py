@@ -21,7 +21,7 @@ from __future__ import annotations
 JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
 JOINT_HOLD = "joint_hold"
-TOUCH_DOUBT = "touch_doubt"
+TOUCH_REJECTED = "touch_rejected"
 CONTACTS = "tactile/contacts"
 GRASP_FORCE = "grasp_force"
 GRIP_STATE = "grip_state"

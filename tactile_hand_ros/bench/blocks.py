@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.workload import SCENARIO, Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import Scenario, changed, load_scenario
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+from tactile_hand_ros.scenario.scenario import Scenario, changed, load_scenario
 
 Array = NDArray[np.float64]
 

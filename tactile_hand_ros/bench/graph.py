@@ -14,10 +14,10 @@ from tactile_hand_ros.bench.runs import GraphRun, run_graph
 from tactile_hand_ros.bench.wire import rate
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.bench.written import written_calls
-from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.node import CALM_AFTER
 from tactile_hand_ros.ros.processes import start_executable, wait_until
+from tactile_hand_ros.scenario.scenario import NODES
 
 _IDLE_SECONDS = 10.0
 _TIMEOUT = 600.0  # s

@@ -23,7 +23,7 @@ from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
 

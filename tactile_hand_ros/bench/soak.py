@@ -15,8 +15,8 @@ import psutil
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bench.results import Goal, Result
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _PERIOD = 0.5  # s between two samples

@@ -27,7 +27,6 @@ from rclpy.publisher import Publisher
 
 from tactile_hand_ros.bench.results import Result
 from tactile_hand_ros.bench.workload import SCENARIO, Workload
-from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.topology import Link, links
 from tactile_hand_ros.ros import qos
@@ -35,6 +34,7 @@ from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle

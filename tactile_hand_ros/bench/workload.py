@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 SCENARIO = "paper"
 

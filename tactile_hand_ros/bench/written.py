@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
@@ -25,6 +24,7 @@ from tactile_hand_ros.ros.messages.wire import (
     WrenchCodec,
     clock_bytes,
 )
+from tactile_hand_ros.scenario.scenario import Scenario
 
 _JOINTS = "sensor_msgs/msg/JointState"
 _CONTACTS = "geometry_msgs/msg/PoseArray"

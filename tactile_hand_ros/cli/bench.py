@@ -164,7 +164,7 @@ def _bench_scenarios(options: BenchOptions, show: Show) -> None:
     from tactile_hand_ros.bench.realtime import outcomes as o
     from tactile_hand_ros.bench.realtime.rates import parse_rates
     from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
-    from tactile_hand_ros.closed_loop.scenario import scenario_names
+    from tactile_hand_ros.scenario.scenario import scenario_names
 
     names, file = options.scenarios, options.file
     chosen = scenario_names() if names == "all" else names.split(",")

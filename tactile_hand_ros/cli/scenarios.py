@@ -12,9 +12,9 @@ from tactile_hand_ros.cli.output import print_table
 
 def scenarios() -> None:
     """List the scenarios of the package."""
-    from tactile_hand_ros.closed_loop.scenario import load_scenario
     from tactile_hand_ros.config.paths import scenario_names
     from tactile_hand_ros.report import tables
+    from tactile_hand_ros.scenario.scenario import load_scenario
 
     rows = []
     for name in scenario_names():
@@ -27,7 +27,7 @@ def show(
     scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
 ) -> None:
     """Print a scenario as YAML with every value resolved."""
-    from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
+    from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
     print(resolved(load_scenario(scenario)), end="")
 

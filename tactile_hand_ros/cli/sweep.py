@@ -232,7 +232,7 @@ def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
 def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     """Replay one run through the nodes, recorded, with the values that it had."""
     from tactile_hand_ros import files
-    from tactile_hand_ros.closed_loop.scenario import resolved
+    from tactile_hand_ros.scenario.scenario import resolved
     from tactile_hand_ros.studies.engine.store import read_description
     from tactile_hand_ros.studies.engine.study import build
     from tactile_hand_ros.studies.sweep.run import study_of

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.cones import Cones
@@ -17,6 +16,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, O
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.rotations import quaternions_of_rows
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.belief import Belief
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
@@ -97,7 +97,7 @@ class ClosedLoop:
         seen = true if self._belief is None else self._belief.step(state.theta, true)
         touch = self.sensor.step(stamp, seen, sliding)
         contacts = touch.contacts
-        self.pass_on_doubt()
+        self.pass_on_rejection()
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
         optimal = self.optimizer.solve(contacts, self.cones(contacts, touch.forces))
         command = self.controller.step(
@@ -114,10 +114,10 @@ class ClosedLoop:
         record.true_sliding[row] = sliding
         return command
 
-    def pass_on_doubt(self) -> None:
+    def pass_on_rejection(self) -> None:
         """Let regulator and optimizer know whether the controller doubted the last touch."""
-        self.regulator.doubt(self.controller.doubts)
-        self._cone_watch.doubt(self.controller.doubts)
+        self.regulator.reject_touch(self.controller.touch_rejected)
+        self._cone_watch.reject_touch(self.controller.touch_rejected)
 
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""

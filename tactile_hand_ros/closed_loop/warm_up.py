@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.jit.compiled import is_complete, keep
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def warm_up() -> None:

@@ -198,7 +198,7 @@ class Controller:
 
     def _trust(self) -> None:
         """Forget all doubts."""
-        self.doubts = False
+        self.touch_rejected = False
         self._doubted: int | None = None  # first tick of those with an implausible input
 
     @property
@@ -304,7 +304,7 @@ class Controller:
             self._press.reset()
             return self._holding(theta, rates, problem, grasp_force, applied)
         tips, problem = self._seen(stamp, theta, rates, contacts, forces, applied)
-        self.doubts = bool(problem)
+        self.touch_rejected = bool(problem)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
             return self._doubt(stamp, theta, rates, problem, applied)

@@ -14,8 +14,6 @@ from typing import IO, cast
 from rclpy.node import Node
 from rich.console import Console
 
-from tactile_hand_ros.closed_loop.preflight import check_scenario
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.command_line import LastingOutput, os_sentence
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
@@ -34,6 +32,8 @@ from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling, chosen_cpus, parse_priority
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 
 class OutputError(TactileHandError):

@@ -8,11 +8,11 @@ import itertools
 import re
 from pathlib import Path
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, resolved
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_link
 from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 LATEST = "latest"
 

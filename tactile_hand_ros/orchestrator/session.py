@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 from rclpy.node import Node
 
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.command_line import os_sentence
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
@@ -36,6 +35,7 @@ from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, User
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.scenario.scenario import Scenario
 
 # After the recorder, which is soon there: what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)

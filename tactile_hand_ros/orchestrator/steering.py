@@ -16,11 +16,11 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
 
 _SLICE = 0.02  # s
 

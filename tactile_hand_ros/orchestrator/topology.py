@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.scenario.scenario import Scenario
 
 _ACTING = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
 
@@ -55,7 +55,7 @@ def links(scenario: Scenario) -> list[Link]:
         Link(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, names.PLANT),
         _event(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
-        _event(names.TOUCH_DOUBT, names.CONTROLLER, (names.REGULATOR, *shaping)),
+        _event(names.TOUCH_REJECTED, names.CONTROLLER, (names.REGULATOR, *shaping)),
         _event(names.ROBOT_DESCRIPTION, names.PLANT),
         Link(names.CLOCK, names.PLANT),
         Link(names.CONTACTS, names.SENSOR, _ACTING),

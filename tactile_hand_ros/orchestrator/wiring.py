@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER, REGULATOR, USER_COMMANDS
 from tactile_hand_ros.orchestrator.topology import Link, links
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
+from tactile_hand_ros.scenario.scenario import Scenario
 
 
 class DuplicateNodeError(TactileHandError):

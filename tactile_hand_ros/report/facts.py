@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, resolved
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError, counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.ledger import Assumption
 from tactile_hand_ros.run.run import BAG, Run
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, resolved
 
 LOST = "lost_messages"
 _VERSION = "version_"

@@ -6,13 +6,13 @@ from __future__ import annotations
 from typing import Any
 
 from tactile_hand_ros.bag.reader import read_messages
-from tactile_hand_ros.closed_loop.scenario import object_config
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.facts import loose_scenario
 from tactile_hand_ros.report.urdf import hand_tree
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import object_config
 
 DESCRIPTION = "robot_description"
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.style import (
@@ -26,6 +25,7 @@ from tactile_hand_ros.report.style import (
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.drop import dropped_at
+from tactile_hand_ros.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

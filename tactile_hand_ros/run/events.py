@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.run.gaps import gaps, silent
 from tactile_hand_ros.run.requests import Asked
+from tactile_hand_ros.scenario.scenario import Scenario
 
 Flags = NDArray[np.bool_]
 Kind = Literal[

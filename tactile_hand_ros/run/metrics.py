@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import GoalConfig, Scenario
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.drop import dropped_at
 from tactile_hand_ros.run.events import alarm_count, slip_count
+from tactile_hand_ros.scenario.scenario import GoalConfig, Scenario
 
 Array = NDArray[np.float64]
 

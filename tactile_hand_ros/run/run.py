@@ -17,7 +17,6 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
@@ -34,6 +33,7 @@ from tactile_hand_ros.run.series import Series, read_series
 from tactile_hand_ros.run.settling import Settling, recoveries
 from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
 from tactile_hand_ros.run.verdict import headline
+from tactile_hand_ros.scenario.scenario import Scenario
 
 BAG = "bag"
 SCENARIO_FILE = "scenario.yaml"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
+from tactile_hand_ros.scenario.scenario import Scenario
 
 BACK = 0.001
 """Position error below which an object counts as back [m]."""

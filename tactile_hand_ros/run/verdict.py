@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tactile_hand_ros.closed_loop.scenario import GoalConfig
+from tactile_hand_ros.scenario.scenario import GoalConfig
 
 DROPPED = "object dropped"
 REACHED = "goal reached"

@@ -18,9 +18,9 @@ import numpy as np
 
 import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, scenario_names
 from tactile_hand_ros.report.style import PAGE, look, new_figure
 from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, scenario_names
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.keep import (
     FAILED,

@@ -16,9 +16,9 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.joint_guard import GuardConfig, JointGuard, TorqueCommand
 from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
 """As without a guard: the last torque acts for a second."""

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, changed
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import LawFactory
@@ -35,6 +34,7 @@ from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.errors import BagError, ConfigurationError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import Scenario, changed
 from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
     Effects,
@@ -268,8 +268,8 @@ class ShadowLoop:
         for config in self._configurations[names.REGULATOR].until(stamp):
             regulator.configure(config)
         for request in self._requests[names.REGULATOR].until(stamp):
-            if request.service == names.TOUCH_DOUBT:
-                regulator.doubt(request.value)
+            if request.service == names.TOUCH_REJECTED:
+                regulator.reject_touch(request.value)
             else:
                 regulator.reset()
         for force in self._forces.until(stamp):
@@ -287,7 +287,7 @@ class ShadowLoop:
             self._optimizer.configure(config)
             self._cone_watch.configure(config)
         for request in self._requests[names.OPTIMIZER].until(stamp):
-            self._cone_watch.doubt(request.value)
+            self._cone_watch.reject_touch(request.value)
         c, cones = self._optimizer.config, None
         if c.cones:
             cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])

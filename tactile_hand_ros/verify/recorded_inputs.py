@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
@@ -23,6 +22,7 @@ from tactile_hand_ros.run.alignment import in_last_run, last_reset
 from tactile_hand_ros.run.requests import read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.run.series import Series
+from tactile_hand_ros.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -30,7 +30,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
-from tactile_hand_ros.closed_loop.scenario import changed
 from tactile_hand_ros.config.fields import is_live
 from tactile_hand_ros.config.model import Config, leaves
 from tactile_hand_ros.control.laws import Target, law_of
@@ -43,6 +42,7 @@ from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.ros.qos import tick_publisher_qos, tick_qos, user_qos
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import changed
 from tactile_hand_ros.verify.recompute import (
     Comparison,
     full_key,

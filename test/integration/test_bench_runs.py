@@ -10,7 +10,7 @@ from tactile_hand_ros.bench.realtime.cases import LOADED, LoadCase, run_load_cas
 from tactile_hand_ros.bench.runs import PROCESSES, BenchError, run_graph
 from tactile_hand_ros.bench.wire import each_tick, rate
 from tactile_hand_ros.bench.written import written_calls
-from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 
 def test_a_real_time_run_under_load_is_counted_by_the_plant() -> None:

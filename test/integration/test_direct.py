@@ -20,13 +20,13 @@ from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import NODES, Scenario, load_scenario
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.ros.direct.delivery import deliver_directly, direct_delivery
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, TactileNode
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.scenario.scenario import NODES, Scenario, load_scenario
 
 SHORT = QoSProfile(depth=3)
 LATCHED = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -22,12 +22,12 @@ from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.bench.written import TickMessages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.recompute import recompute
 from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, Request, read_inputs

@@ -24,10 +24,10 @@ from support.messages import force_message, pose_message
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bench.fuzz.raw_writer import RawWriter, request_topic
-from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 P_D = np.array(load_scenario("paper").targets[0].position)
 ENDLESS = {"duration": 86400.0, "plant.autostart": False, "plant.rate": 250.0}
@@ -117,14 +117,14 @@ def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> N
     assert len(topics) >= 16  # of five nodes and three fingers
     attacks = {topic: list(NO_MESSAGES) for topic in topics}
     attacks[names.USER_GRASP_FORCE] = [CUT, CUT]  # Fast DDS sends no more than the type can have
-    for topic in (names.JOINT_HOLD, names.TOUCH_DOUBT):
+    for topic in (names.JOINT_HOLD, names.TOUCH_REJECTED):
         del attacks[topic]  # any byte is a Bool
     attack(graph, attacks)
 
 
 def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph) -> None:
     topics = inputs(graph)
-    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD, names.TOUCH_DOUBT):  # have none
+    for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD, names.TOUCH_REJECTED):  # have none
         del topics[topic]
     blank = {topic: serialize_message(kind_of(topic)()) for topic in topics}
     contacts = serialize_message(graph.newest(names.TRUE_CONTACTS))

@@ -24,7 +24,6 @@ from support.messages import contacts_message, force_message, pose_message
 from support.spinning import spinning
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.targets.queue import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
@@ -35,6 +34,7 @@ from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.truth import true_reading
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from support.recorded import RunWriter, write_run
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
 
 

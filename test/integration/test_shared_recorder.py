@@ -21,11 +21,11 @@ from tactile_hand_ros.bag.metadata_file import read_metadata
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.stream import is_being_written
-from tactile_hand_ros.closed_loop.scenario import NODES, load_scenario
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
 """Topics of which something may be said before a recorder is there, or by many publishers."""

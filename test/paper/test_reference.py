@@ -16,7 +16,7 @@ from support.plants import plant, torque_for
 
 from tactile_hand_ros.bench.peers.reference import Reference, State, World
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.disturbance import Disturbance
 
 FACES = {

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.studies.paper.experiments import LAYOUTS, ExperimentResult, run_experiment
 from tactile_hand_ros.studies.paper.stiffness import translational_stiffness
 

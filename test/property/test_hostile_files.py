@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bench.fuzz.targets import write_sample_bag
-from tactile_hand_ros.closed_loop.scenario import load_scenario
-from tactile_hand_ros.closed_loop.scenario_file import find_scenario
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.files import find_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 LONGEST = 5.0
 """Most processor time that one hostile file may take [s]."""

@@ -16,11 +16,11 @@ from support.recorded import random_record, write_record
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.page import write_comparison, write_report
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 FARTHEST = """return Math.max(...report.scenes.flatMap((scene) =>
     [...scene.solid.corners(), ...scene.badges.map((badge) => badge.group.position.clone())]

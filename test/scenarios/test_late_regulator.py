@@ -6,7 +6,7 @@ import pytest
 from joblib import Parallel, delayed
 from support.late import SECONDS, run_late, run_with_late_commands
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 from joblib import Parallel, delayed
 from support.outcomes import run_scenario, survival
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.disturbance import external_wrench
 from tactile_hand_ros.studies.slip.outcomes import SLIDING
 from tactile_hand_ros.studies.slip.survival import least_against

@@ -24,7 +24,6 @@ from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import private_context
@@ -42,6 +41,7 @@ from tactile_hand_ros.ros.processes import (
     start_executable,
     wait_until,
 )
+from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 PATIENCE = 120.0
 """Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""

@@ -6,9 +6,9 @@ from collections import deque
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.studies.stalls import GuardedLoop
 
 LATE, EVERY = 3, 3  # ticks that an answer takes; of so many ticks one is answered

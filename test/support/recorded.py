@@ -12,8 +12,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import Scenario
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000  # log time of the first tick, ns

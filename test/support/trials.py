@@ -13,7 +13,7 @@ from tactile_hand_ros.studies.engine.study import Point
 
 if TYPE_CHECKING:
     from tactile_hand_ros.closed_loop.record import Record
-    from tactile_hand_ros.closed_loop.scenario import Scenario
+    from tactile_hand_ros.scenario.scenario import Scenario
 
 
 def product(point: Point) -> dict[str, Any]:

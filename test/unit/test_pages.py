@@ -20,9 +20,9 @@ from tactile_hand_ros.cli.app import app
 from tactile_hand_ros.cli.app import main as tactile_hand
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.config.plain_yaml import parse_changes
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -25,8 +25,8 @@ from tactile_hand_ros.bench.fuzz.fuzz import Report, chance_of, keep
 from tactile_hand_ros.bench.fuzz.mutation import damaged
 from tactile_hand_ros.bench.fuzz.raw_writer import RawWriter, RawWriterError, request_topic
 from tactile_hand_ros.bench.soak import soak_scenario
-from tactile_hand_ros.closed_loop.scenario import NODES
 from tactile_hand_ros.ros.processes import end_together
+from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.studies.faults.running_hand import RunningHand
 
 _RATE = 250.0
@@ -67,7 +67,7 @@ def _inputs(hand: RunningHand) -> list[_Input]:
         names.DESIRED_POSE: PoseStamped,
         names.USER_GRASP_FORCE: Float64,
         names.JOINT_HOLD: Bool,
-        names.TOUCH_DOUBT: Bool,
+        names.TOUCH_REJECTED: Bool,
     }
     for finger in hand.fingers:
         for named in (names.wrench, names.true_wrench, names.optimal_force):

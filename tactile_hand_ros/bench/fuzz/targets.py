@@ -20,7 +20,6 @@ from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.bench.fuzz.mutation import damaged, damaged_text
-from tactile_hand_ros.closed_loop.scenario import find_scenario, load_scenario
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
@@ -38,6 +37,7 @@ from tactile_hand_ros.ros.messages.wire import (
     WrenchCodec,
     read_message,
 )
+from tactile_hand_ros.scenario.scenario import find_scenario, load_scenario
 
 _OF_MESSAGES = 40  # which are read a hundred times as fast as files
 _FINGERS = ["finger_1", "finger_2", "finger_3"]

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 Array = NDArray[np.float64]

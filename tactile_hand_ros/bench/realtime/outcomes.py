@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile_hand_ros.bench.realtime.cases import rate_options
 from tactile_hand_ros.bench.runs import BenchError, GraphRun, run_graph
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 LOCKSTEP, REALTIME = "lockstep", "realtime"
 

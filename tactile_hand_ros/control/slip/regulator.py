@@ -130,8 +130,8 @@ class SlipRegulator:
         self._estimator.reset()
         self._checkpoints.forget()
 
-    def doubt(self, doubted: bool) -> None:
-        """Take whether touch is doubted, see `Controller.doubts`, from the next tick on."""
+    def reject_touch(self, doubted: bool) -> None:
+        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
         if doubted and not self._doubted:
             known = self._checkpoints.before
             if known is not None:

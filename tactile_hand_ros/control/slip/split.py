@@ -111,8 +111,8 @@ class ConeWatch:
         self.configure(config)
         self.reset()
 
-    def doubt(self, doubted: bool) -> None:
-        """Take whether touch is doubted, see `Controller.doubts`, from the next tick on."""
+    def reject_touch(self, doubted: bool) -> None:
+        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
         if doubted:
             self.reset()
         self._doubted = doubted

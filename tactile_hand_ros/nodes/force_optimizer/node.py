@@ -50,8 +50,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). With `cones` also,
     of the same stamp: `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     N) and `grip_state` (sensor_msgs/JointState by finger, of which the learned friction counts),
-    and `touch_doubt` (std_msgs/Bool, whether the controller doubts the touch, from which nothing is
-    learned then); without, they would only cost time.
+    and `touch_rejected` (std_msgs/Bool, whether the controller rejects the touch, from which
+    nothing is learned then); without, they would only cost time.
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
@@ -88,7 +88,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._rehearse(shapes)
         if shapes:
             latched = qos.latched_qos(qos.user_qos().depth)
-            self.subscribe(Bool, names.TOUCH_DOUBT, self._on_doubt, profile=latched)
+            self.subscribe(Bool, names.TOUCH_REJECTED, self._on_doubt, profile=latched)
         declared = (
             streams.contacts(self._fingers),
             streams.learned_friction(fingers, wanted=shapes),
@@ -123,13 +123,13 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._cone_watch.reset()
         self._accepted.begin(self.config)
         if self._is_doubted:
-            self._accepted.request(names.TOUCH_DOUBT, True)
+            self._accepted.request(names.TOUCH_REJECTED, True)
 
     def _on_doubt(self, message: Bool) -> None:
         if message.data != self._is_doubted:
             self._is_doubted = message.data
-            self._cone_watch.doubt(message.data)
-            self._accepted.request(names.TOUCH_DOUBT, message.data)
+            self._cone_watch.reject_touch(message.data)
+            self._accepted.request(names.TOUCH_REJECTED, message.data)
 
     def on_tick(
         self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None

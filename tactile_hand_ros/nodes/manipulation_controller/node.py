@@ -66,10 +66,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
     of the contacts; not while holding). With the stamp of the first tick that they change:
     `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `Accepted` lists.
-    At each change, latched: `touch_doubt` (std_msgs/Bool, whether joints and touch do not fit each
-    other, so that regulator and optimizer must not learn from touch). Once a second: `/diagnostics`
-    with mode, distance to the target and margins of A1 (travel on faces), A2 (tips' rims), A5
-    (joints) and A7 (contacts).
+    At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and touch contradict
+    each other, so that regulator and optimizer must not learn from touch). Once a second:
+    `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces), A2 (tips'
+    rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
     `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
@@ -113,7 +113,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         )
         held = qos.latched_qos(qos.user_qos().depth)
         self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
-        self._doubt = self.create_publisher(Bool, names.TOUCH_DOUBT, qos.latched_qos())
+        self._doubt = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
         self._doubt.publish(Bool(data=False))
         self._doubted = False
         self._feels = self.config.law.observer.time > 0.0
@@ -200,8 +200,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _publish_doubt(self) -> None:
         """Publish whether joints and touch do not fit each other, where that has changed."""
-        if self._controller.doubts != self._doubted:
-            self._doubted = self._controller.doubts
+        if self._controller.touch_rejected != self._doubted:
+            self._doubted = self._controller.touch_rejected
             self._doubt.publish(Bool(data=self._doubted))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:

@@ -53,8 +53,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
-    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N); `touch_doubt`
-    (std_msgs/Bool, whether the controller doubts the touch, from which nothing is learned then).
+    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N);
+    `touch_rejected` (std_msgs/Bool, whether the controller rejects the touch, from which nothing is
+    learned then).
 
     Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
@@ -108,7 +109,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
         )
         latched = qos.latched_qos(qos.user_qos().depth)
-        self.subscribe(Bool, names.TOUCH_DOUBT, self._on_doubt, profile=latched)
+        self.subscribe(Bool, names.TOUCH_REJECTED, self._on_doubt, profile=latched)
         declared = (streams.contacts(len(fingers)), streams.forces(fingers))
         self._inputs = TickInputs(self, declared, self, observe=self._observe)
         self.create_service(Trigger, names.RESET, self._on_reset)
@@ -140,7 +141,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._report.reset()
         self._accepted.begin(self.config)
         if self._is_doubted:
-            self._accepted.request(names.TOUCH_DOUBT, True)
+            self._accepted.request(names.TOUCH_REJECTED, True)
 
     def _on_user_force(self, data: bytes) -> None:
         force = number_from_ros(read_message(data, Float64))
@@ -151,8 +152,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def _on_doubt(self, message: Bool) -> None:
         if message.data != self._is_doubted:
             self._is_doubted = message.data
-            self._regulator.doubt(message.data)
-            self._accepted.request(names.TOUCH_DOUBT, message.data)
+            self._regulator.reject_touch(message.data)
+            self._accepted.request(names.TOUCH_REJECTED, message.data)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.on_restart()

@@ -7,7 +7,6 @@ from typing import Any
 
 from rich.table import Table
 
-from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP
 from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.orchestrator.results.judgement import number
 from tactile_hand_ros.orchestrator.results.reading import Results, deadlines_of, is_lockstep
@@ -15,6 +14,7 @@ from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.tables import milli, recovery_rows
 from tactile_hand_ros.run.deadlines import Deadlines
 from tactile_hand_ros.run.verdict import Judged, headline, judged
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
 Row = tuple[str, str, str, str]
 

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, Mode
 from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
 from tactile_hand_ros.studies.faults import space
 from tactile_hand_ros.studies.faults.outcome import LET_GO, Outcome, distance
@@ -145,7 +145,7 @@ class FaultyLoop:
         given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
         forces = None if any(each is None for each in given) else np.array(given)
         squeeze = shape = None
-        loop.pass_on_doubt()
+        loop.pass_on_rejection()
         if contacts is not None and forces is not None:
             squeeze = loop.regulator.step(stamp, contacts, forces)
         if contacts is not None:

@@ -23,7 +23,6 @@ from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import NODES, Scenario
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
@@ -41,6 +40,7 @@ from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import NODES, Scenario
 from tactile_hand_ros.studies.faults import taps
 from tactile_hand_ros.studies.faults.fault_node import CONTROL
 

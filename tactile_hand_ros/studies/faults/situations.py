@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.studies.stalls import GuardedLoop, Outcome, Watch
 
 RATES = {"calls": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}

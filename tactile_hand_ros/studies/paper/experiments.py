@@ -10,8 +10,8 @@ from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.studies.engine.space import Choice, Space
 from tactile_hand_ros.studies.engine.study import Point, Result, Study
 

@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
 from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.runner import carry_out
 from tactile_hand_ros.studies.engine.study import Result, results_of

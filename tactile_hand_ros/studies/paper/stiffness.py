@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.laws import LAWS, LawInput
 from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 Array = NDArray[np.float64]

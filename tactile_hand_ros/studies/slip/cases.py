@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.extras import optional
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.studies.slip.survival import least_against
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.studies.slip.cases import EVENT_TIME, SlipCase, scenario_of
 
 Array = NDArray[np.float64]

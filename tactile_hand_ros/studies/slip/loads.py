@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.keep import (

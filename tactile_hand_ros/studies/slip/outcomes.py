@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.studies.slip.cases import EVENT_TIME, SlipCase, scenario_of
 from tactile_hand_ros.studies.slip.foresight import foresee
 from tactile_hand_ros.studies.slip.survival import least_at

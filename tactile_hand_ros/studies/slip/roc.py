@@ -11,10 +11,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.control.slip.detector import SlipDetectorConfig
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.runner import carry_out
 from tactile_hand_ros.studies.engine.space import Choice, Space

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.disturbance import external_wrench
 from tactile_hand_ros.studies.slip.least_squeeze import least_squeeze
 

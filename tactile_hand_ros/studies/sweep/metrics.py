@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.studies.engine.keep import LOST, MISSED, REACHED
 
 Measure = Callable[[Record, Scenario, Metrics], float]

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.control.controller import Controller, ControllerConfig
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.skin import TactileReading
 
 # What a hand with touch cannot know of the thing that it holds.

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.preflight import check_scenario
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.truth import true_reading
 
 NOISY = {

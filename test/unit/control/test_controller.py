@@ -7,12 +7,12 @@ from support.controllers import REST, TICK, Bench
 from support.grasps import moved
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING, Grasp, TargetQueue
 from tactile_hand_ros.errors import GraspError, PoseError
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 EVERYTHING = {
@@ -622,15 +622,15 @@ def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
 
 def test_inputs_that_do_not_fit_are_doubted_until_they_do():
     bench = Bench(input_timeout=0.1)
-    assert not bench.step().withheld and not bench.controller.doubts
+    assert not bench.step().withheld and not bench.controller.touch_rejected
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
-    assert bench.step(**wrong).withheld and bench.controller.doubts
-    assert not bench.step(100, **wrong).withheld and bench.controller.doubts
+    assert bench.step(**wrong).withheld and bench.controller.touch_rejected
+    assert not bench.step(100, **wrong).withheld and bench.controller.touch_rejected
     bench.controller.joints_held = True
     assert bench.step(**wrong).withheld
-    assert bench.step().mode is Mode.DRIVE and not bench.controller.doubts
+    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
     assert bench.step(optimal_forces=2.0 * bench.optimal).withheld
-    assert not bench.controller.doubts  # touch may be right all the same
+    assert not bench.controller.touch_rejected  # touch may be right all the same
 
 
 @pytest.mark.parametrize("end", ["open", "disabled"])
@@ -640,11 +640,11 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
     bench.step()
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
     bench.step(100, **wrong)
-    assert bench.controller.doubts
+    assert bench.controller.touch_rejected
     if end == "open":
         bench.controller.release()
     bench.controller.enabled = end == "open"
-    assert bench.step(**wrong).mode is Mode(end) and not bench.controller.doubts
+    assert bench.step(**wrong).mode is Mode(end) and not bench.controller.touch_rejected
     bench.controller.reset()
     bench.controller.enabled = True
     assert bench.step(**wrong).withheld  # a doubt that is new

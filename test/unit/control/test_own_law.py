@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.preflight import check_scenario
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 LAW = """
 from tactile_hand_ros.control.laws import OptimalLaw

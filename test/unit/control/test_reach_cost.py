@@ -9,7 +9,6 @@ from support.grasps import moved
 from support.hands import prism_grasp, write_hand
 from support.plants import plant
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
@@ -17,6 +16,7 @@ from tactile_hand_ros.control.reach import check_reach, inverse_kinematics
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 TICK = 2_000_000

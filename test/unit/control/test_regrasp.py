@@ -7,11 +7,11 @@ from support.grasps import contacts_at
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

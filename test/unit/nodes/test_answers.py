@@ -17,7 +17,6 @@ from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose
 from tactile_hand_ros.errors import ConfigurationError, UnsafeOutputError
@@ -30,6 +29,7 @@ from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 TICK = 2_000_000

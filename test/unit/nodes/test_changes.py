@@ -16,7 +16,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
@@ -27,6 +26,7 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.conversions import ContactPoses, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.belief import Belief
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.truth import true_reading
@@ -210,7 +210,7 @@ def test_a_doubt_is_passed_on_once_and_stays_when_the_ticks_start_over(
     node._on_doubt(Bool(data=False))
     node._accepted.take_effect(3)
     assert doubts == [True, False]
-    told = names.TOUCH_DOUBT
+    told = names.TOUCH_REJECTED
     assert asked(requests) == [(told, "true", 1), (told, "true", 2), (told, "false", 3)]
 
 
@@ -280,7 +280,7 @@ def test_a_doubt_is_published_when_it_begins_and_when_it_ends(make: Callable[...
     node = make(ManipulationControllerNode)
     doubts = keep(node._doubt)
     for doubted in (False, True, True, False, False):
-        node._controller.doubts = doubted
+        node._controller.touch_rejected = doubted
         node._publish_doubt()
     assert [message.data for message in doubts] == [True, False]
 

@@ -10,12 +10,12 @@ import pytest
 from rclpy.node import Node
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.model import Config, flatten, leaves
 from tactile_hand_ros.nodes.composed import MEMBERS
 from tactile_hand_ros.orchestrator.topology import links
 from tactile_hand_ros.ros.parameters import to_ros
 from tactile_hand_ros.ros.qos import tick_publisher_qos
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 EVERYWHERE = {"/diagnostics", "/parameter_events", "/rosout"}
 

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.orchestrator.command import split_ros_arguments
@@ -18,6 +17,7 @@ from tactile_hand_ros.orchestrator.processes import Launcher
 from tactile_hand_ros.orchestrator.request import Request
 from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def test_changes_are_yaml() -> None:

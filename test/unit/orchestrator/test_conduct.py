@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from rclpy.context import Context
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator import command, conduct, participation, processes
@@ -25,6 +24,7 @@ from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
 from tactile_hand_ros.orchestrator.view import Bar, Lines, Silence
 from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def test_what_is_not_asked_for_has_its_default() -> None:

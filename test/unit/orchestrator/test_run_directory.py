@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 NOON = datetime.datetime(2030, 1, 2, 12, 0, 0)
 

@@ -17,7 +17,6 @@ import pytest
 import yaml
 from rclpy.node import Node
 
-from tactile_hand_ros.closed_loop.scenario import UserForceConfig, load_scenario
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import (
     COMPOSED,
@@ -47,6 +46,7 @@ from tactile_hand_ros.orchestrator.view import Silence
 from tactile_hand_ros.orchestrator.wiring import Gap
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.scenario.scenario import UserForceConfig, load_scenario
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "plant.rate": 250.0})
 ALL = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)

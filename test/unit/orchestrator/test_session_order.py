@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator import session as module
 from tactile_hand_ros.orchestrator.processes import NodeDiedError
@@ -18,6 +17,7 @@ from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session, Sta
 from tactile_hand_ros.orchestrator.steering import SteeringError
 from tactile_hand_ros.orchestrator.view import Silence
 from tactile_hand_ros.orchestrator.wiring import Gap
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 class Rig:

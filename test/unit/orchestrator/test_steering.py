@@ -15,7 +15,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.spinning import spinning
 
-from tactile_hand_ros.closed_loop.scenario import TargetConfig, UserForceConfig
 from tactile_hand_ros.orchestrator.steering import (
     Steering,
     SteeringError,
@@ -26,6 +25,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
 
 TARGETS = [
     TargetConfig(position=(0.1, 0.2, 0.3)),

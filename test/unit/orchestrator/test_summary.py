@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.table import Table
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator.results.judgement import GoalVerdict, judge, told
 from tactile_hand_ros.orchestrator.results.reading import (
     Results,
@@ -28,6 +27,7 @@ from tactile_hand_ros.orchestrator.results.table import table
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 PLAN = Plan(load_scenario("paper", {"duration": 0.1}))
 STEERED = Plan(PLAN.scenario, interactive=True)

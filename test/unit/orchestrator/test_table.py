@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator.results.judgement import judge
 from tactile_hand_ros.orchestrator.results.reading import Results, deadlines_of, incomplete
 from tactile_hand_ros.orchestrator.results.report import open_report
 from tactile_hand_ros.orchestrator.results.table import table
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 GOAL = {"goal.position_error": 2e-4, "goal.rotation_error": 3e-3, "goal.slip_distance": 4e-3}
 PLAN = Plan(load_scenario("paper", {"duration": 0.1, **GOAL}))

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.orchestrator.topology import Link, links
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 PLANT, SENSOR, REGULATOR = names.PLANT, names.SENSOR, names.REGULATOR
 OPTIMIZER, CONTROLLER, USER = names.OPTIMIZER, names.CONTROLLER, names.ORCHESTRATOR
@@ -33,7 +33,7 @@ def test_the_topics_of_the_paper_and_their_ends() -> None:
         "ground_truth/slip": (PLANT, SENSOR),
         "ground_truth/object_pose": (PLANT,),
         "joint_hold": (PLANT, CONTROLLER),
-        "touch_doubt": (CONTROLLER, REGULATOR),
+        "touch_rejected": (CONTROLLER, REGULATOR),
         "robot_description": (PLANT,),
         "clock": (PLANT,),
         "tactile/contacts": (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER),
@@ -70,7 +70,7 @@ def test_the_topics_of_the_paper_and_their_ends() -> None:
             True,
             {
                 "tactile/finger_2/wrench": (REGULATOR, OPTIMIZER),
-                "touch_doubt": (REGULATOR, OPTIMIZER),
+                "touch_rejected": (REGULATOR, OPTIMIZER),
                 "grip_state": (OPTIMIZER,),
             },
         ),

@@ -12,11 +12,11 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.orchestrator.topology import links
 from tactile_hand_ros.orchestrator.wiring import DuplicateNodeError, Wiring, services
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 PLAIN = {"force_optimizer.cones": False, "manipulation_controller.law.observer.time": 0.0}
 SCENARIO = load_scenario("paper", PLAIN)
@@ -96,7 +96,7 @@ def test_a_subscriber_that_is_not_there_is_missing(hand: dict[str, Node]) -> Non
     wrenches = [f"tactile/finger_{number}/wrench" for number in (1, 2, 3)]
     lacking = [
         (names.OPTIMIZER, f"{names.OPTIMIZER} does not subscribe to {HAND}/{topic}")
-        for topic in ("touch_doubt", "grip_state", *wrenches)
+        for topic in ("touch_rejected", "grip_state", *wrenches)
     ]
     requests = f"{HAND}/accepted/{names.OPTIMIZER}/requests"
     lacking.append((names.OPTIMIZER, f"{names.OPTIMIZER} does not publish {requests}"))

@@ -22,12 +22,12 @@ from support.recorded import (
 )
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report import document, style
 from tactile_hand_ros.report.page import MOST_EARLIER, run_folder, write_comparison, write_report
 from tactile_hand_ros.run.events import Event
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 
 def seen(ticks: int) -> Any:

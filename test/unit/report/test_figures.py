@@ -11,10 +11,10 @@ from PIL import Image
 from support.recorded import random_record
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import DPI, PAGE, finger_color, law_color, save
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def lost(record: Record) -> Record:
@@ -98,8 +98,8 @@ def test_no_colour_means_two_things() -> None:
 
 def test_strong_forces_stay_in_the_picture() -> None:
     from tactile_hand_ros.closed_loop.loop import ClosedLoop
-    from tactile_hand_ros.closed_loop.scenario import load_scenario
     from tactile_hand_ros.report.scene import grasp_figure
+    from tactile_hand_ros.scenario.scenario import load_scenario
 
     scenario = load_scenario("paper", {"duration": 0.01, "targets": []})
     record = ClosedLoop(scenario).run()

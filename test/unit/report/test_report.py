@@ -24,7 +24,6 @@ from support.recorded import (
 )
 
 from tactile_hand_ros.cli import app as cli
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.command_line import EXIT_REFUSED
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report.document import run_document, scene_columns
@@ -34,6 +33,7 @@ from tactile_hand_ros.report.settings import differing, labels
 from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 LOADS = ("src", "href", "srcset", "action", "data", "poster", "background", "manifest", "ping")
 CALLS = r"\bfetch\(|XMLHttpRequest|WebSocket|EventSource|sendBeacon|importScripts|\bimport\("

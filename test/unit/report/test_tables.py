@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, load_scenario, resolved
 from tactile_hand_ros.report import facts, tables
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.ticks import shown
@@ -19,6 +18,7 @@ from tactile_hand_ros.run.bag_metrics import BagMetrics, TopicCount
 from tactile_hand_ros.run.ledger import Assumption
 from tactile_hand_ros.run.metrics import Metrics
 from tactile_hand_ros.run.settling import Settling
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, load_scenario, resolved
 
 METRICS = Metrics(
     ticks=500,

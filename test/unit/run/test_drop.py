@@ -10,11 +10,11 @@ import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario
 from tactile_hand_ros.run.drop import dropped_at
 from tactile_hand_ros.run.events import events
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.verdict import headline
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 
 def touched(*fingers: int) -> Record:

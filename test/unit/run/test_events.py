@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.slip.detector import Grip
 from tactile_hand_ros.run.events import (
     Event,
@@ -17,6 +16,7 @@ from tactile_hand_ros.run.events import (
     slip_count,
 )
 from tactile_hand_ros.run.requests import Asked
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario
 from tactile_hand_ros.control.virtual_frame import orientation_error
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
@@ -21,6 +20,7 @@ from tactile_hand_ros.rotations import (
 )
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.metrics import json_ready, metrics
+from tactile_hand_ros.scenario.scenario import Scenario
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 SECOND = 1_000_000_000

@@ -27,13 +27,13 @@ from support.recorded import (
 )
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.extras import MissingLibraryError
 from tactile_hand_ros.run.bag_metrics import bag_metrics
 from tactile_hand_ros.run.run import Run, columns
 from tactile_hand_ros.run.series import Series
 from tactile_hand_ros.run.topics import HandTopics
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 NAMES = ["a", "b"]

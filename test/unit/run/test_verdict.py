@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import GoalConfig
 from tactile_hand_ros.run.requests import Asked, releases
 from tactile_hand_ros.run.verdict import Judged, headline, judged
+from tactile_hand_ros.scenario.scenario import GoalConfig
 
 GOAL = GoalConfig(position_error=0.01, rotation_error=0.1, slip_distance=0.002)
 METRICS = {"final_position_error_m": 0.02, "final_rotation_error_rad": 0.05}

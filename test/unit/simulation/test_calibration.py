@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.belief import Belief
 from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.truth import true_reading

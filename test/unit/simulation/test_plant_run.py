@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_run import PlantRun
 

@@ -3,8 +3,8 @@
 
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.studies.stalls import LAST_TORQUE, GuardedLoop, Watch
 
 

@@ -26,13 +26,13 @@ from support.recorded import (
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import OWN_LAWS, Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.audit_forces import CONES
 from tactile_hand_ros.verify.recompute import ShadowLoop, compare, full_key, recompute

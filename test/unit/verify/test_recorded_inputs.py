@@ -23,8 +23,8 @@ from support.recorded import (
 )
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario, resolved
 from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 from tactile_hand_ros.verify.recorded_inputs import (
     Effect,
     Effects,

@@ -25,8 +25,8 @@ from tactile_hand_ros.bench.realtime.outcomes import (
 from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
 from tactile_hand_ros.bench.runs import GraphRun, is_dropped
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.run.deadlines import read_deadlines
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 CASE = ScenarioCase("pull", "realtime", 500.0, True, 8.0)
 GOOD = Outcome(CASE, 0, True, False, 0.125, 51.0, 0.01, 0.0, 5000.0)

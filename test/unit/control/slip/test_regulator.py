@@ -303,11 +303,11 @@ def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(lat
     for i in range(300, 300 + late):
         misled.step(i * TICK, three_faces(), wrong)
     assert misled.grasp_force > held + 4.0
-    misled.doubt(True)
+    misled.reject_touch(True)
     for i in range(300 + late, 550):
         misled.step(i * TICK, three_faces(), wrong)
     assert (misled.state == Grip.UNKNOWN).all() and misled.grasp_force <= held * 1.001
-    misled.doubt(False)
+    misled.reject_touch(False)
     for i in range(550, 700):
         felt = misled.step(i * TICK, three_faces(), FELT), blind.step(i * TICK, three_faces(), FELT)
         assert felt[0] == pytest.approx(felt[1], rel=0.03)
@@ -317,14 +317,14 @@ def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(lat
 def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     slip, heavy = regulator(mode="auto"), FELT + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     feel(slip, 300)
-    slip.doubt(True)
+    slip.reject_touch(True)
     for i in range(300, 400):
         before = slip.step(i * TICK, three_faces(), heavy)
-    slip.doubt(False)
+    slip.reject_touch(False)
     assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 1.0
 
 
 def test_a_regulator_without_a_past_keeps_its_squeeze_while_touch_is_doubted():
     slip = regulator(mode="auto", grasp_force=7.0)
-    slip.doubt(True)
+    slip.reject_touch(True)
     assert {slip.step(i * TICK, three_faces(), 9.0 * FELT) for i in range(100)} == {7.0}

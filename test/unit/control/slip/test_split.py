@@ -131,9 +131,9 @@ def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
     """Also the loads of the recent past, which may have been none."""
     watch = cone_watch()
     watch.step(3 * MS, GRASP, 3.0 * HEAVY, MU)
-    watch.doubt(True)
+    watch.reject_touch(True)
     assert watch.step(5 * MS, GRASP, 3.0 * HEAVY, MU) is None
-    watch.doubt(False)
+    watch.reject_touch(False)
     found, fresh = watch.step(7 * MS, GRASP, FORCES, MU), cone_watch().step(0, GRASP, FORCES, MU)
     np.testing.assert_array_equal(found.load, fresh.load)
     np.testing.assert_array_equal(found.wanted, fresh.wanted)

@@ -17,7 +17,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.viewer.frames import (
@@ -30,6 +29,7 @@ from tactile_hand_ros.nodes.viewer.frames import (
 from tactile_hand_ros.nodes.viewer.markers import Scene, markers
 from tactile_hand_ros.ros.messages.types import message_class
 from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[4]
 VIEWS = config_directory() / "views"

@@ -10,8 +10,8 @@ import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.ros.realtime.garbage import MOST_NEW, CollectionClock, GarbageRest
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 from support.spinning import spinning
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.studies.faults import running_hand as module
 
 

@@ -21,4 +21,4 @@ def test_a_late_and_slow_skin_is_believed_when_the_object_begins_to_slip(event: 
     )
     for row in range(loop.scenario.ticks):
         loop.tick(record, row)
-        assert not loop.controller.doubts
+        assert not loop.controller.touch_rejected

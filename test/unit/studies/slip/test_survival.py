@@ -4,7 +4,7 @@
 import pytest
 from support.outcomes import run_scenario, survival
 
-from tactile_hand_ros.closed_loop.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 PULL = {"kind": "step", "start": 0.1, "force": [0.0, 0.0, -10.0]}
 

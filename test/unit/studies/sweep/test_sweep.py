@@ -12,9 +12,9 @@ import pytest
 
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.scenario import load_scenario, plain
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.scenario.scenario import load_scenario, plain
 from tactile_hand_ros.studies import robustness
 from tactile_hand_ros.studies.engine.study import Point
 from tactile_hand_ros.studies.sweep.metrics import friction_margin, measures, outcome

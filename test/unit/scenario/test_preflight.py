@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 from support.hands import posture_for, write_hand
 
-from tactile_hand_ros.closed_loop.preflight import check_scenario
-from tactile_hand_ros.closed_loop.scenario import load_scenario
 from tactile_hand_ros.errors import (
     CollinearContactsError,
     ConfigurationError,
@@ -17,6 +15,8 @@ from tactile_hand_ros.errors import (
     TactileHandError,
 )
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def check(**changes):

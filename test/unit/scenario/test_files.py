@@ -3,9 +3,9 @@
 
 import pytest
 
-from tactile_hand_ros.closed_loop.scenario import Scenario, _overlap, load_scenario
-from tactile_hand_ros.closed_loop.scenario_file import merged, put_changes, read_layers
 from tactile_hand_ros.errors import ConfigurationError, GraspError
+from tactile_hand_ros.scenario.files import merged, put_changes, read_layers
+from tactile_hand_ros.scenario.scenario import Scenario, _overlap, load_scenario
 
 
 def chain(folder, layers):

@@ -6,8 +6,14 @@ import pytest
 from pydantic import ValidationError
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.preflight import check_scenario
-from tactile_hand_ros.closed_loop.scenario import (
+from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.control.laws import law_of
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.scenario.files import find_scenario
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import (
     NODES,
     Scenario,
     changed,
@@ -15,12 +21,6 @@ from tactile_hand_ros.closed_loop.scenario import (
     object_config,
     resolved,
 )
-from tactile_hand_ros.closed_loop.scenario_file import find_scenario
-from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.control.controller import ControllerConfig
-from tactile_hand_ros.control.laws import law_of
-from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 SHIPPED = {

@@ -9,12 +9,6 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from tactile_hand_ros.closed_loop.scenario_file import (
-    CONTROLLER,
-    find_scenario,
-    put_changes,
-    read_layers,
-)
 from tactile_hand_ros.config.angles import HALF_TURN, check_radians
 from tactile_hand_ros.config.model import Config, param, validate
 from tactile_hand_ros.config.paths import scenario_names
@@ -28,6 +22,12 @@ from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.scenario.files import (
+    CONTROLLER,
+    find_scenario,
+    put_changes,
+    read_layers,
+)
 from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
@@ -336,7 +336,7 @@ def _finished(scenario: Scenario) -> Scenario:
     """Return a scenario with numbers for the orientations that its targets keep."""
     if all(target.rotation is not None for target in scenario.targets):
         return scenario
-    from tactile_hand_ros.closed_loop.first_grasp import first_rotation
+    from tactile_hand_ros.scenario.first_grasp import first_rotation
 
     kept, targets = first_rotation(scenario.plant), []
     for target in scenario.targets:
