@@ -81,7 +81,6 @@ mutate: $(VENV)/.mutate $(VENV)/.package
 docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/figures
 	@$(PY) docs/draw_pages.py
-	@$(PY) docs/draw_architecture.py
 
 setup: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 

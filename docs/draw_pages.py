@@ -23,11 +23,11 @@ from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.closed_loop.scenario import UNLIMITED_SLIP, Scenario, load_scenario, resolved
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.report.tables import milli
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.verdict import headline, judged
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_scenario, resolved
 
 DOCS = Path(__file__).resolve().parent
 PAGES = (DOCS.parent / "README.md", DOCS / "first-hour.md", DOCS / "scenarios.md")
