@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
     from tactile_hand_ros.simulation.plant import Plant
     from tactile_hand_ros.simulation.skin import TactileSensor
-    from tactile_hand_ros.verify.audit import audit
     from tactile_hand_ros.verify.recompute import recompute
 
 __version__ = "0.1.0"
@@ -45,7 +44,6 @@ __all__ = [
     "SlipRegulator",
     "TactileHandError",
     "TactileSensor",
-    "audit",
     "load_scenario",
     "metrics",
     "recompute",
@@ -65,7 +63,6 @@ _HOMES = {
     "SlipRegulator": "control.slip.regulator",
     "TactileHandError": "errors",
     "TactileSensor": "simulation.skin",
-    "audit": "verify.audit",
     "load_scenario": "scenario.scenario",
     "metrics": "run.metrics",
     "recompute": "verify.recompute",

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand recover` and `audit`: repair a bag, check what is in it."""
+"""`tactile-hand recover`: repair a bag."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tactile_hand_ros.cli.output import EXIT_DIFFERS, BagArgument, NamespaceOption, print_table
+from tactile_hand_ros.cli.output import BagArgument
 from tactile_hand_ros.errors import TactileHandError
 
 
@@ -35,30 +34,4 @@ def recover(
     print(r.recover(found, out, in_place=in_place).sentence)
 
 
-def audit(bag: BagArgument = Path("runs/latest"), namespace: NamespaceOption = None) -> None:
-    """Check every recorded f* against (13) and every torque against the law, independently.
-
-    Exit code 0 if all agree, 1 if not.
-    """
-    from tactile_hand_ros.report.tables import rich_table
-    from tactile_hand_ros.run.run import Run
-    from tactile_hand_ros.verify.audit import audit as audit_run
-    from tactile_hand_ros.verify.checks import COLUMNS, rows
-    from tactile_hand_ros.verify.recompute import reason
-
-    run = Run(bag, namespace=namespace)
-    checks = audit_run(run)
-    print_table(rich_table("audit", COLUMNS, rows(checks)))
-    wrong = [check for check in checks if not check.ok]
-    for check in wrong:
-        print(
-            f"{check.name}: wrong at {check.wrong} of {check.ticks} ticks, first at tick "
-            f"{check.first} ns",
-            file=sys.stderr,
-        )
-    if wrong:
-        print("Not all agrees with the configuration" + reason(run), file=sys.stderr)
-        raise typer.Exit(EXIT_DIFFERS)
-
-
-COMMANDS = (recover, audit)
+COMMANDS = (recover,)

@@ -19,8 +19,6 @@ from tactile_hand_ros.errors import TactileHandError, counted
 if TYPE_CHECKING:
     from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
     from tactile_hand_ros.nodes.replay.replay import Replay
-    from tactile_hand_ros.run.run import Run
-    from tactile_hand_ros.verify.recompute import Comparison
 
 _CLOCK = 100.0  # messages a second
 
@@ -66,9 +64,6 @@ class ReplayRequest:
             help="With --recompute: a law of your own, here or on PYTHONPATH.",
         ),
     ] = ""
-    nodes: Annotated[
-        bool, typer.Option("--nodes", help="With --recompute: replay through the real nodes.")
-    ] = False
 
     def publishing(self) -> ReplayOptions:
         """Return how the bag is published.
@@ -104,8 +99,8 @@ def replay(request: ReplayRequest) -> None:
     if request.recompute:
         _recompute(request)
         return
-    if request.changes or request.law or request.nodes:
-        raise TactileHandError("--set, --law or --nodes was given, expected --recompute too.")
+    if request.changes or request.law:
+        raise TactileHandError("--set or --law was given, expected --recompute too.")
     from tactile_hand_ros.bag.recover import find_bag
 
     options = request.publishing()
@@ -126,38 +121,12 @@ def _recompute(request: ReplayRequest) -> None:
         values["law.name"] = request.law
         recorded = r.scenario_of(run).manipulation_controller.law.name
         is_as_recorded = is_as_recorded and request.law == recorded
-    if request.nodes:
-        title, speed = "recorded and answered by the nodes", ""
-        comparisons = _replay_through_nodes(run, values)
-    else:
-        result = r.recompute(run, values)
-        title, comparisons = "recorded and recomputed", result.comparisons
-        speed = (
-            f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time"
-        )
-    print_table(rich_table(title, r.COLUMNS, r.rows(comparisons)))
-    if speed:
-        print(speed)
-    if is_as_recorded and not all(comparison.same for comparison in comparisons):
+    result = r.recompute(run, values)
+    print_table(rich_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons)))
+    print(f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time")
+    if is_as_recorded and not result.same:
         print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
-
-
-def _replay_through_nodes(run: Run, values: dict[str, Any]) -> list[Comparison]:
-    try:
-        from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
-    except ModuleNotFoundError as error:
-        raise TactileHandError(
-            f"The nodes need ROS, but there is no module '{error.name}'; source ROS 2 or leave "
-            "--nodes away."
-        ) from None
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True)
-    with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("replaying through the nodes", total=1.0)
-        return replay_through_nodes(run, values, lambda share: bar.update(task, completed=share))
 
 
 def _publish(bag: Path, options: ReplayOptions) -> None:

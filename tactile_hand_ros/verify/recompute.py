@@ -376,6 +376,4 @@ def rows(comparisons: list[Comparison]) -> list[list[str]]:
 def _difference(c: Comparison) -> str:
     if c.same:
         return "none"
-    if c.unit == "bytes":
-        return "other bytes"
     return "only one has an answer" if np.isnan(c.largest) else f"{c.largest:.3g} {c.unit}"

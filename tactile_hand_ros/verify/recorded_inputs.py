@@ -72,12 +72,6 @@ class Effects:
             yield self._waiting.popleft().value
 
 
-def in_force(effects: Sequence[Effect], stamps: NDArray[np.int64]) -> list[Any]:
-    """Return the value in force at each tick [ns]; before the first tick of all, the first one."""
-    places = np.searchsorted([effect.stamp for effect in effects], stamps, side="right") - 1
-    return [effects[max(place, 0)].value for place in places]
-
-
 @dataclass(frozen=True)
 class Inputs:
     """The sensor topics of a run, and everything that users changed.

@@ -28,10 +28,8 @@ from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
-from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.recompute import recompute
 from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, Request, read_inputs
-from tactile_hand_ros.verify.replay_through_nodes import replay_through_nodes
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
@@ -227,7 +225,7 @@ def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> N
 def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     pacing: str, tmp_path: Path
 ) -> None:
-    """Gains, weights, squeezes, poses and services: recomputed to the bit and audited."""
+    """Gains, weights, squeezes, poses and services: recomputed to the bit."""
     rate, duration = (500.0, 1.5) if pacing == "lockstep" else (100.0, 2.0)
     scenario = short(**{"duration": duration, "plant.pacing": pacing, "plant.rate": rate})
 
@@ -263,9 +261,6 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     assert calls == [Request("enable", True), Request("enable", True), Request("reset", False)]
     assert {effect.stamp for effect in (*inputs.forces, *inputs.poses)} <= ticks
     assert [c for c in recompute(run).comparisons if not c.same] == []
-    assert [c for c in audit(run) if not c.ok] == []
-    if pacing == "lockstep":
-        assert [c for c in replay_through_nodes(run) if not c.same] == []
     assert bag == run.bag
 
 

@@ -33,7 +33,6 @@ from tactile_hand_ros.ros.executables import PACKAGE, executable_path
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.recompute import recompute
 
 # Six processes and their libraries start; a machine that does other things too takes its time.
@@ -141,7 +140,7 @@ def assert_gone(processes: list[psutil.Process]) -> None:
     wait_until(lambda: not any(p.is_running() for p in processes), 20.0, "the end of all")
 
 
-def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
+def test_what_was_answered_in_an_overloaded_real_time_run_can_be_recomputed(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
     """At 4 kHz no computer answers every tick; those that it answers are right, to the bit."""
@@ -151,7 +150,6 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_audited(
     run = Run(latest(tmp_path))
     answered = np.isfinite(run.record.command).all(axis=1)
     assert 1 < answered.sum() < 0.6 * 4000
-    assert all(check.ok for check in audit(run))
     assert recompute(run).same
     assert "ticks answered" in orchestrator.stdout
     assert "real time: the nodes share one process; --processes" in orchestrator.stdout

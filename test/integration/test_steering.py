@@ -18,7 +18,6 @@ from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.verify.audit import audit
 from tactile_hand_ros.verify.recompute import recompute
 
 PATIENCE = 120.0
@@ -78,7 +77,6 @@ def test_every_pose_arrives_and_refusals_are_answered(
     assert "/desired_pose" not in summarize(run.bag).types
     assert run.record.desired_position[-1].tolist() == [0.0, 0.0436, 0.4108]
     assert recompute(run).same
-    assert all(check.ok for check in audit(run))
 
 
 def test_without_a_hand_there_is_one_sentence(

@@ -20,7 +20,6 @@ _SLOW = 20
 # Folders whose tests start nodes, and which tests of `test/integration` are about others.
 _INTEGRATED = {
     **dict.fromkeys(("ros", "nodes", "orchestrator"), "test_*.py"),
-    "verify": "test_replay_through_nodes.py",
 }
 _OF_OTHERS = ("test_bench_runs", "test_faults", "test_packaging", "test_sweep")
 _RECORDER = "test/mutation/recorder.py"

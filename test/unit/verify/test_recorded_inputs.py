@@ -32,10 +32,8 @@ from tactile_hand_ros.verify.recorded_inputs import (
     Request,
     _values,
     configured,
-    in_force,
     read_inputs,
 )
-from tactile_hand_ros.verify.replay_through_nodes import _Commands, _compare, _payloads
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
 EFFECTS = [Effect(10, "a"), Effect(20, "b"), Effect(20, "c"), Effect(35, "d")]
@@ -47,11 +45,6 @@ def test_effects_are_given_once_when_their_tick_comes() -> None:
     assert given == [[], ["a"], [], ["b", "c"], ["d"], []]
     effects = Effects(EFFECTS)
     assert effects.first() == "a" and list(effects.until(20)) == ["b", "c"]
-
-
-def test_of_several_at_one_tick_the_last_is_in_force_and_before_all_the_first() -> None:
-    stamps = np.array([0, 10, 19, 20, 34, 35, 99])
-    assert in_force(EFFECTS, stamps) == ["a", "a", "a", "c", "c", "d", "d"]
 
 
 def test_a_node_that_may_skip_ticks_answered_those_with_any_number() -> None:
@@ -146,70 +139,3 @@ def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
     assert inputs.requests["force_optimizer"] == [] and not inputs.may_skip
     other = load_scenario("paper", {"plant.pacing": "realtime"})
     assert read_inputs(run, other).may_skip
-
-
-def test_bytes_of_the_last_run_are_compared_tick_by_tick(run: Run) -> None:
-    """A tick that both lack is none, and one that only one of them has is wrong."""
-    found = _payloads(run, ["joint_states", "grasp_force"])
-    assert {name: len(each) for name, each in found.items()} == {
-        "joint_states": 12,
-        "grasp_force": 12,
-    }
-    recorded = {1: b"a", 2: b"b", 3: b"c", 6: b"f"}
-    got = {1: b"a", 2: b"x", 4: b"d", 9: b"y"}
-    check = _compare("t", recorded, got, [1, 2, 3, 4, 5])
-    assert (check.topic, check.unit, check.compared, check.identical) == ("t", "bytes", 4, 1)
-    assert check.first == 2 and np.isnan(check.largest) and not check.same
-    same = _compare("t", recorded, recorded, [1, 2, 5])
-    assert (same.compared, same.identical, same.first, same.largest) == (2, 2, None, 0.0)
-
-
-class Sent(list[tuple[Any, ...]]):
-    """What would be sent to nodes."""
-
-    def configure(self, node: str, config: Any) -> None:
-        self.append(("configure", node, config.law.k_p))
-
-    def request(self, node: str, request: Request) -> None:
-        self.append((node, *request))
-
-    def force(self, force: float) -> None:
-        self.append(("force", force))
-
-    def pose(self, target: Any, stamp: int) -> None:
-        self.append(("pose", target, stamp))
-
-
-def test_before_each_tick_is_sent_what_takes_effect_at_it() -> None:
-    """The configurations with which the nodes were started are not sent again."""
-    configurations = configured(SCENARIO)
-    changed = SCENARIO.manipulation_controller.changed({"law.k_p": 9.0})
-    configurations["manipulation_controller"].append(Effect(20, changed))
-    inputs = Inputs(
-        Record.empty(1, ["a"], ["j"]),
-        [None],
-        np.zeros(1, dtype=np.bool_),
-        configurations,
-        poses=[Effect(10, "p"), Effect(20, "q")],
-        forces=[Effect(20, 3.0)],
-        requests={"manipulation_controller": [Effect(20, Request("grasp", True))]},
-    )
-    sent = Sent()
-    commands = _Commands(inputs, sent)  # type: ignore[arg-type]
-    for stamp, expected in (
-        (9, []),
-        (10, [("pose", "p", 10)]),
-        (
-            22,
-            [
-                ("configure", "manipulation_controller", 9.0),
-                ("manipulation_controller", "grasp", True),
-                ("force", 3.0),
-                ("pose", "q", 22),
-            ],
-        ),
-        (30, []),
-    ):
-        sent.clear()
-        commands.send(stamp)
-        assert sent == expected, stamp
