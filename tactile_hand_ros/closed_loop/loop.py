@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.rotations import quaternions_of_rows
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.belief import Belief
@@ -51,7 +48,6 @@ class ClosedLoop:
         self._belief = None if calibration.is_right else Belief(calibration, hand)
         self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
         self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
-        self._cone_watch = ConeWatch(scenario.force_optimizer, hand.fingers)
         self.controller = Controller(scenario.manipulation_controller)
         self.state = self.plant.state
         self.stamp = 0
@@ -99,7 +95,8 @@ class ClosedLoop:
         contacts = touch.contacts
         self.pass_on_rejection()
         grasp_force = self.regulator.step(stamp, contacts, touch.forces)
-        optimal = self.optimizer.solve(contacts, self.cones(contacts, touch.forces))
+        friction = self.regulator.learned_friction
+        optimal = self.optimizer.step(stamp, contacts, friction, touch.forces)
         command = self.controller.step(
             stamp,
             state.theta,
@@ -117,25 +114,12 @@ class ClosedLoop:
     def pass_on_rejection(self) -> None:
         """Let regulator and optimizer know whether the controller doubted the last touch."""
         self.regulator.reject_touch(self.controller.touch_rejected)
-        self._cone_watch.reject_touch(self.controller.touch_rejected)
+        self.optimizer.reject_touch(self.controller.touch_rejected)
 
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
-
-    def cones(self, contacts: Contacts, forces: Array | None) -> Cones | None:
-        """Return what f* has to respect beside the balance; None where that is nothing.
-
-        Args:
-            contacts: Contacts by touch.
-            forces: Measured forces in contact frames, shape (k, 3), N; None where one is missing.
-        """
-        c = self.optimizer.config
-        if not c.cones or forces is None:
-            return None
-        usable = c.cone_share * self.regulator.learned_friction
-        return self._cone_watch.step(self.stamp, contacts, forces, usable)
 
     def _write(
         self,

@@ -27,10 +27,8 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import LawFactory
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.errors import BagError, ConfigurationError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
@@ -234,7 +232,6 @@ class ShadowLoop:
         first = {node: effects.first() for node, effects in self._configurations.items()}
         self._regulator = SlipRegulator(first[names.REGULATOR], k)
         self._optimizer = ForceOptimizer(first[names.OPTIMIZER], k)
-        self._cone_watch = ConeWatch(first[names.OPTIMIZER], k)
         self._controller = Controller(first[names.CONTROLLER], law)
         arrays = {name: np.full_like(getattr(self._recorded, name), np.nan) for name in _ANSWERS}
         self._out = copy.copy(self._recorded)
@@ -285,17 +282,11 @@ class ShadowLoop:
         stamp = int(self._recorded.stamps[row])
         for config in self._configurations[names.OPTIMIZER].until(stamp):
             self._optimizer.configure(config)
-            self._cone_watch.configure(config)
         for request in self._requests[names.OPTIMIZER].until(stamp):
-            self._cone_watch.reject_touch(request.value)
-        c, cones = self._optimizer.config, None
-        if c.cones:
-            cones = self._cones(row, contacts, c.cone_share * self._out.friction[row])
-        self._out.optimal_forces[row] = self._optimizer.solve(contacts, cones).forces
-
-    def _cones(self, row: int, contacts: Contacts, friction: Array) -> Cones | None:
-        stamp = int(self._recorded.stamps[row])
-        return self._cone_watch.step(stamp, contacts, self._recorded.forces[row], friction)
+            self._optimizer.reject_touch(request.value)
+        friction, forces = self._out.friction[row], self._recorded.forces[row]
+        optimal = self._optimizer.step(stamp, contacts, friction, forces)
+        self._out.optimal_forces[row] = optimal.forces
 
     def _control(self, row: int) -> None:
         r, out = self._recorded, self._out

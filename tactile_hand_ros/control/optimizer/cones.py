@@ -8,13 +8,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.loads import (
+    LoadMargin,
+    LoadMarginConfig,
+    Split,
+    measured_split,
+    shift,
+)
 from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
+
+_MIN_GRASP_FORCE = 0.1  # N; below, the load per unit of internal force means nothing
+_CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 SIDES = 12
 """Sides of a pyramid."""
@@ -85,3 +97,134 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
             tangential = DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z
             beyond[i, j] = tangential - INSIDE * usable_friction[i] * n
     return beyond
+
+
+class ConeTrackerConfig(Protocol):
+    """Parameters of `ConeTracker`."""
+
+    @property
+    def load_time(self) -> float:
+        """Time constant of the load, s."""
+
+    @property
+    def squeeze_share(self) -> float:
+        """Share of the squeeze that is felt with which f* should do."""
+
+    @property
+    def reserve(self) -> LoadMarginConfig:
+        """Loads that f* should be ready for."""
+
+    @property
+    def load_memory(self) -> float:
+        """Time constant with which the loads of the recent past are forgotten, s."""
+
+
+class ConeTracker:
+    """Follows what the contacts carry, slowly enough that noise does not shake f*.
+
+    It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
+    for that: a shape that follows a swinging load is always too late for it. Touch that is doubted
+    is not followed, and afterwards all begins with the load that is felt then.
+    """
+
+    def __init__(self, config: ConeTrackerConfig, contacts: int) -> None:
+        """Follow the load of k contacts."""
+        self._reserve = LoadMargin(config.reserve, contacts)
+        self._doubted = False
+        self.configure(config)
+        self.reset()
+
+    def reject_touch(self, doubted: bool) -> None:
+        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
+        if doubted:
+            self.reset()
+        self._doubted = doubted
+
+    def configure(self, config: ConeTrackerConfig) -> None:
+        """Take other parameters; what is known of the load stays."""
+        self._config = config
+        self._reserve.configure(config.reserve)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._load: Array | None = None
+        self._worst: Array | None = None
+        self._reserve.reset()
+        self._stamp = 0
+
+    def step(
+        self, stamp: int, contacts: Contacts, forces: Array, usable_friction: Array
+    ) -> Cones | None:
+        """Return what the contacts can bear and carry, per unit of the squeeze that is felt now.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contact points and frames.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            usable_friction: mu that each contact may use, shape (k,).
+
+        Returns:
+            None where there is no grasp or no squeeze yet, or touch is doubted.
+        """
+        parts = None if self._doubted else _grasp(contacts, forces)
+        if parts is None:
+            self._load = self._worst = None  # the past that the reserve follows stays
+            return None
+        elapsed, share, c = 0.0, 1.0, self._config
+        if self._load is not None:
+            elapsed = 1e-9 * (stamp - self._stamp)
+            share = 1.0 - math.exp(-elapsed / c.load_time)
+        before = parts.load if self._load is None else self._load
+        radii = self._reserve.step(parts.load, elapsed)
+        load = _per_squeeze(before, parts.load, parts.grasp_force, share)
+        worst = reaches(parts.grasp_force * load, usable_friction)
+        if self._worst is not None:
+            keep = math.exp(-elapsed / c.load_memory)
+            worst = np.maximum(worst, worst + keep * (self._worst - worst))
+        self._load, self._worst, self._stamp = load, worst, stamp
+        wanted = _wanted(worst, radii, usable_friction, c.squeeze_share * parts.grasp_force)
+        return Cones(usable_friction, load, elapsed, wanted)
+
+
+def _grasp(contacts: Contacts, forces: Array) -> Split | None:
+    """Split the forces where all fingers hold something between them."""
+    if not contacts.all_touching:
+        return None
+    parts, margin = measured_split(contacts, forces)
+    return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _MIN_GRASP_FORCE else None
+
+
+@compiled
+def _per_squeeze(before: Array, load: Array, grasp_force: float, share: float) -> Array:
+    """Return the load per unit of squeeze, smoothed, shape (k, 3).
+
+    Args:
+        before: The same at the last tick, shape (k, 3).
+        load: What the contacts carry, shape (k, 3), N.
+        grasp_force: The squeeze, N.
+        share: Share of the way to the present load.
+    """
+    now = np.empty_like(load)
+    for i in range(len(load)):
+        for axis in range(3):
+            felt, last = load[i, axis] / grasp_force, before[i, axis]
+            now[i, axis] = felt if share == 1.0 else last + share * (felt - last)
+    return now
+
+
+@compiled
+def _wanted(worst: Array, radii: Array, friction: Array, squeeze: float) -> Array:
+    """Return what f* is to be ready for, per unit of squeeze, shape (k, SIDES); see `reaches`.
+
+    Args:
+        worst: How far loads of the recent past reach beyond the pyramids, shape (k, SIDES), N.
+        radii: Radii of further loads that may come, shape (k,), N.
+        friction: Usable mu, shape (k,).
+        squeeze: The squeeze with which f* should do, N.
+    """
+    wanted = np.empty_like(worst)
+    for i in range(len(worst)):
+        reserve = INSIDE * friction[i] * shift(radii[i], friction[i])
+        for j in range(worst.shape[1]):
+            wanted[i, j] = (worst[i, j] + reserve) / squeeze
+    return wanted

@@ -18,12 +18,12 @@ from tactile_hand_ros.control.grasp import (
     collinearity_margin,
     grasp_map,
 )
+from tactile_hand_ros.control.loads import LoadMarginConfig
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.cones import Cones, ConeTracker, cone_margin
 from tactile_hand_ros.control.optimizer.steady import followed, imbalance
 from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, Sparse, WarmSolver
-from tactile_hand_ros.control.slip.reserve import ReserveConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.jit.compiled import compiled
 
@@ -74,7 +74,7 @@ class ForceOptimizerConfig(Config):
         gt=0.0,
         le=100.0,
     )
-    reserve: ReserveConfig = ReserveConfig()
+    reserve: LoadMarginConfig = LoadMarginConfig()
     squeeze_share: float = param(
         0.75,
         "share of the present squeeze with which f* should do, so that it can be lowered",
@@ -140,8 +140,9 @@ class OptimalForces(NamedTuple):
             afar, weighted by its share of the largest multiplier.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
-        cone_margin: Least mu f_n - |f_t| per unit of squeeze, with the load; not negative certifies
-            that nothing has to slip; NaN where friction is not looked at.
+        cone_margin: Minimum of mu f_n - |f_t| per unit of internal force, with the load and the
+            usable mu; not negative certifies that nothing has to slip; NaN without cones.
+        learned_margin: The same with mu as learned, without the margin of `cone_share`.
         shaped: Whether the cones changed f*.
     """
 
@@ -155,6 +156,7 @@ class OptimalForces(NamedTuple):
     iterations: int = 0
     solve_time: float = 0.0
     cone_margin: float = np.nan
+    learned_margin: float = np.nan
     shaped: bool = False
 
     @property
@@ -191,6 +193,7 @@ class ForceOptimizer:
         self._columns = 3 * fingers
         self._shaper: ConeOptimizer | None = None
         self._shape: Array | None = None
+        self._tracker = ConeTracker(config, fingers)
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -202,11 +205,43 @@ class ForceOptimizer:
         weights = config.weight_vector(self._k)
         config.check_minimum(self._k)
         self.config, self._weights = config, weights
+        self._tracker.configure(config)
         self._set_up()
 
     def reset(self) -> None:
-        """Forget the last answer."""
+        """Forget the last answer and the load."""
         self._set_up()
+        self._tracker.reset()
+
+    def reject_touch(self, rejected: bool) -> None:
+        """Take whether the controller rejects the touch, from the next tick on."""
+        self._tracker.reject_touch(rejected)
+
+    def step(
+        self,
+        stamp: int,
+        contacts: Contacts,
+        friction: Array | None = None,
+        forces: Array | None = None,
+    ) -> OptimalForces:
+        """Return f* of a tick, inside the friction cones if the configuration says so.
+
+        Args:
+            stamp: The tick, ns.
+            contacts: Contact points and frames in the palm frame.
+            friction: mu of each contact as the regulator has learned it, shape (k,).
+            forces: Measured forces in contact frames, shape (k, 3), N; without friction or forces
+                the cones are left out.
+        """
+        if not self.config.cones or friction is None or forces is None:
+            return self.solve(contacts)
+        usable = self.config.cone_share * friction
+        cones = self._tracker.step(stamp, contacts, forces, usable)
+        optimal = self.solve(contacts, cones)
+        if cones is None or not optimal.ok:
+            return optimal
+        learned = cone_margin(optimal.forces, cones.load, friction)
+        return OptimalForces(*optimal[:-2], learned, optimal.shaped)
 
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
         """Share a unit squeeze among the contacts.
@@ -257,6 +292,7 @@ class ForceOptimizer:
             solved.iterations,
             solved.solve_time,
             cones.margin(forces),
+            np.nan,
             shaped,
         )
 

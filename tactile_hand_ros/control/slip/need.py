@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.slip.reserve import Reserve, ReserveConfig, shift
-from tactile_hand_ros.control.slip.split import Split, required_squeeze
+from tactile_hand_ros.control.loads import (
+    LoadMargin,
+    LoadMarginConfig,
+    Split,
+    required_grasp_force,
+    shift,
+)
 from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.jit.rows import Row, Rows, row_of
 
@@ -36,7 +41,7 @@ class NeedConfig(Config):
     lead: float = param(
         0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
     )
-    reserve: ReserveConfig = ReserveConfig()
+    reserve: LoadMarginConfig = LoadMarginConfig()
     reserve_time: float = param(
         0.05,
         "time over which the reserve of a new grasp rises from nothing",
@@ -72,7 +77,7 @@ class Need:
     def __init__(self, config: NeedConfig, contacts: int) -> None:
         """Start without a grasp of k contacts."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
-        self._reserve = Reserve(config.reserve, contacts)
+        self._reserve = LoadMargin(config.reserve, contacts)
         self.configure(config)
         self.reset()
 
@@ -139,8 +144,8 @@ def _needed(
             _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
         x, n, z = m["shape"]
         mu, (a, b, d) = friction[i], _foreseen(m, c, dt)
-        alone = required_squeeze((a, b, d), (x, n, z), mu / (1.0 + margin))
-        more = required_squeeze((a, b - shift(radii[i], mu), d), (x, n, z), mu)
+        alone = required_grasp_force((a, b, d), (x, n, z), mu / (1.0 + margin))
+        more = required_grasp_force((a, b - shift(radii[i], mu), d), (x, n, z), mu)
         needed = max(needed, alone)
         ready = max(ready, alone, more if math.isfinite(more) else 0.0)
     return needed, ready

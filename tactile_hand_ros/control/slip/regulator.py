@@ -13,12 +13,12 @@ from pydantic import model_validator
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.loads import Split, split
 from tactile_hand_ros.control.slip.checkpoints import Checkpoints
 from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 from tactile_hand_ros.control.slip.need import Need
 from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
-from tactile_hand_ros.control.slip.split import Split, split
 from tactile_hand_ros.errors import CollinearContactsError, MessageError
 from tactile_hand_ros.jit.rows import Rows
 

@@ -24,14 +24,11 @@ from std_msgs.msg import Bool
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
-    OptimalForces,
 )
 from tactile_hand_ros.control.rehearsal import example_touch
-from tactile_hand_ros.control.slip.split import ConeWatch
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.ros import qos
@@ -84,7 +81,6 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._force_publishers = [
             self.tick_publisher(WrenchStamped, names.optimal_force(name)) for name in fingers
         ]
-        self._cone_watch = ConeWatch(self.config, self._fingers)
         self._rehearse(shapes)
         if shapes:
             latched = qos.latched_qos(qos.user_qos().depth)
@@ -99,7 +95,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def _rehearse(self, shapes: bool) -> None:
         contacts, forces = example_touch(self._fingers)
         touch = (np.ones(self._fingers), forces) if shapes else (None, None)
-        self._solve(0, contacts, *touch)
+        self._optimizer.step(0, contacts, *touch)
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
@@ -110,7 +106,6 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def on_config(self, config: ForceOptimizerConfig) -> None:
         """Take other weights or another least share."""
         self._optimizer.configure(config)
-        self._cone_watch.configure(config)
         self._accepted.configuration(config)
 
     def on_report(self) -> None:
@@ -120,7 +115,6 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def on_restart(self) -> None:
         """Start over with the ticks."""
         self._optimizer.reset()
-        self._cone_watch.reset()
         self._accepted.begin(self.config)
         if self._is_doubted:
             self._accepted.request(names.TOUCH_REJECTED, True)
@@ -128,7 +122,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def _on_doubt(self, message: Bool) -> None:
         if message.data != self._is_doubted:
             self._is_doubted = message.data
-            self._cone_watch.reject_touch(message.data)
+            self._optimizer.reject_touch(message.data)
             self._accepted.request(names.TOUCH_REJECTED, message.data)
 
     def on_tick(
@@ -136,25 +130,14 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     ) -> None:
         """Answer a tick for which everything has arrived."""
         began = time.perf_counter()
-        optimal, learned = self._solve(stamp, contacts, friction, forces)
+        optimal = self._optimizer.step(stamp, contacts, friction, forces)
         pairs = zip(self._codecs, optimal.forces.tolist(), strict=True)
         self._sent = [codec.encode(force, stamp) for codec, force in pairs]
         self.on_repeat()
         self._accepted.take_effect(stamp)
-        self._report.note(optimal, learned)
+        self._report.note(optimal)
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
-
-    def _solve(
-        self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
-    ) -> tuple[OptimalForces, Cones | None]:
-        """Return f*, and the friction cones without the reserve that it keeps."""
-        if friction is None or forces is None:
-            return self._optimizer.solve(contacts), None
-        usable = self.config.cone_share * friction
-        cones = self._cone_watch.step(stamp, contacts, forces, usable)
-        learned = None if cones is None else Cones(friction, cones.load)
-        return self._optimizer.solve(contacts, cones), learned
 
     def on_repeat(self) -> None:
         """Give the last answer, which may be a new one."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import OptimalForces
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 
@@ -30,11 +29,11 @@ class OptimizerReport:
         self._unanswered = 0
         self._outside, self._worst = Mostly(), 0.0
 
-    def note(self, optimal: OptimalForces, cones: Cones | None) -> None:
-        """Note the answer of a tick, and the cones as learned, without reserve, where used."""
+    def note(self, optimal: OptimalForces) -> None:
+        """Note the answer of a tick."""
         self._optimal = optimal
-        # Only where the reserve does not hold; NaN: not looked at.
-        margin = cones.margin(optimal.forces) if cones and optimal.cone_margin < _OUTSIDE else 0.0
+        # Only where the margin of load does not hold; NaN: without cones.
+        margin = optimal.learned_margin if optimal.cone_margin < _OUTSIDE else 0.0
         self._outside.note(margin < _OUTSIDE)
         self._worst = min(self._worst, margin)
         self._unanswered += not optimal.ok

@@ -148,8 +148,9 @@ class FaultyLoop:
         loop.pass_on_rejection()
         if contacts is not None and forces is not None:
             squeeze = loop.regulator.step(stamp, contacts, forces)
+        friction = loop.regulator.learned_friction
         if contacts is not None:
-            shape = loop.optimizer.solve(contacts, loop.cones(contacts, forces)).forces
+            shape = loop.optimizer.step(stamp, contacts, friction, forces).forces
         squeeze = carry("grasp force", squeeze, lambda value: value and _FACTOR * value)
         shape = carry("shape", shape, lambda value: None if value is None else value[:, [1, 0, 2]])
         if joints is None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
-from tactile_hand_ros.control.slip.split import split
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.studies.slip.cases import EVENT_TIME

@@ -180,15 +180,6 @@ def test_the_user_s_squeezes_are_taken_in_order_of_time_at_their_tick():
     assert (np.diff(record.grasp_force) < 0.0).tolist() == [False, True, True, False, False]
 
 
-def test_the_optimizer_gets_its_share_of_the_learned_friction_where_it_looks_at_cones():
-    plain = ClosedLoop(load_scenario("paper"))
-    contacts, forces = plain.state.contacts, np.tile([0.1, 3.0, 0.2], (3, 1))
-    assert plain.cones(contacts, forces) is None
-    changes = {"force_optimizer.cones": True, "force_optimizer.cone_share": 0.7}
-    cones = ClosedLoop(load_scenario("paper", changes)).cones(contacts, forces)
-    np.testing.assert_allclose(cones.usable_friction, 0.7 * 0.4, rtol=1e-15)
-
-
 def test_what_is_recorded_of_a_tick_is_what_the_blocks_say():
     loop = ClosedLoop(load_scenario("paper", {"slip_regulator.mode": "auto"}))
     hand = loop.plant.hand

@@ -105,18 +105,6 @@ def test_a_tick_is_rehearsed_and_forgotten_before_the_first_one(
     assert node.diagnostics.ticks == 0 and "latency_max_us" not in said(node)
 
 
-def test_the_cones_are_rehearsed_where_they_are_used(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = importlib.import_module("tactile_hand_ros.nodes.force_optimizer.node")
-    step, calls = module.ConeWatch.step, list[int]()
-    monkeypatch.setattr(module.ConeWatch, "step", lambda *args: calls.append(1) or step(*args))
-    make(ForceOptimizerNode)
-    assert calls == []
-    make(ForceOptimizerNode, cones=True)
-    assert calls == [1]
-
-
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
     [
@@ -143,47 +131,6 @@ def test_a_changed_parameter_is_taken_over_and_published_with_its_tick(
     assert core.config == node.config
 
 
-def test_the_cones_take_other_parameters_too(make: Callable[..., Any]) -> None:
-    hand = Optimizer(make)
-    hand.node.set_parameters([Parameter("cone_share", value=0.5)])
-    assert hand.node._cone_watch._config == hand.node.config
-
-
-def test_an_optimizer_uses_a_share_of_what_was_learned(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hand = Optimizer(make, cone_share=0.5)
-    usable: list[Any] = []
-    step = hand.node._cone_watch.step
-    monkeypatch.setattr(
-        hand.node._cone_watch, "step", lambda *args: usable.append(args) or step(*args)
-    )
-    noted: list[Any] = []
-    monkeypatch.setattr(hand.node._report, "note", lambda *args: noted.append(args))
-    forces = hand.tick(7)
-    assert forces[:, 1].sum() == pytest.approx(1.0)
-    ((stamp, contacts, felt, friction),) = usable
-    assert (stamp, contacts, felt) == (7, STATE.contacts, PUSH)
-    np.testing.assert_array_equal(friction, 0.5 * FRICTION)
-    ((optimal, learned),) = noted
-    np.testing.assert_array_equal(optimal.forces, forces)
-    np.testing.assert_array_equal(learned.usable_friction, FRICTION)
-    np.testing.assert_array_equal(learned.load, hand.node._cone_watch._load)
-    assert hand.node.diagnostics.ticks == 1 and 0.0 < float(said(hand.node)["latency_max_us"]) < 1e7
-    hand.node.on_repeat()
-    assert all(len(sent) == 2 and sent[0] == sent[1] for sent in hand.sent)
-
-
-@pytest.mark.parametrize(("friction", "forces"), [(None, PUSH), (FRICTION, None)])
-def test_without_friction_or_forces_nothing_is_shaped(
-    make: Callable[..., Any], friction: Any, forces: Any
-) -> None:
-    node = make(ForceOptimizerNode)
-    answer, cones = node._solve(0, STATE.contacts, friction, forces)
-    assert answer.ok and cones is None and not answer.shaped
-    assert not hasattr(node._accepted, "_requests")
-
-
 def asked(requests: list[Any]) -> list[tuple[str, str, int]]:
     found = [(m.status[0], stamp_to_ns(m.header.stamp)) for m in requests]
     return [(status.message, status.values[0].value, stamp) for status, stamp in found]
@@ -195,9 +142,9 @@ def test_a_doubt_is_passed_on_once_and_stays_when_the_ticks_start_over(
 ) -> None:
     node = make(kind, **({"cones": True} if kind is ForceOptimizerNode else {}))
     requests = keep(node._accepted._requests)
-    core = node._cone_watch if kind is ForceOptimizerNode else node._regulator
+    core = node._optimizer if kind is ForceOptimizerNode else node._regulator
     doubts: list[bool] = []
-    monkeypatch.setattr(core, "doubt", doubts.append)
+    monkeypatch.setattr(core, "reject_touch", doubts.append)
     node._on_doubt(Bool(data=False))
     node.on_restart()
     node._accepted.take_effect(0)
@@ -222,7 +169,6 @@ def test_ticks_that_start_over_find_nothing_of_before(make: Callable[..., Any]) 
     first = hand.tick(0)
     hand.tick(TICK, FRICTION, 2.0 * PUSH[::-1])
     hand.node.on_restart()
-    assert hand.node._cone_watch._load is None
     np.testing.assert_array_equal(hand.tick(0), first)
     regulator._report._slips[:] = 3
     regulator._regulator.step(0, STATE.contacts, PUSH)

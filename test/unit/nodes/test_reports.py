@@ -15,7 +15,6 @@ from support.plants import plant
 from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -60,7 +59,7 @@ def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_on
         (none._replace(reason="other"), ERROR, "other"),
         (optimal, OK, "running"),
     ):
-        report.note(answer, None)
+        report.note(answer)
         report.report()
         status = diagnostics.status()
         assert (status.level, status.message) == (level, message)
@@ -73,21 +72,20 @@ def test_f_outside_the_learned_cones_at_most_ticks_is_told_with_the_worst_margin
     """A reserve that is used up, or a blink, is no reason to warn."""
     diagnostics, optimal = Diagnostics("node"), optimum()
     report = OptimizerReport(diagnostics)
-    outside = optimal._replace(cone_margin=-0.1)
-    narrow, wide = (Cones(np.full(3, mu), np.zeros((3, 3))) for mu in (1e-3, 9.0))
-    depth = narrow.margin(optimal.forces)
-    assert depth < -1e-3 < wide.margin(optimal.forces)
+    depth = -0.07
+    narrow = optimal._replace(cone_margin=-0.1, learned_margin=depth)
+    wide = narrow._replace(learned_margin=0.2)
     for answers, warns in (
-        ([(outside, narrow)], True),
-        ([(outside, narrow), (outside, wide), (outside, wide)], False),
-        ([(outside, narrow), (outside, narrow), (outside, wide)], True),
-        ([(outside, wide)], False),
-        ([(optimal, narrow)], False),  # inside with its reserve: not looked at
-        ([(optimal._replace(cone_margin=-1e-5), narrow)], False),  # on the edge
-        ([(outside, None)], False),
+        ([narrow], True),
+        ([narrow, wide, wide], False),
+        ([narrow, narrow, wide], True),
+        ([wide], False),
+        ([narrow._replace(cone_margin=0.1)], False),  # inside with its reserve: not looked at
+        ([narrow._replace(cone_margin=-1e-5)], False),  # on the edge
+        ([optimal], False),
     ):
-        for answer, cones in answers:
-            report.note(answer, cones)
+        for answer in answers:
+            report.note(answer)
         report.report()
         status = diagnostics.status()
         assert status.level == (WARN if warns else OK)

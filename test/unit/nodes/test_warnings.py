@@ -7,7 +7,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
 from tactile_hand_ros.ros.diagnostics import Diagnostics
@@ -23,7 +22,7 @@ def warnings_of(name: str, seconds: int) -> list[str]:
     optimizer, regulator = Diagnostics("optimizer"), Diagnostics("regulator")
     optimizer_report = OptimizerReport(optimizer)
     regulator_report = RegulatorReport(regulator, fingers)
-    feel, solve = loop.regulator.step, loop.optimizer.solve
+    feel, solve = loop.regulator.step, loop.optimizer.step
 
     def felt(stamp, contacts, forces):
         squeeze = feel(stamp, contacts, forces)
@@ -32,13 +31,12 @@ def warnings_of(name: str, seconds: int) -> list[str]:
         regulator_report.note(r, stamp, contacts, forces, state)
         return squeeze
 
-    def solved(contacts, cones):
-        optimal = solve(contacts, cones)
-        learned = cones and Cones(loop.regulator.learned_friction, cones.load)
-        optimizer_report.note(optimal, learned)
+    def solved(stamp, contacts, friction, forces):
+        optimal = solve(stamp, contacts, friction, forces)
+        optimizer_report.note(optimal)
         return optimal
 
-    loop.regulator.step, loop.optimizer.solve = felt, solved  # type: ignore[method-assign]
+    loop.regulator.step, loop.optimizer.step = felt, solved  # type: ignore[method-assign]
     said = []
     for _ in range(seconds):
         loop.run(SECOND)

@@ -270,7 +270,7 @@ class Changing(ClosedLoop):
 
 BLOCKS = {
     "slip_regulator": ("regulator",),
-    "force_optimizer": ("optimizer", "_cone_watch"),
+    "force_optimizer": ("optimizer",),
     "manipulation_controller": ("controller",),
 }
 LIVE: dict[str, dict[int, dict[str, Any]]] = {

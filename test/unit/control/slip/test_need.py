@@ -4,9 +4,8 @@
 import numpy as np
 import pytest
 
+from tactile_hand_ros.control.loads import LoadMarginConfig, Split
 from tactile_hand_ros.control.slip.need import Need, NeedConfig
-from tactile_hand_ros.control.slip.reserve import ReserveConfig
-from tactile_hand_ros.control.slip.split import Split
 
 MU = np.array([0.5, 0.5, 0.5])
 OWN = np.array([0.4, 0.9, 0.6])
@@ -14,7 +13,7 @@ SHARES = np.array([0.5, 0.2, 0.3])
 SHAPE = np.array([[0.0, 0.475, 0.0], [0.0, 0.475, 0.0], [0.0, 0.05, 0.0]])
 WEIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 DT = 0.001
-NO_RESERVE = ReserveConfig(floor=0.0, share=0.0)
+NO_RESERVE = LoadMarginConfig(floor=0.0, share=0.0)
 LAG = DT / np.expm1(DT / 0.005)  # of a ramp behind its low-pass
 
 
@@ -131,7 +130,7 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
 
 def at_once(floor, share=0.0):
     """Return a need whose reserve is there from the first sample on."""
-    return Need(NeedConfig(reserve=ReserveConfig(floor=floor, share=share), reserve_time=0.0), 3)
+    return Need(NeedConfig(reserve=LoadMarginConfig(floor=floor, share=share), reserve_time=0.0), 3)
 
 
 def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
@@ -148,7 +147,7 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
 
 
 def test_the_reserve_follows_the_largest_load_of_the_recent_past():
-    need = Need(NeedConfig(reserve=ReserveConfig(floor=0.0, share=0.3, memory=2.0)), 3)
+    need = Need(NeedConfig(reserve=LoadMarginConfig(floor=0.0, share=0.3, memory=2.0)), 3)
     for _ in range(100):
         need.step(felt(5.0 * WEIGHT, 6.0 * SHAPE), MU, DT)
     soon = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.2))
@@ -180,7 +179,7 @@ def reserves(need, ticks, load=CARRIED, first=0):
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
     """In even steps, from nothing to all of it, and the need is there at once."""
-    need = Need(NeedConfig(reserve=ReserveConfig(floor=3.0, share=0.0), reserve_time=0.08), 3)
+    need = Need(NeedConfig(reserve=LoadMarginConfig(floor=3.0, share=0.0), reserve_time=0.08), 3)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
     np.testing.assert_array_equal(needed, reserves(fresh(), 200)[:, 0])

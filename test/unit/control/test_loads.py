@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.optimizer.cones import reaches
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
-from tactile_hand_ros.control.slip.reserve import ReserveConfig
-from tactile_hand_ros.control.slip.split import ConeWatch, required_squeeze, split
+from tactile_hand_ros.control.loads import LoadMarginConfig, required_grasp_force, split
+from tactile_hand_ros.control.optimizer.cones import ConeTracker, cone_margin, reaches
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.rotations import rotation_from_vector
 
@@ -26,7 +25,7 @@ MU = np.array([0.5, 0.3, 0.8])
 
 def cone_watch(**values):
     config = ForceOptimizerConfig(load_time=0.02, squeeze_share=0.7, **values)
-    return ConeWatch(config, 3)
+    return ConeTracker(config, 3)
 
 
 def thin(margin):
@@ -68,7 +67,7 @@ def test_the_cones_are_told_the_load_per_squeeze_and_the_friction_of_each_finger
 
 
 def test_f_is_made_for_less_squeeze_than_there_is_and_for_a_reserve():
-    reserve = ReserveConfig(floor=0.6, share=0.0)
+    reserve = LoadMarginConfig(floor=0.6, share=0.0)
     cones = cone_watch(reserve=reserve).step(0, GRASP, FORCES, MU)
     expected = per_squeeze(GRASP, FORCES)
     expected[:, 1] -= 0.2 * np.sqrt(1.0 + 1.0 / MU**2) / split(GRASP, FORCES).grasp_force
@@ -77,7 +76,7 @@ def test_f_is_made_for_less_squeeze_than_there_is_and_for_a_reserve():
 
 def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
     """Two loads by turns, then the first alone: for each side the larger one, which fades."""
-    none = ReserveConfig(floor=0.0, share=0.0)
+    none = LoadMarginConfig(floor=0.0, share=0.0)
     watch = cone_watch(reserve=none, load_memory=1.0)
     one, two = watch.step(0, GRASP, FORCES, MU), watch.step(1000 * MS, GRASP, HEAVY, MU)
     three = watch.step(1001 * MS, GRASP, FORCES, MU)
@@ -175,13 +174,13 @@ def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
 def test_the_squeeze_that_holds_a_load_has_the_values_computed_by_hand(
     load, shape, friction, expected
 ):
-    assert required_squeeze(load, shape, friction) == pytest.approx(expected)
+    assert required_grasp_force(load, shape, friction) == pytest.approx(expected)
 
 
 @given(st.floats(0.01, 9.0), st.floats(0.01, 1.0), st.floats(0.05, 1.5))
 def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share, friction):
     """The root is a double one, and rounding must not lose it."""
-    needed = required_squeeze((0.0, -pull, 0.0), (0.0, share, 0.0), friction)
+    needed = required_grasp_force((0.0, -pull, 0.0), (0.0, share, 0.0), friction)
     assert needed == pytest.approx(pull / share, rel=1e-5)
 
 
@@ -199,7 +198,7 @@ def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
         x, n, z = (load[:, None] + shape[:, None] * k) if np.ndim(k) else load + k * shape
         return friction * n - np.hypot(x, z)
 
-    k = required_squeeze(tuple(load.tolist()), tuple(shape.tolist()), friction)
+    k = required_grasp_force(tuple(load.tolist()), tuple(shape.tolist()), friction)
     if math.isinf(k):
         assert inside(np.geomspace(1e-3, 1e4, 2000)).max() < 1e-9 and inside(0.0) < 1e-9
     elif k == 0.0:
@@ -208,3 +207,39 @@ def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
         # Where the force only grazes the cone, k is a double root, known to sqrt(eps) = 1.5e-8.
         assert inside(k) == pytest.approx(0.0, abs=3e-8 * (1.0 + k))
         assert inside(np.linspace(0.0, 0.999 * k, 100)).max() < 1e-9
+
+
+def test_a_tick_of_the_optimizer_uses_its_fraction_of_the_learned_friction():
+    config = ForceOptimizerConfig(cones=True, cone_share=0.5, shape_time=0.0)
+    optimal = ForceOptimizer(config, 3).step(7, GRASP, MU, FORCES)
+    load = per_squeeze(GRASP, FORCES)
+    for friction, found in ((0.5 * MU, optimal.cone_margin), (MU, optimal.learned_margin)):
+        assert found == pytest.approx(cone_margin(optimal.forces, load, friction), abs=1e-12)
+
+
+@pytest.mark.parametrize(("friction", "forces"), [(None, FORCES), (MU, None)])
+def test_without_friction_or_forces_the_optimizer_leaves_out_the_cones(friction, forces):
+    found = ForceOptimizer(ForceOptimizerConfig(cones=True), 3).step(0, GRASP, friction, forces)
+    assert found.ok and not found.shaped and math.isnan(found.cone_margin)
+
+
+def test_a_tick_of_the_optimizer_follows_reset_rejection_and_configuration():
+    """Each leaves it where a new one would be."""
+    config = ForceOptimizerConfig(cones=True)
+    for happens in (
+        lambda optimizer: optimizer.reset(),
+        lambda optimizer: (
+            optimizer.reject_touch(True),
+            optimizer.step(4 * MS, GRASP, MU, HEAVY),
+            optimizer.reject_touch(False),
+        ),
+    ):
+        optimizer, fresh = ForceOptimizer(config, 3), ForceOptimizer(config, 3)
+        optimizer.step(3 * MS, GRASP, MU, HEAVY)
+        happens(optimizer)
+        found, expected = (each.step(5 * MS, GRASP, MU, FORCES) for each in (optimizer, fresh))
+        np.testing.assert_allclose(found.forces, expected.forces, atol=1e-9)
+    wider = config.model_copy(update={"cone_share": 1.0})
+    optimizer.configure(wider)
+    found = optimizer.step(6 * MS, GRASP, MU, FORCES)
+    assert found.cone_margin == pytest.approx(found.learned_margin)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a grasp carries: the load in the measured forces, the margin of load, the force that holds.
+
+The law (14) presses with f = k_f f* + G~^+ w: an internal force, which balances itself and grows
+with k_f, and a load, which does not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import (
+    MIN_COLLINEARITY_MARGIN,
+    net_wrench,
+    spread_wrench,
+)
+from tactile_hand_ros.errors import CollinearContactsError
+from tactile_hand_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+
+_GRAZES = 1e-12  # fraction by which rounding may miss a double root, where nothing is tangential
+
+
+class Split(NamedTuple):
+    """Contact forces as load and squeeze, all in contact frames.
+
+    Attributes:
+        load: Smallest forces with the measured net wrench, shape (k, 3), N.
+        squeeze: The rest, which is in balance with itself, shape (k, 3), N.
+        grasp_force: Sum of the normal squeezing forces, N.
+    """
+
+    load: Array
+    squeeze: Array
+    grasp_force: float
+
+
+def split(contacts: Contacts, forces: Array) -> Split:
+    """Split measured forces as the law (14) composes them: f = k_f f* + G~^+ w.
+
+    Args:
+        contacts: Contact points and frames; all must touch.
+        forces: Forces on the object in contact frames, shape (k, 3), N.
+
+    Raises:
+        CollinearContactsError: If the contacts lie on a line (A7).
+    """
+    parts, margin = measured_split(contacts, forces)
+    if margin < MIN_COLLINEARITY_MARGIN:
+        raise CollinearContactsError.of(contacts.positions)
+    return parts
+
+
+def measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
+    """Return the split, of no use on a line, and the collinearity margin."""
+    load, squeeze, total, margin = _split(contacts.positions, contacts.rotations, forces)
+    return Split(load, squeeze, total), margin
+
+
+@compiled
+def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
+    spread, margin = spread_wrench(points, net_wrench(points, rotations, forces))
+    load, squeeze, total = np.empty_like(forces), np.empty_like(forces), 0.0
+    for i in range(len(forces)):
+        r, (x, y, z) = rotations[i], spread[i]
+        for axis in range(3):
+            load[i, axis] = r[0, axis] * x + r[1, axis] * y + r[2, axis] * z
+            squeeze[i, axis] = forces[i, axis] - load[i, axis]
+        total += squeeze[i, 1]
+    return load, squeeze, total, margin
+
+
+@compiled
+def required_grasp_force(
+    load: tuple[float, float, float], shape: tuple[float, float, float], usable_friction: float
+) -> float:
+    """Return the least k >= 0 for which load + k shape lies in a friction cone.
+
+    The boundary of the cone |f_t| = mu f_n is quadratic in k.
+
+    Args:
+        load: Force of a contact (x, n, z) that does not grow with the squeeze, N.
+        shape: Force of the contact per unit squeeze.
+        usable_friction: mu of the cone.
+
+    Returns:
+        k in N; infinite when no squeeze of this shape puts it there.
+    """
+    lx, ln, lz = load
+    sx, sn, sz = shape
+    square = usable_friction * usable_friction
+    a = sx * sx + sz * sz - square * sn * sn
+    b = lx * sx + lz * sz - square * ln * sn
+    c = lx * lx + lz * lz - square * ln * ln
+    if c <= 0.0 and ln >= 0.0:
+        return 0.0  # the load alone is inside
+    inside = b * b - a * c
+    if a == 0.0 or inside < -_GRAZES * b * b:
+        return math.inf
+    # A shape inside the cone (a < 0) enters it at the larger root for good; one outside passes
+    # through it from the smaller root on, if at all.
+    k = (-b - math.sqrt(max(0.0, inside))) / a
+    return k if k >= 0.0 and ln + k * sn >= -_GRAZES * abs(ln) else math.inf
+
+
+class LoadMarginConfig(Config):
+    """How much more than it feels a grasp is ready for."""
+
+    floor: float = param(
+        3.0, "force on the object that may come at any time", unit="N", live=True, ge=0.0
+    )
+    share: float = param(
+        0.2, "share of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
+    )
+    memory: float = param(
+        5.0, "time constant with which recent loads are forgotten", unit="s", live=True, gt=0.0
+    )
+
+
+class LoadMargin:
+    """Remembers the largest load of the recent past at each contact."""
+
+    def __init__(self, config: LoadMarginConfig, contacts: int) -> None:
+        """Start without a past of k contacts."""
+        self._largest = np.zeros(contacts)
+        self.configure(config)
+
+    def configure(self, config: LoadMarginConfig) -> None:
+        """Take other parameters; the past stays."""
+        self._floor = config.floor
+        self._share = config.share
+        self._memory = config.memory
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._largest[:] = 0.0
+
+    def step(self, load: Array, dt: float) -> Array:
+        """Return the radius delta of each contact, shape (k,), N.
+
+        Args:
+            load: What the contacts carry, shape (k, 3), N.
+            dt: Time since the last tick, s.
+        """
+        return _radii(self._largest, load, dt, self._floor, self._share, self._memory)
+
+
+@compiled
+def _radii(
+    largest: Array, load: Array, dt: float, floor: float, share: float, memory: float
+) -> Array:
+    keep, radii = math.exp(-dt / memory), np.empty(len(largest))
+    for i in range(len(largest)):
+        x, n, z = load[i]
+        largest[i] = max(keep * largest[i], math.sqrt(x * x + n * n + z * z))
+        radii[i] = max(floor / len(largest), share * largest[i])
+    return radii
+
+
+@compiled
+def shift(radius: float, friction: float) -> float:
+    """Return by how much a cone is moved along its normal for a radius of loads, in N."""
+    return radius * math.sqrt(1.0 + 1.0 / (friction * friction))
