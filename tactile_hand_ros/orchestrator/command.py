@@ -53,14 +53,10 @@ def _run(context: typer.Context, request: Request) -> int:
 
     launcher = Launcher()
     try:
-        if request.pacing != "realtime":
-            launcher.preload()  # on another processor than what is loaded here
         return _conduct(request, signals, ros_arguments, launcher)
     except Interrupted as interruption:
         say(str(context.find_root().info_name), f"{interruption}, before anything was started.")
         return signals.exit_code
-    finally:
-        launcher.drop_preloaded()
 
 
 def _conduct(

@@ -17,7 +17,7 @@ from rich.console import Console
 from tactile_hand_ros.command_line import LastingOutput, os_sentence
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.compiled import ensure_compiled, is_complete
+from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import (
     check_environment,
@@ -54,9 +54,6 @@ def conduct(
     """
     check_environment(os.environ)
     scenario, scheduling = _checked(request), _scheduling(request)
-    # In real time, the first use of a page that a fork shares would cost time in a tick.
-    if scenario.plant.pacing == "realtime" or not is_complete():
-        launcher.drop_preloaded()
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
     ensure_compiled()
     plan = Plan(

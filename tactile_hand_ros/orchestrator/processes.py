@@ -10,55 +10,32 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator import keeper
-from tactile_hand_ros.ros.executables import PACKAGE, child_environment, executable_path
-from tactile_hand_ros.ros.preloaded import Preloaded
+from tactile_hand_ros.ros.executables import PACKAGE, executable_path
 from tactile_hand_ros.ros.processes import ChildProcess, end_together
 
 _PROBE_SECONDS = 15.0
 _TAIL = 15  # lines of a log that are shown
-_MODULES = tuple(f"{PACKAGE}.nodes.{name}" for name in ("composed", "recorder.node"))
 
 
 class NodeDiedError(TactileHandError):
     """A process of the run ended by itself."""
 
 
-class PreloadedNodes(Preloaded):
-    """A process that loads what all nodes need, and carries the mark of a run.
-
-    Attributes:
-        mark: Mark by which the keeper knows it and what it becomes.
-    """
-
-    def __init__(self) -> None:
-        """Start it."""
-        self.mark = uuid.uuid4().hex
-        own = {"PYTHONUNBUFFERED": "1", keeper.MARK: self.mark}
-        super().__init__(_MODULES, {**child_environment(), **own})
-
-
 class Launcher:
     """Says how an executable of this package is started here.
 
     With ``ros2 run`` where that command exists and finds this package in the same place as the
-    ament index does; else with the file that ``ros2 run`` would start, which need not load anything
-    again where a process has loaded it already.
-
-    Attributes:
-        preloaded: The process that has, if there is one.
+    ament index does; else with the file that ``ros2 run`` would start.
     """
 
     def __init__(self) -> None:
         """Ask the ``ros2`` command, if there is one, without waiting for the answer."""
-        self.preloaded: PreloadedNodes | None = None
         self._ros2 = shutil.which("ros2")
         self._probe: subprocess.Popen[str] | None = None
         if self._ros2 is not None:
@@ -70,17 +47,6 @@ class Launcher:
                 text=True,
                 start_new_session=True,
             )
-
-    def preload(self) -> None:
-        """Begin to load what the nodes need, unless ``ros2 run`` may have to start them."""
-        if self._ros2 is None:
-            self.preloaded = PreloadedNodes()
-
-    def drop_preloaded(self) -> None:
-        """Let each executable load for itself."""
-        if self.preloaded is not None:
-            self.preloaded.close()
-            self.preloaded = None
 
     @property
     def uses_ros2(self) -> bool:
@@ -122,14 +88,7 @@ class NodeProcess(ChildProcess):
         log: File with everything it says.
     """
 
-    def __init__(
-        self,
-        name: str,
-        command: Sequence[str],
-        log: Path,
-        mark: str,
-        start: Callable[..., Any] = subprocess.Popen,
-    ) -> None:
+    def __init__(self, name: str, command: Sequence[str], log: Path, mark: str) -> None:
         """Start it.
 
         Args:
@@ -137,13 +96,12 @@ class NodeProcess(ChildProcess):
             command: Program and arguments.
             log: File to create.
             mark: Mark by which the keeper knows it.
-            start: How, see `ChildProcess`.
         """
         self.name = name
         self.log = log
         own = {keeper.MARK: mark}
         with log.open("wb") as output:
-            super().__init__(command, output, subprocess.STDOUT, env=own, start=start)
+            super().__init__(command, output, subprocess.STDOUT, env=own)
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -175,7 +133,6 @@ class Processes:
         launcher: Launcher,
         in_a_hurry: Callable[[], bool] = lambda: False,
         held: socket.socket | None = None,
-        preloaded: PreloadedNodes | None = None,
     ) -> None:
         """Prepare.
 
@@ -183,13 +140,11 @@ class Processes:
             launcher: Says how to start an executable.
             in_a_hurry: Asked while waiting for an end: whether to be less patient.
             held: A claim that the keeper shares, since it may outlive the orchestrator.
-            preloaded: What becomes an executable, without which each loads for itself.
         """
         self._launcher = launcher
         self._in_a_hurry = in_a_hurry
         self._shared = () if held is None else (held.fileno(),)
-        self._preloaded = preloaded
-        self._mark = preloaded.mark if preloaded else uuid.uuid4().hex
+        self._mark = uuid.uuid4().hex
         self._started: dict[str, NodeProcess] = {}
         self._keeper: subprocess.Popen[bytes] | None = None
 
@@ -222,12 +177,8 @@ class Processes:
         Raises:
             ExecutableError: If it does not exist.
         """
-        what = name, [*self._launcher.command(name), *arguments], log, self._mark
-        if self._preloaded is not None:
-            with suppress(OSError):  # it has ended, and there is a slower way
-                self._started[name] = NodeProcess(*what, start=self._preloaded.start)
-                return
-        self._started[name] = NodeProcess(*what)
+        command = [*self._launcher.command(name), *arguments]
+        self._started[name] = NodeProcess(name, command, log, self._mark)
 
     def check(self) -> None:
         """Raise if one of the processes has ended.

@@ -159,7 +159,7 @@ class Session:
         self.signals = signals
         self.outcome = RunOutcome()
         self.outcome.done("checked")
-        self._processes = Processes(launcher, lambda: signals.count > 1, held, launcher.preloaded)
+        self._processes = Processes(launcher, lambda: signals.count > 1, held)
 
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; nothing is left running.

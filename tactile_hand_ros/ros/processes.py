@@ -54,7 +54,6 @@ class ChildProcess:
         *,
         env: Mapping[str, str] | None = None,
         cwd: str | os.PathLike[str] | None = None,
-        start: Callable[..., Any] = subprocess.Popen,
     ) -> None:
         """Start it.
 
@@ -64,10 +63,9 @@ class ChildProcess:
             stderr: File for the standard error, or ``subprocess.STDOUT``.
             env: Variables to set or change.
             cwd: Working directory.
-            start: Called like `subprocess.Popen`, with a result that is used like it.
         """
         self.command = [os.fspath(part) for part in command]
-        self._process = start(
+        self._process = subprocess.Popen(
             self.command,
             stdin=subprocess.DEVNULL,
             stdout=stdout,
@@ -85,8 +83,7 @@ class ChildProcess:
     @property
     def returncode(self) -> int | None:
         """The exit code, None while the process runs."""
-        code: int | None = self._process.poll()
-        return code
+        return self._process.poll()
 
     def send(self, number: int) -> None:
         """Send a signal to the process alone, as ``kill`` does."""

@@ -52,34 +52,11 @@ def test_a_shell_completes_the_names_of_scenarios() -> None:
     assert "pull" in _scenarios("") and _scenarios("no such") == []
 
 
-class Loaded:
-    """Stands in for the launcher and notes that what was loaded is dropped."""
-
-    def __init__(self) -> None:
-        self.calls: list[str] = []
-        self.preloaded = None
-
-    def preload(self) -> None:
-        self.calls.append("preload")
-
-    def drop_preloaded(self) -> None:
-        self.calls.append("drop")
-
-
-@pytest.mark.parametrize(
-    ("pacing", "compiled", "dropped"),
-    [
-        ("lockstep", True, []),
-        ("lockstep", False, ["drop"]),
-        ("realtime", True, ["drop"]),
-        ("realtime", False, ["drop"]),
-    ],
-)
+@pytest.mark.parametrize("pacing", ["lockstep", "realtime"])
 def test_a_run_is_prepared_as_it_was_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pacing: str, compiled: bool, dropped: list[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pacing: str
 ) -> None:
-    launcher, seen = Loaded(), list[Any]()
-    monkeypatch.setattr(conduct, "is_complete", lambda: compiled)
+    launcher, seen = SimpleNamespace(), list[Any]()
     monkeypatch.setattr(conduct, "ensure_compiled", lambda: seen.append("compiled"))
 
     def run(session: Any, joining: Any, request: Any) -> int:
@@ -105,7 +82,6 @@ def test_a_run_is_prepared_as_it_was_asked_for(
         claim(domain, "/left").close()  # free again
     first, (session, passed, context) = seen
     assert first == "compiled" and passed is request and not context.ok()
-    assert launcher.calls == dropped
     plan = session.plan
     assert (plan.scenario.duration, plan.scenario.plant.pacing) == (0.25, pacing)
     assert plan.scenario.plant.rate == 250.0 and plan.namespace == "/left"
@@ -125,11 +101,10 @@ def test_a_signal_before_the_start_leaves_no_directory(
         raise Interrupted("ended by SIGINT")
 
     monkeypatch.setattr(signals, "check", interrupted)
-    monkeypatch.setattr(conduct, "is_complete", lambda: True)
     monkeypatch.setattr(conduct, "ensure_compiled", lambda: None)
     request = Request(out=tmp_path / "runs")
     with isolated_domain(), pytest.raises(Interrupted):
-        conduct.conduct(request, signals, [], Loaded())  # type: ignore[arg-type]
+        conduct.conduct(request, signals, [], SimpleNamespace())  # type: ignore[arg-type]
     assert not (tmp_path / "runs").exists()
 
 
@@ -307,9 +282,9 @@ def test_ros_arguments_that_cannot_be_used_are_one_line() -> None:
 
 
 @pytest.fixture
-def conducted(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Loaded, list[Any]]]:
+def conducted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Any]]:
     """Replace what runs a scenario, and return what is asked of it."""
-    launcher, asked = Loaded(), list[Any]()
+    launcher, asked = SimpleNamespace(), list[Any]()
     monkeypatch.setattr(processes, "Launcher", lambda: launcher)
 
     def run(request: Any, signals: Signals, ros_arguments: Any, passed: Any) -> int:
@@ -322,32 +297,23 @@ def conducted(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Loaded, list[An
 
     monkeypatch.setattr(command, "_conduct", run)
     monkeypatch.setattr(Signals, "install", lambda self: asked.append("installed"))
-    yield launcher, asked
+    yield asked
     gc.enable()
 
 
-@pytest.mark.parametrize(
-    ("own", "calls"),
-    [([], ["preload", "drop"]), (["--pacing", "realtime"], ["drop"])],
-)
-def test_nodes_are_loaded_before_the_check_unless_they_run_in_real_time(
-    conducted: tuple[Loaded, list[Any]], own: list[str], calls: list[str]
-) -> None:
-    launcher, asked = conducted
-    line = ["orchestrator", "pull", *own, "--ros-args", "-r", "a:=b"]
+def test_the_command_line_is_split_into_request_and_ros_arguments(conducted: list[Any]) -> None:
+    line = ["orchestrator", "pull", "--ros-args", "-r", "a:=b"]
     assert command.main(line) == 5
-    watching, (request, ros_arguments) = asked
+    watching, (request, ros_arguments) = conducted
     assert watching == "installed" and request.scenario == "pull" and ros_arguments == line
-    assert launcher.calls == calls
 
 
 def test_a_signal_before_the_start_is_said_and_gives_its_code(
-    conducted: tuple[Loaded, list[Any]], capsys: pytest.CaptureFixture[str]
+    conducted: list[Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.main(["orchestrator", "--quiet"]) == 130
     said = capsys.readouterr().err
     assert said == "orchestrator: ended by SIGINT, before anything was started.\n"
-    assert conducted[0].calls == ["preload", "drop"]
 
 
 @pytest.mark.parametrize(
@@ -359,13 +325,13 @@ def test_a_signal_before_the_start_is_said_and_gives_its_code(
     ],
 )
 def test_what_contradicts_itself_is_refused(
-    conducted: tuple[Loaded, list[Any]],
+    conducted: list[Any],
     capsys: pytest.CaptureFixture[str],
     line: list[str],
     words: str,
 ) -> None:
     assert command.main(["orchestrator", *line]) == 2
-    assert words in capsys.readouterr().err and conducted[1] == ["installed"]
+    assert words in capsys.readouterr().err and conducted == ["installed"]
     assert command.main(["orchestrator", "--open"]) == 5
 
 

@@ -10,8 +10,6 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import psutil
 import pytest
@@ -20,7 +18,6 @@ from tactile_hand_ros.orchestrator import processes as module
 from tactile_hand_ros.orchestrator.keeper import MARK
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, NodeProcess, Processes
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
-from tactile_hand_ros.ros.executables import PACKAGE
 from tactile_hand_ros.ros.processes import wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
@@ -153,47 +150,6 @@ def test_the_keeper_leads_a_session_of_its_own_and_shares_the_claim(tmp_path: Pa
         shared = os.stat(f"/proc/{keeper.pid}/fd/{held.fileno()}").st_ino
         assert shared == inode and keeper.poll() is None
     assert keeper.returncode == 0
-
-
-def test_what_cannot_be_forked_is_started_anew(tmp_path: Path) -> None:
-    asked: list[str] = []
-
-    def refuse(*_: Any, **__: Any) -> None:
-        asked.append("fork")
-        raise BrokenPipeError
-
-    preloaded: Any = SimpleNamespace(mark="mark-of-a-test", start=refuse)
-    with Processes(Shells(a=POLITE), preloaded=preloaded) as processes:  # type: ignore[arg-type]
-        started(processes, tmp_path, "a")
-        assert asked == ["fork"] and processes._started["a"].returncode is None
-        with open(f"/proc/{processes._started['a'].pid}/environ", "rb") as file:
-            assert f"{MARK}=mark-of-a-test".encode() in file.read().split(b"\0")
-        assert processes.stop([["a"]]) == []
-
-
-def test_nodes_are_loaded_ahead_unless_ros2_runs_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[Any] = []
-
-    def preload(modules: Any, environment: Any) -> None:
-        made.append((modules, environment))
-
-    monkeypatch.setattr(module.Preloaded, "__init__", lambda _, *args: preload(*args))
-    monkeypatch.setattr(module.Preloaded, "close", lambda _: made.append("closed"))
-    monkeypatch.setattr(module.shutil, "which", lambda _: None)
-    launcher = module.Launcher()
-    assert launcher.preloaded is None and not launcher.uses_ros2
-    launcher.drop_preloaded()
-    launcher.preload()
-    assert launcher.preloaded is not None
-    ((modules, environment),) = made
-    assert modules == (f"{PACKAGE}.nodes.composed", f"{PACKAGE}.nodes.recorder.node")
-    assert environment[MARK] == launcher.preloaded.mark and len(launcher.preloaded.mark) == 32
-    assert environment["PYTHONUNBUFFERED"] == "1" and "PATH" in environment
-    launcher.drop_preloaded()
-    assert made[1:] == ["closed"] and launcher.preloaded is None
-    launcher._ros2 = "ros2"
-    launcher.preload()
-    assert launcher.preloaded is None
 
 
 def test_a_ros2_that_does_not_answer_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,8 +56,6 @@ TELLING = "echo \"$@\"; trap 'exit 0' INT; while :; do tail -f /dev/null & wait;
 class Shells:
     """Stands in for the launcher: each executable is a shell that says its arguments."""
 
-    preloaded = None
-
     def command(self, name: str) -> list[str]:
         """Return the shell with its program."""
         return ["/bin/sh", "-c", TELLING, name]

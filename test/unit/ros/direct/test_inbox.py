@@ -16,7 +16,6 @@ from std_msgs.msg import Float64
 
 from tactile_hand_ros.ros.direct.delivery import DirectDelivery
 from tactile_hand_ros.ros.direct.inbox import Inbox, Tap, history_depth
-from tactile_hand_ros.ros.preloaded import Forked
 
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 
@@ -162,10 +161,3 @@ def test_publishers_and_subscriptions_meet_in_any_order() -> None:
     assert first.got == [] and delivery.publisher_count(first) == 0
     delivery.remove_publisher(after)  # type: ignore[arg-type]
     assert delivery.publisher_count(second) == 1
-
-
-def test_the_code_of_a_process_that_another_has_awaited_is_lost() -> None:
-    """And it gets no signal: its number may be that of another process."""
-    gone = Forked(1)
-    assert gone.poll() == 255 == gone.poll()
-    gone.send_signal(0)
