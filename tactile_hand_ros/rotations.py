@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.compiled import compiled
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

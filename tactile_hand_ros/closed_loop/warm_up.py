@@ -6,17 +6,18 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.compiled import is_complete, mark_complete
 from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
 from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
-from tactile_hand_ros.jit.compiled import is_complete, keep
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def warm_up() -> None:
-    """Compile everything, unless that was done for these sources and kept."""
+    """Compile everything, unless that was done for these sources."""
     if not is_complete():
-        keep(run_every_block)
+        run_every_block()
+        mark_complete()
 
 
 def run_every_block() -> None:

@@ -10,8 +10,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.hand.kinematics import Fingertips
-from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import cross, rows_of_quaternions
 
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import centroid
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
-from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]

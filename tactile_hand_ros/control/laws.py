@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import wrench_forces
@@ -18,7 +19,6 @@ from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig,
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.kinematics import Fingertips
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

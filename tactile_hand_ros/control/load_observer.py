@@ -22,10 +22,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import net_wrench
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import (
@@ -21,7 +22,6 @@ from tactile_hand_ros.control.grasp import (
     spread_wrench,
 )
 from tactile_hand_ros.errors import CollinearContactsError
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
 from tactile_hand_ros.control.slip.detector import Grip
-from tactile_hand_ros.jit.compiled import compiled
 
 if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
     from tactile_hand_ros.hand.hand import Hand

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 
 Array = NDArray[np.float64]

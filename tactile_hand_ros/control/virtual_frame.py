@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
     centred,
@@ -17,7 +18,6 @@ from tactile_hand_ros.control.grasp import (
     too_few,
 )
 from tactile_hand_ros.errors import CollinearContactsError
-from tactile_hand_ros.jit.compiled import compiled
 from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]

@@ -63,7 +63,7 @@ def _conduct(
     request: Request, signals: Signals, ros_arguments: Sequence[str], launcher: Launcher
 ) -> int:
     """Load what runs a scenario, and do so."""
-    from tactile_hand_ros.jit.compiled import run_interpreted  # loads NumPy
+    from tactile_hand_ros.compiled import run_interpreted  # loads NumPy
 
     run_interpreted()  # the few steps of the check do not justify loading Numba
     # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.

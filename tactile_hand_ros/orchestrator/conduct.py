@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rich.console import Console
 
 from tactile_hand_ros.command_line import LastingOutput, os_sentence
+from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.jit.compiled import ensure_compiled
 from tactile_hand_ros.orchestrator.claim import claim
 from tactile_hand_ros.orchestrator.participation import (
     check_environment,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.simulation.elimination import eliminate
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.simulation.alart_curnier import TOLERANCE, Laws, into_cones, newton
 from tactile_hand_ros.simulation.elimination import eliminate
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.simulation.alart_curnier import (
     TOLERANCE,
     Laws,

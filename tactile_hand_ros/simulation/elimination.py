@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.compiled import compiled
 
 Array = NDArray[np.float64]
 

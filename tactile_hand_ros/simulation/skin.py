@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame
-from tactile_hand_ros.jit.compiled import compiled
-from tactile_hand_ros.jit.rows import Row, Rows, row_of
 from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
 from tactile_hand_ros.simulation.calibration import CalibrationConfig
 

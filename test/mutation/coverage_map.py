@@ -35,8 +35,6 @@ _ELSEWHERE = {
     "hand": ("control/test_reach_cost", "simulation/test_calibration"),
     "closed_loop": ("control/test_own_law", "simulation/test_calibration"),
 }
-# Its tests run copies of its files in other processes, where no line is seen: all of them count.
-_COPIED = "jit"
 # What was compiled from this tree; changes of what is not compiled leave it as it is.
 _COMPILED = Path(__file__).resolve().parents[2] / ".mutation" / "compiled"
 _FAILED = re.compile("(FAILED|ERROR) test/")
@@ -61,9 +59,6 @@ class CoverageMap:
         A line at the top of a module runs on import, in no test: all tests that run any line of the
         file count, and those that mirror it, since a file of declarations has no other lines.
         """
-        if folder_of(path) == _COPIED:
-            every = {test for test in self.durations if test.startswith(f"test/unit/{_COPIED}/")}
-            return sorted(every, key=lambda test: (self.durations[test], test))
         lines = self.tests.get(path, {})
         mirror = Path("test/unit", *Path(path).parts[1:-1], f"test_{Path(path).name}::")
         every = {test for tests in lines.values() for test in tests}

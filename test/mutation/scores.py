@@ -20,7 +20,7 @@ SCORES = HERE / "scores.yaml"
 PACKAGES = (
     *("control/slip", "control/optimizer", "control", "hand", "simulation", "closed_loop"),
     *("ros/ticks", "ros", "nodes", "bag", "run", "verify", "report", "orchestrator", "steering"),
-    *("config", "jit"),
+    *("config",),
 )
 _FIGURES = ("report/figures.py", "report/scene.py", "report/style.py")
 

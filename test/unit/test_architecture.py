@@ -15,7 +15,8 @@ WRITTEN = [*SOURCES, *SCRIPTS, *sorted((ROOT / "test").rglob("*.py"))]
 
 # A layer imports from itself and from the tiers above it in this list: data flows down.
 TIERS = (
-    ("", "names", "errors", "extras", "files", "command_line", "command_options", "config", "jit"),
+    ("", "names", "errors", "extras", "files", "command_line", "command_options", "config"),
+    ("compiled",),
     ("rotations", "cholesky"),
     ("hand",),
     ("control",),

@@ -17,12 +17,10 @@ from tactile_hand_ros.ros.executables import executable_path
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
 COMMANDS = {"typer", "rich"}
 MODEL = {"pinocchio", "tactile_hand_ros.hand.hand"}
-SOLVER = {"tactile_hand_ros.control.optimizer.warm_solver"}
-SPARSE = {"osqp", "scipy.sparse", "jinja2"}
-HULL = {"scipy.spatial"}
+SOLVER = {"osqp", "tactile_hand_ros.control.optimizer.warm_solver"}
 PLANT = {"tactile_hand_ros.simulation.plant"}
-COMPILER = {"numba", "llvmlite", "scipy.linalg"}
-NODE = FIGURES | COMMANDS | SPARSE | HULL | COMPILER
+COMPILER = {"numba", "llvmlite"}
+NODE = FIGURES | COMMANDS
 
 UNNEEDED = {
     "plant": NODE | SOLVER,
@@ -30,10 +28,10 @@ UNNEEDED = {
     "slip_regulator": NODE | MODEL | SOLVER | PLANT,
     "force_optimizer": NODE | MODEL | PLANT,
     "manipulation_controller": NODE | SOLVER | PLANT,
-    "recorder": NODE | MODEL | SOLVER | PLANT,
+    "recorder": NODE | MODEL | SOLVER | PLANT | COMPILER,
     "composed": NODE,
     # It checks the scenario, but what it calls once need not be compiled.
-    "orchestrator": FIGURES | SPARSE | HULL | COMPILER,
+    "orchestrator": FIGURES | COMPILER,
 }
 
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.optimizer.equalities import least_cost
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

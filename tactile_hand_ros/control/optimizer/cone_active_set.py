@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.optimizer.equalities import least_cost, schur_complement
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

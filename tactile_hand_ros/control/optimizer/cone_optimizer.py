@@ -19,11 +19,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.optimizer.cone_active_set import Problem, solve_problem, violation
 from tactile_hand_ros.control.optimizer.cones import DIRECTIONS, INSIDE, SIDES, Cones
-from tactile_hand_ros.control.optimizer.warm_solver import Sparse, WarmSolver
-from tactile_hand_ros.jit.compiled import compiled
+from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]
 
@@ -89,8 +90,8 @@ class ConeOptimizer:
         pattern[:6, :n] = True
         for i in range(k):
             pattern[7:][_cone_rows(i, k), 3 * i + 1] = True
-        matrix = Sparse.of(pattern.astype(float))
-        self._places = matrix.indices, matrix.columns
+        matrix = sparse.csc_matrix(pattern.astype(float))
+        self._places = matrix.indices, np.repeat(np.arange(n + 1), np.diff(matrix.indptr))
         self._solver = WarmSolver(
             2.0 * weights,
             price,

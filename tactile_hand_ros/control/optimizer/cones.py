@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import (
     LoadMargin,
@@ -21,7 +22,6 @@ from tactile_hand_ros.control.loads import (
     measured_split,
     shift,
 )
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

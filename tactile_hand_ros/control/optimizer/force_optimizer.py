@@ -9,7 +9,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import (
@@ -23,9 +25,8 @@ from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones, ConeTracker, cone_margin
 from tactile_hand_ros.control.optimizer.steady import followed, imbalance
-from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, Sparse, WarmSolver
+from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, WarmSolver
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -334,7 +335,7 @@ class ForceOptimizer:
         rows[:6] = 1.0
         rows[6, normals] = 1.0
         rows[7 + np.arange(k), normals] = 1.0
-        matrix = Sparse.of(rows)
+        matrix = sparse.csc_matrix(rows)
         self._values = matrix.data.copy()
         self._balance_slots = np.flatnonzero(matrix.indices < 6)
         self._shaper = None

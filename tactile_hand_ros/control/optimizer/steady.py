@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.optimizer.cones import DIRECTIONS, INSIDE, SIDES
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

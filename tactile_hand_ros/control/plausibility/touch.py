@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.hand.kinematics import Fingertips
-from tactile_hand_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 

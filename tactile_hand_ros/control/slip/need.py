@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.loads import (
     LoadMargin,
@@ -16,8 +17,6 @@ from tactile_hand_ros.control.loads import (
     required_grasp_force,
     shift,
 )
-from tactile_hand_ros.jit.compiled import compiled
-from tactile_hand_ros.jit.rows import Row, Rows, row_of
 
 Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from tactile_hand_ros.compiled import Rows
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import Split, split
@@ -20,7 +21,6 @@ from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstim
 from tactile_hand_ros.control.slip.need import Need
 from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
 from tactile_hand_ros.errors import CollinearContactsError, MessageError
-from tactile_hand_ros.jit.rows import Rows
 
 Array = NDArray[np.float64]
 

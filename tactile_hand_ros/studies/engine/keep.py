@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tactile_hand_ros.jit.compiled import ensure_compiled
+from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.studies.engine.backends import Backend
 from tactile_hand_ros.studies.engine.runner import carry_out
 from tactile_hand_ros.studies.engine.store import Store

@@ -51,8 +51,9 @@ def test_every_block_runs_with_contacts_that_stick_and_with_some_that_slip(calls
 
 @pytest.mark.parametrize("complete", [False, True])
 def test_it_is_done_once_for_the_same_sources(complete, monkeypatch):
-    kept = []
+    done = []
     monkeypatch.setattr(warm_up, "is_complete", lambda: complete)
-    monkeypatch.setattr(warm_up, "keep", kept.append)
+    monkeypatch.setattr(warm_up, "run_every_block", lambda: done.append("run"))
+    monkeypatch.setattr(warm_up, "mark_complete", lambda: done.append("marked"))
     warm_up.warm_up()
-    assert kept == ([] if complete else [warm_up.run_every_block])
+    assert done == ([] if complete else ["run", "marked"])

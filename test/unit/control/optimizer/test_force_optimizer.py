@@ -297,9 +297,7 @@ def test_osqp_shapes_f_only_where_it_is_asked_for(solver):
 
 def with_settings(solver, **values):
     """Give the OSQP of a `WarmSolver` other settings."""
-    for name, value in values.items():
-        setattr(solver._settings, name, value)
-    solver._native.update_settings(solver._settings)
+    solver._solver.update_settings(**values)
 
 
 @pytest.mark.parametrize("least", [0.0, 0.05, 0.2])

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled functions are those of the present sources, and a damaged cache is repaired."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tactile_hand_ros import compiled as module
+
+INNER = """
+from tactile_hand_ros.compiled import compiled
+
+@compiled
+def inner(x):
+    return x + {constant}
+"""
+OUTER = """
+from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.control.inner import inner
+
+@compiled
+def outer(x):
+    return 10.0 * inner(x)
+"""
+CALL = "from tactile_hand_ros.control.outer import outer; print(outer(1.0))"
+
+
+@pytest.fixture
+def control(tmp_path: Path) -> Path:
+    """Write a package of our name with compiled functions in two files; return their folder."""
+    root = tmp_path / "tactile_hand_ros"
+    (root / "control").mkdir(parents=True)
+    package = Path(module.__file__).parent
+    shutil.copy(package / "compiled.py", root)
+    for name in ("cholesky.py", "rotations.py"):
+        (root / name).touch()
+    (root / "config").mkdir()
+    (root / "config" / "model.py").write_text("Config = flatten = None\n")
+    for folder in (root, root / "control", root / "config"):
+        (folder / "__init__.py").touch()
+    (root / "control" / "outer.py").write_text(OUTER)
+    (root / "control" / "inner.py").write_text(INNER.format(constant=1.0))
+    return root / "control"
+
+
+def run(control: Path, code: str, **environment: str) -> tuple[str, str]:
+    """Return what a new process prints, as another run of a node would, and its warnings."""
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=control.parents[1],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    return result.stdout.strip(), result.stderr.strip()
+
+
+def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(
+    control: Path, tmp_path: Path
+) -> None:
+    """Numba alone would keep the old inner function inside the cached outer one."""
+    mine = {"NUMBA_CACHE_DIR": str(tmp_path / "mine")}
+    assert run(control, CALL, **mine) == ("20.0", "")
+    assert not list(control.parent.rglob("*.nbi")) and list((tmp_path / "mine").rglob("*.nbi"))
+    # Another length: Python takes a source of the same second and length for the one it knows.
+    (control / "inner.py").write_text(INNER.format(constant="2.000"))
+    assert run(control, CALL, **mine) == ("30.0", "")
+
+
+def test_the_same_source_runs_without_numba(control: Path) -> None:
+    assert run(control, CALL, TACTILE_HAND_INTERPRETED="1") == ("20.0", "")
+    assert not list(control.parent.rglob("*.nbi"))
+
+
+def test_a_process_that_rarely_calls_it_does_not_load_numba(control: Path) -> None:
+    quick = "from tactile_hand_ros.compiled import run_interpreted; run_interpreted(); "
+    loaded = "; import sys; print('numba' in sys.modules)"
+    assert run(control, quick + CALL + loaded) == ("20.0\nFalse", "")
+
+
+@pytest.mark.parametrize("kind", ["*.nbi", "*.nbc"])
+@pytest.mark.parametrize("damage", [b"", b"not what Numba wrote"])
+def test_damaged_files_are_compiled_again_with_one_warning(
+    control: Path, kind: str, damage: bytes
+) -> None:
+    assert run(control, CALL) == ("20.0", "")
+    files = list(control.parent.rglob(kind))
+    for file in files:
+        file.write_bytes(damage)
+    output, warnings = run(control, CALL)
+    assert files and output == "20.0" and warnings.count("RuntimeWarning") == 1
+    assert run(control, CALL) == ("20.0", "")
+
+
+def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control: Path) -> None:
+    nowhere = {"NUMBA_CACHE_DIR": "/proc/nowhere"}
+    assert run(control, CALL, **nowhere) == ("20.0", "")
+
+
+def test_it_is_complete_after_a_warm_up_of_these_sources(control: Path) -> None:
+    ask = "from tactile_hand_ros.compiled import *; print(is_complete())"
+    assert run(control, ask)[0] == "False"
+    run(control, "from tactile_hand_ros.compiled import *; mark_complete()")
+    assert run(control, ask)[0] == "True"
+    assert run(control, ask, NUMBA_CACHE_DIR="elsewhere")[0] == "False"
+    (control / "inner.py").write_text(INNER.format(constant="2.000"))
+    assert run(control, ask)[0] == "False"
+    assert run(control, ask, TACTILE_HAND_INTERPRETED="1")[0] == "True"
+
+
+REGULATED = """
+import numpy as np
+from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+
+contacts, normal = example_touch(4)
+regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0), 4)
+random = np.random.default_rng(1)
+out = []
+for i in range(600):
+    rms = 0.3 if 200 <= i < 230 or 450 <= i < 470 else 0.01
+    forces = np.array([1.0, 0.0, 0.7]) + 3.0 * normal + rms * random.standard_normal((4, 3))
+    forces[2, 1] *= 0.2
+    k_f = regulator.step(2_000_000 * i, contacts, forces if i != 300 else np.full((4, 3), np.nan))
+    out.append([k_f, regulator.needed, *regulator.learned_friction, *regulator.slip_likelihood])
+    out[-1].extend(regulator.state)
+assert sum(row[-1] == 2.0 for row in out) > 10  # the last contact has slipped
+print(np.array(out).tobytes().hex())
+"""
+
+
+def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path: Path) -> None:
+    """To the bit: the readable source is the reference for what is compiled from it."""
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", REGULATED],
+            cwd=tmp_path,  # here `-c` would take the tree for the installed package
+            env={**os.environ, **environment},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for environment in ({}, {"TACTILE_HAND_INTERPRETED": "1"})
+    ]
+    found = [process.communicate(timeout=300)[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0] and len(found[0]) > 1000
+    assert found[0] == found[1]
+
+
+COVERED = """
+import gc
+from numba.core.dispatcher import Dispatcher
+from tactile_hand_ros.closed_loop.warm_up import run_every_block, warm_up
+
+warm_up()
+run_every_block()
+ours = [x for x in gc.get_objects() if isinstance(x, Dispatcher)]
+loaded = sum(sum(x.stats.cache_hits.values()) for x in ours)
+print(loaded > 30, {x.__name__: dict(x.stats.cache_misses) for x in ours if x.stats.cache_misses})
+"""
+
+
+def test_after_the_warm_up_nothing_is_compiled_again(tmp_path: Path) -> None:
+    done = [
+        subprocess.run(
+            [sys.executable, "-c", COVERED],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=600,
+        )
+        for _ in range(2)
+    ]
+    assert done[1].stdout.split(maxsplit=1) == ["True", "{}\n"]
