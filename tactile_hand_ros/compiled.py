@@ -121,7 +121,7 @@ def _compiler() -> Callable[[Any], Any]:
     import numba
     from numba.core.caching import FunctionCache
 
-    class Cache(FunctionCache):  # type: ignore[misc]
+    class Cache(FunctionCache):
         """Numba's cache, where a damaged file means to compile again, and a full disk nothing."""
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
