@@ -24,7 +24,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.histogram import parse_histogram
 from tactile_hand_ros.ros.processes import CapturedProcess
-from tactile_hand_ros.run.deadlines import Deadlines
+from tactile_hand_ros.run.recording import Deadlines
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import NODES
 

@@ -104,12 +104,12 @@ def summary(
 ) -> None:
     """Print what a recorded run achieved, and whether its recording is complete."""
     opened = _open(run, namespace)
-    if opened.ledger_problem:
-        print(f"note: {opened.ledger_problem}", file=sys.stderr)
+    if opened.assumptions_problem:
+        print(f"note: {opened.assumptions_problem}", file=sys.stderr)
     if as_json:
         results = {
             "metrics": opened.metrics.to_dict(),
-            "assumptions": [line.to_dict() for line in opened.ledger],
+            "assumptions": [line.to_dict() for line in opened.assumptions],
             "bag": opened.bag_metrics.to_dict(),
         }
         print(json.dumps(results, indent=2))
@@ -120,8 +120,8 @@ def summary(
     columns = ("", "")
     rows = tables.metrics_rows(opened.metrics) + tables.recovery_rows(opened.recoveries)
     print_table(tables.rich_table(f"{name}, {opened.path}", columns, rows))
-    if lines := tables.ledger_rows(opened.ledger):
-        print_table(tables.rich_table("assumptions", tables.LEDGER_COLUMNS, lines))
+    if lines := tables.assumption_rows(opened.assumptions):
+        print_table(tables.rich_table("assumptions", tables.ASSUMPTION_COLUMNS, lines))
     print_table(tables.rich_table("recording", columns, tables.bag_rows(opened.bag_metrics)))
 
 

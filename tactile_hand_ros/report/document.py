@@ -16,7 +16,7 @@ from tactile_hand_ros.report import facts, model, style
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.run.gaps import gaps
+from tactile_hand_ros.run.derived import gaps
 from tactile_hand_ros.run.run import Run
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def run_document(run: Run, *, room: int = MAX_BYTES, label: str = "") -> dict[st
         "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
         "hand": hand,
         "object": model.solid(run),
-        "ledger": facts.ledger(run),
+        "ledger": facts.assumptions(run),
         "tiles": facts.tiles(run),
         "tables": facts.all_tables(run),
         "scenario": facts.scenario_text(run),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page says in words and numbers: headline, tables, ledger, scenario, notes."""
+"""What the page says in words and numbers: headline, tables, assumptions, scenario, notes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError, counted
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.run.ledger import Assumption
+from tactile_hand_ros.run.assumptions import Assumption
 from tactile_hand_ros.run.run import BAG, Run
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, resolved
 
@@ -143,13 +143,13 @@ def all_tables(run: Run) -> list[dict[str, Any]]:
     return [table for table in found if table["rows"]]
 
 
-def ledger(run: Run) -> list[dict[str, Any]]:
-    """Return the lines of the ledger with their values as text."""
-    return [_line(line) for line in run.ledger]
+def assumptions(run: Run) -> list[dict[str, Any]]:
+    """Return the assumptions with their values as text."""
+    return [_line(line) for line in run.assumptions]
 
 
 def _line(line: Assumption) -> dict[str, Any]:
-    row = tables.ledger_rows([line])[0]
+    row = tables.assumption_rows([line])[0]
     return {
         "name": line.name,
         "meaning": line.meaning,
@@ -173,12 +173,14 @@ def notes(run: Run) -> list[str]:
     if run.scenario_problem:
         found.append(
             "The scenario in the bag does not fit this version of the package: goal, disturbances "
-            "and ledger are left out."
+            "and assumptions are left out."
         )
     elif run.scenario is None:
-        found.append("No scenario is known: goal, shape of the object and ledger are left out.")
-    if run.ledger_problem:
-        found.append(run.ledger_problem)
+        found.append(
+            "No scenario is known: goal, object and assumptions are left out."
+        )
+    if run.assumptions_problem:
+        found.append(run.assumptions_problem)
     if not run.bag_metrics.complete:
         found.append("The recording is incomplete; gaps in the plots are ticks without a message.")
     return found

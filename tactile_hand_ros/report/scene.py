@@ -24,7 +24,7 @@ from tactile_hand_ros.report.style import (
 )
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.run.drop import dropped_at
+from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.run.bag_metrics import BagMetrics
-from tactile_hand_ros.run.ledger import Assumption
-from tactile_hand_ros.run.metrics import Metrics
-from tactile_hand_ros.run.settling import Settling
+from tactile_hand_ros.run.assumptions import Assumption
+from tactile_hand_ros.run.metrics import Metrics, Settling
+from tactile_hand_ros.run.recording import BagMetrics
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -83,11 +82,11 @@ def _contact_rows(m: Metrics) -> list[list[str]]:
     return rows
 
 
-LEDGER_COLUMNS = ("", "assumption", "margin", "worst", "limit", "held")
+ASSUMPTION_COLUMNS = ("", "assumption", "margin", "worst", "limit", "held")
 
 
-def ledger_rows(lines: Sequence[Assumption]) -> list[list[str]]:
-    """Return the assumption ledger as text."""
+def assumption_rows(lines: Sequence[Assumption]) -> list[list[str]]:
+    """Return assumptions as text."""
     return [[a.name, a.meaning, a.margin, number(a.worst), _limit(a), _held(a)] for a in lines]
 
 

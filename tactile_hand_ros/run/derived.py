@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities that follow from a record: errors, required friction, losses, motion in the grasp."""
+"""Quantities that follow from a record: errors, friction, motion in the grasp, gaps, drops."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,62 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.run.gaps import silent
+
+_LONG = 5
+"""Ticks that must be missing for a gap: in real time, a plant that is late skips some."""
+
+
+def silent(record: Record) -> NDArray[np.bool_]:
+    """Return the ticks at which touch says nothing because its messages are missing, shape (n,).
+
+    A hand that has lost all contacts says so: without positions, and with forces of zero.
+    """
+    missing = np.isnan(record.contact_positions[:, :, 0]).all(axis=1)
+    forces = record.forces[:, :, 1]
+    return np.asarray(missing & (np.isnan(forces).all(axis=1) | (forces > 0.0).any(axis=1)))
+
+
+def gaps(record: Record) -> list[tuple[int, int]]:
+    """Return first and last row around each stretch of missing ticks or of silence.
+
+    The rows themselves are recorded; the run is unknown between them.
+    """
+    if len(record) < 3:
+        return []
+    steps = np.diff(record.stamps)
+    period = float(np.median(steps))
+    found = [(int(row), int(row) + 1) for row in np.flatnonzero(steps > _LONG * period)]
+    quiet = silent(record)
+    if quiet.all():  # without touch altogether
+        return found
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(int)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start >= _LONG:
+            found.append((max(0, int(start) - 1), min(int(end), len(record) - 1)))
+    return sorted(found)
+
+
+_HOLDING = 2
+"""Fingers that it takes to hold an object."""
+
+
+def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
+    """Return when the object was dropped, s; NaN if it is held at the end, or was never held.
+
+    It counts as dropped from the tick on at which fewer than two fingers touch for good, by touch.
+
+    Args:
+        record: The run.
+        releases: When a user let the hand open, s; what is let go is not dropped.
+    """
+    missing = np.isnan(record.contact_positions[:, :, 0])
+    known = np.flatnonzero(~silent(record))  # of the other ticks, nothing was recorded
+    held = np.flatnonzero((~missing[known]).sum(axis=1) >= _HOLDING)
+    if not len(held) or held[-1] + 1 == len(known):
+        return math.nan
+    time = float(record.times[known[held[-1] + 1]])
+    return math.nan if any(release <= time for release in releases) else time
+
 
 Array = NDArray[np.float64]
 

@@ -23,15 +23,18 @@ from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run.alignment import align
-from tactile_hand_ros.run.bag_metrics import BagMetrics, bag_metrics, latencies
-from tactile_hand_ros.run.events import Event, asked_events, events
-from tactile_hand_ros.run.ledger import Assumption, ledger
-from tactile_hand_ros.run.metrics import Metrics, metrics
-from tactile_hand_ros.run.requests import Asked, read_asked, releases
-from tactile_hand_ros.run.series import Series, read_series
-from tactile_hand_ros.run.settling import Settling, recoveries
-from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
+from tactile_hand_ros.run.assumptions import Assumption, assumptions
+from tactile_hand_ros.run.events import Asked, Event, asked_events, events, read_asked, releases
+from tactile_hand_ros.run.metrics import Metrics, Settling, metrics, recoveries
+from tactile_hand_ros.run.reading import (
+    HandTopics,
+    Series,
+    align,
+    find_fingers,
+    find_prefix,
+    read_series,
+)
+from tactile_hand_ros.run.recording import BagMetrics, bag_metrics, latencies
 from tactile_hand_ros.run.verdict import headline
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -224,34 +227,34 @@ class Run:
         return headline(self.metrics.to_dict(), steered=self.steered)
 
     @property
-    def ledger(self) -> list[Assumption]:
+    def assumptions(self) -> list[Assumption]:
         """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
-        return self._ledger[0]
+        return self._assumptions[0]
 
     @property
-    def ledger_problem(self) -> str:
-        """Why there is no ledger although there is a scenario, empty otherwise.
+    def assumptions_problem(self) -> str:
+        """Why there are no assumptions although there is a scenario, empty otherwise.
 
         A bag is read elsewhere too, where the file of its hand is another or none.
         """
-        return self._ledger[1]
+        return self._assumptions[1]
 
     @cached_property
-    def _ledger(self) -> tuple[list[Assumption], str]:
+    def _assumptions(self) -> tuple[list[Assumption], str]:
         if self.scenario is None:
             return [], ""
         try:
             hand = Hand.load(self.scenario.hand, self.scenario.layout)
         except TactileHandError as error:
-            return [], f"The ledger is left out, because the hand is not known here: {error}."
+            return [], f"The assumptions are left out, because the hand is not known here: {error}."
         here = hand.fingers, hand.joints
         recorded = len(self.record.finger_names), len(self.record.joint_names)
         if here != recorded:
             return [], (
-                f"The ledger is left out, because the hand '{self.scenario.hand}' has {here[0]} "
-                f"fingers and {here[1]} joints here, {recorded[0]} and {recorded[1]} in the bag."
+                f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
+                f"{here[0]} fingers and {here[1]} joints here, {recorded[0]} and {recorded[1]} in the bag."
             )
-        return ledger(self.record, hand), ""
+        return assumptions(self.record, hand), ""
 
     @cached_property
     def recoveries(self) -> list[Settling]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -42,7 +43,7 @@ def judged(metrics: Mapping[str, Any], goal: GoalConfig) -> list[Judged]:
     """Return what the goal limits; slip only where the metrics know it.
 
     Args:
-        metrics: `Metrics.to_dict()`.
+        metrics: Fields of `Metrics` by name; what is not known may be NaN or None.
         goal: The scenario's goal.
     """
     position, rotation = metrics["final_position_error_m"], metrics["final_rotation_error_rad"]
@@ -51,9 +52,21 @@ def judged(metrics: Mapping[str, Any], goal: GoalConfig) -> list[Judged]:
         Judged("final rotation error", rotation, goal.rotation_error, "rad"),
     ]
     slid = metrics.get("max_slip_distance_m")
-    if slid is not None:  # unknown for a real hand
+    if slid is not None and not math.isnan(slid):  # unknown for a real hand
         found.append(Judged("longest slip", slid, goal.slip_distance, "m"))
     return found
+
+
+def reached(metrics: Mapping[str, Any], goal: GoalConfig) -> bool:
+    """Return whether a run reached its goal: the object is held and everything inside its limit.
+
+    Args:
+        metrics: Fields of `Metrics` by name; what is not known may be NaN or None.
+        goal: The scenario's goal.
+    """
+    dropped = metrics.get("dropped_at_s")
+    held = dropped is None or math.isnan(dropped)
+    return held and all(each.passed for each in judged(metrics, goal))
 
 
 def headline(metrics: Mapping[str, Any], *, steered: bool = False) -> str:

@@ -18,10 +18,9 @@ from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.run.alignment import in_last_run, last_reset
-from tactile_hand_ros.run.requests import read_asked
+from tactile_hand_ros.run.events import read_asked
+from tactile_hand_ros.run.reading import Series, in_last_run, last_reset
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.run.series import Series
 from tactile_hand_ros.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]

@@ -182,12 +182,14 @@ def test_scenario_that_does_not_fit_is_told(run: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("hand", ["lost/hand.yaml", "~nobody-here/hand.yaml"])
-def test_run_of_a_hand_that_is_elsewhere_is_told_but_for_its_ledger(
+def test_run_of_a_hand_that_is_elsewhere_is_told_but_for_its_assumptions(
     hand: str, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (run / "scenario.yaml").read_text()
     (run / "scenario.yaml").write_text(text.replace("hand: paper", f"hand: {hand}"))
-    said = f"The ledger is left out, because the hand is not known here: hand file '{hand}' does"
+    said = (
+        f"The assumptions are left out, because the hand is not known here: hand file '{hand}' does"
+    )
     assert main(["summary", str(run)]) == 0
     printed = capsys.readouterr()
     assert "20 ticks" in printed.out and "assumptions" not in printed.out

@@ -18,7 +18,7 @@ from tactile_hand_ros.bench.realtime.bare_loop import BareLoop, measure_bare_loo
 from tactile_hand_ros.bench.results import Goal, Result
 from tactile_hand_ros.bench.runs import GraphRun, busy_cores, run_graph
 from tactile_hand_ros.bench.workload import Workload
-from tactile_hand_ros.run.deadlines import Deadlines
+from tactile_hand_ros.run.recording import Deadlines
 
 RATES = (500.0, 1000.0)  # Hz
 WHERE = (True, False)  # composed or not

@@ -9,7 +9,7 @@ from typing import Any
 from tactile_hand_ros.errors import TactileHandError, counted
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
-from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
+from tactile_hand_ros.run.recording import Deadlines, read_deadlines
 from tactile_hand_ros.run.run import Run
 
 LOST_KEY = "lost_messages"
@@ -23,7 +23,7 @@ class Results:
         metrics: `Run.metrics` as plain data, empty without a bag or a tick.
         recording: Message counts against ticks, empty without a bag or a tick.
         problems: A sentence for each thing that is wrong with the bag.
-        assumptions: `Run.ledger` as plain data.
+        assumptions: `Run.assumptions` as plain data.
         recoveries: `Run.recoveries` as plain data.
         run: The run as it was read, None without a bag or a tick.
     """
@@ -51,7 +51,7 @@ def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> Resu
         run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
         results.metrics = run.metrics.to_dict()
         results.recording = run.bag_metrics.to_dict()
-        results.assumptions = [line.to_dict() for line in run.ledger]
+        results.assumptions = [line.to_dict() for line in run.assumptions]
         results.recoveries = [each.to_dict() for each in run.recoveries]
         results.run = run
     except TactileHandError as error:

@@ -12,7 +12,7 @@ from tactile_hand_ros.orchestrator.results.judgement import number
 from tactile_hand_ros.orchestrator.results.reading import Results, deadlines_of, is_lockstep
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report.tables import milli, recovery_rows
-from tactile_hand_ros.run.deadlines import Deadlines
+from tactile_hand_ros.run.recording import Deadlines
 from tactile_hand_ros.run.verdict import Judged, headline, judged
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 

@@ -221,7 +221,7 @@ class Bag:
         told = {} if lost == "0" else {reading.LOST_KEY: lost}
         self.metrics = SimpleNamespace(to_dict=lambda: {"ticks": ticks})
         self.bag_metrics = SimpleNamespace(to_dict=lambda: dict(recording))
-        self.ledger = [SimpleNamespace(to_dict=lambda: {"name": "A1"})]
+        self.assumptions = [SimpleNamespace(to_dict=lambda: {"name": "A1"})]
         self.recoveries = [SimpleNamespace(to_dict=lambda: {"at": 1.0})]
         self.summary = SimpleNamespace(custom_data=told)
 

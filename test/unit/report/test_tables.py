@@ -14,10 +14,9 @@ import pytest
 from tactile_hand_ros.report import facts, tables
 from tactile_hand_ros.report.pack import pack
 from tactile_hand_ros.report.ticks import shown
-from tactile_hand_ros.run.bag_metrics import BagMetrics, TopicCount
-from tactile_hand_ros.run.ledger import Assumption
-from tactile_hand_ros.run.metrics import Metrics
-from tactile_hand_ros.run.settling import Settling
+from tactile_hand_ros.run.assumptions import Assumption
+from tactile_hand_ros.run.metrics import Metrics, Settling
+from tactile_hand_ros.run.recording import BagMetrics, TopicCount
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, load_scenario, resolved
 
 METRICS = Metrics(
@@ -125,9 +124,9 @@ def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
 def test_when_an_assumption_held(share: float, count: int, text: str) -> None:
     broken = [(1.0 + i, 1.5 + i) for i in range(count)]
     line = Assumption("A1", "rigid", "travel", 0.5, math.nan, False, share, broken)
-    assert tables.ledger_rows([line]) == [["A1", "rigid", "travel", "0.5", "none known", text]]
+    assert tables.assumption_rows([line]) == [["A1", "rigid", "travel", "0.5", "none known", text]]
     limits = [replace(line, limit=2.0, below=below) for below in (True, False)]
-    assert [row[4] for row in tables.ledger_rows(limits)] == ["< 2", "> 2"]
+    assert [row[4] for row in tables.assumption_rows(limits)] == ["< 2", "> 2"]
 
 
 def test_how_complete_a_bag_is() -> None:
@@ -278,11 +277,11 @@ def test_tables_of_a_run_stand_in_their_order() -> None:
     assert found[1]["rows"][1] == ["messages lost", "not recorded"]
 
 
-def test_a_line_of_the_ledger_has_its_values_as_text() -> None:
+def test_an_assumption_has_its_values_as_text() -> None:
     line = Assumption("A1", "rigid", "travel", 0.5, 2.0, True, 0.9, [(1.0, 1.5)])
     unknown = replace(line, held_share=math.nan, limit=math.nan, broken=[])
     common = {"name": "A1", "meaning": "rigid", "margin": "travel", "worst": "0.5"}
-    assert facts.ledger(SimpleNamespace(ledger=[line, unknown])) == [  # type: ignore[arg-type]
+    assert facts.assumptions(SimpleNamespace(assumptions=[line, unknown])) == [  # type: ignore[arg-type]
         {**common, "limit": "< 2", "held": 0.9, "broken": [[1.0, 1.5]]},
         {**common, "limit": "none known", "held": None, "broken": []},
     ]
@@ -291,7 +290,7 @@ def test_a_line_of_the_ledger_has_its_values_as_text() -> None:
 def test_what_a_reader_must_know_is_noted() -> None:
     def noted(problem: str = "", scenario: Any = "some", ledger: str = "", whole: bool = True):
         return [note.split(":")[0].split(";")[0].split(",")[0] for note in facts.notes(
-            SimpleNamespace(scenario_problem=problem, scenario=scenario, ledger_problem=ledger,
+            SimpleNamespace(scenario_problem=problem, scenario=scenario, assumptions_problem=ledger,
                             bag_metrics=SimpleNamespace(complete=whole)))]  # fmt: skip
 
     assert noted() == []

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from tactile_hand_ros.run.deadlines import Deadlines, read_deadlines
+from tactile_hand_ros.run.recording import Deadlines, read_deadlines
 
 FACTS = {
     "late_commands": "3",

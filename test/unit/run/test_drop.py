@@ -10,7 +10,7 @@ import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.drop import dropped_at
+from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.run.events import events
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.verdict import headline

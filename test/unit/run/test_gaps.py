@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.gaps import gaps, silent
+from tactile_hand_ros.run.derived import gaps, silent
 
 
 def recorded(*steps: int) -> Record:

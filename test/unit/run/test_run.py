@@ -29,10 +29,9 @@ from support.recorded import (
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.extras import MissingLibraryError
-from tactile_hand_ros.run.bag_metrics import bag_metrics
+from tactile_hand_ros.run.reading import HandTopics, Series
+from tactile_hand_ros.run.recording import bag_metrics
 from tactile_hand_ros.run.run import Run, columns
-from tactile_hand_ros.run.series import Series
-from tactile_hand_ros.run.topics import HandTopics
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -283,7 +282,9 @@ class TestFolders:
         run = Run(folder)
         assert run.scenario is not None and run.scenario_problem == ""
         assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
-        assert run.ledger == [] and "'lost/hand.yaml' does not exist" in run.ledger_problem
+        assert (
+            run.assumptions == [] and "'lost/hand.yaml' does not exist" in run.assumptions_problem
+        )
         assert run.metrics.ticks == 20
 
     def test_hand_that_is_another_here(self, folder: Path, tmp_path: Path) -> None:
@@ -292,13 +293,13 @@ class TestFolders:
         text = resolved(load_scenario("paper")).replace("hand: paper", f"hand: {file}")
         (folder / "scenario.yaml").write_text(text.replace("layout: three_faces", "layout: ''"))
         run = Run(folder)
-        assert run.ledger == [] and len(run.record) == 20
-        assert "3 fingers and 12 joints here, 3 and 9 in the bag" in run.ledger_problem
+        assert run.assumptions == [] and len(run.record) == 20
+        assert "3 fingers and 12 joints here, 3 and 9 in the bag" in run.assumptions_problem
 
-    def test_ledger_of_a_hand_that_is_known(self, folder: Path) -> None:
-        assert Run(folder).ledger == [] and Run(folder).ledger_problem == ""
+    def test_assumptions_of_a_hand_that_is_known(self, folder: Path) -> None:
+        assert Run(folder).assumptions == [] and Run(folder).assumptions_problem == ""
         (folder / "scenario.yaml").write_text(resolved(load_scenario("paper")))
-        assert len(Run(folder).ledger) == 9 and Run(folder).ledger_problem == ""
+        assert len(Run(folder).assumptions) == 9 and Run(folder).assumptions_problem == ""
 
     def test_nothing_there(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="nowhere does not exist"):

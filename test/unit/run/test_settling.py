@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.settling import recoveries
+from tactile_hand_ros.run.metrics import recoveries
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("pull")  # events at 2 and at 5 s

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.run.topics import HandTopics, find_fingers, find_prefix
+from tactile_hand_ros.run.reading import HandTopics, find_fingers, find_prefix
 
 
 def test_the_only_hand_is_found_in_any_namespace() -> None:

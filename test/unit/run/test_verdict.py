@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_hand_ros.run.requests import Asked, releases
+from tactile_hand_ros.run.events import Asked, releases
 from tactile_hand_ros.run.verdict import Judged, headline, judged
 from tactile_hand_ros.scenario.scenario import GoalConfig
 

@@ -26,8 +26,8 @@ from tactile_hand_ros.bench.realtime.cases import (
 from tactile_hand_ros.bench.runs import GraphRun, Usage
 from tactile_hand_ros.report.style import save
 from tactile_hand_ros.ros.histogram import Histogram
-from tactile_hand_ros.run.deadlines import read_deadlines
 from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.run.recording import read_deadlines
 
 USAGE = [Usage(float(t), {"plant": 0.5 * t, "recorder": 0.1 * t}, {"plant": 100.0}) for t in (0, 4)]
 

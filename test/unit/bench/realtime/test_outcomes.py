@@ -25,7 +25,7 @@ from tactile_hand_ros.bench.realtime.outcomes import (
 from tactile_hand_ros.bench.realtime.schedule import planned, run_planned
 from tactile_hand_ros.bench.runs import GraphRun, is_dropped
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.run.deadlines import read_deadlines
+from tactile_hand_ros.run.recording import read_deadlines
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 CASE = ScenarioCase("pull", "realtime", 500.0, True, 8.0)

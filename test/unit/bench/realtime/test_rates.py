@@ -17,7 +17,7 @@ from tactile_hand_ros.bench.realtime.rates import (
 )
 from tactile_hand_ros.bench.runs import GraphRun
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.run.deadlines import read_deadlines
+from tactile_hand_ros.run.recording import read_deadlines
 
 
 def run(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The assumption ledger on the paper's grasp, and on records in which something breaks."""
+"""The assumptions on the paper's grasp, and on records in which something breaks."""
 
 import copy
 
@@ -14,7 +14,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run.ledger import _line, ledger
+from tactile_hand_ros.run.assumptions import _line, assumptions
 from tactile_hand_ros.simulation.truth import true_reading
 
 HAND = Hand.load("paper")
@@ -55,7 +55,7 @@ def still(first_grasp):
 
 
 def lines(record):
-    return {line.name: line for line in ledger(record, HAND)}
+    return {line.name: line for line in assumptions(record, HAND)}
 
 
 def test_every_assumption_holds_in_the_papers_world(record):
@@ -124,7 +124,7 @@ def test_the_contact_that_wandered_farthest_counts_from_where_it_was_first_seen(
         still.contact_quaternions[tick, 1] = tilted.as_quat()
     hand = Hand.load("paper")
     hand.radii = np.array([0.05, 0.03, 0.04])
-    found = {line.name: line for line in ledger(still, hand)}
+    found = {line.name: line for line in assumptions(still, hand)}
     assert found["A1"].worst == pytest.approx(0.1 * 0.03, rel=1e-6)
 
 

@@ -2,7 +2,7 @@
 """The assumptions A1 to A7 of a run: how far each was from breaking, and when it did.
 
 Everything is computed from what the hand itself knows, joints and touch, so that a bag of a real
-hand has a ledger too.
+hand has them too.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _BALANCE = 1e-6
 
 @dataclass(frozen=True)
 class Assumption:
-    """One line of the ledger.
+    """One assumption and how it held.
 
     Attributes:
         name: A1 to A7, or the solver.
@@ -71,8 +71,8 @@ class Assumption:
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in plain.items()}
 
 
-def ledger(record: Record, hand: Hand) -> list[Assumption]:
-    """Return the ledger of a run.
+def assumptions(record: Record, hand: Hand) -> list[Assumption]:
+    """Return the assumptions of a run and how each held.
 
     Args:
         record: The run.
