@@ -176,9 +176,7 @@ def notes(run: Run) -> list[str]:
             "and assumptions are left out."
         )
     elif run.scenario is None:
-        found.append(
-            "No scenario is known: goal, object and assumptions are left out."
-        )
+        found.append("No scenario is known: goal, object and assumptions are left out.")
     if run.assumptions_problem:
         found.append(run.assumptions_problem)
     if not run.bag_metrics.complete:
