@@ -252,7 +252,8 @@ class Run:
         if here != recorded:
             return [], (
                 f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
-                f"{here[0]} fingers and {here[1]} joints here, {recorded[0]} and {recorded[1]} in the bag."
+                f"{here[0]} fingers and {here[1]} joints here, "
+                f"{recorded[0]} and {recorded[1]} in the bag."
             )
         return assumptions(self.record, hand), ""
 
