@@ -1,25 +1,140 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five blocks wired by function calls: the paper without ROS, and the oracle for the graph."""
+"""The five blocks wired together: the paper without ROS, and the oracle for the ROS graph.
+
+The blocks are plant, skin, slip regulator, force optimizer and controller. A `Chain` wires the
+last three, and a `SensingChain` puts the skin before them. `ClosedLoop` closes the loop over the
+plant and records it. A process with several nodes runs the same chains, with a node around each
+block.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternions_of_rows
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.belief import Belief
-from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
 
 Array = NDArray[np.float64]
+
+
+class Answer(NamedTuple):
+    """What the blocks answer to a tick: k_f in N, f* and the torques."""
+
+    grasp_force: float
+    optimal: OptimalForces
+    command: Command
+
+
+class Chain:
+    """From joints and touch to torques: regulator, optimizer and controller.
+
+    Attributes:
+        regulator: Gives k_f.
+        optimizer: Gives f*.
+        controller: Gives the torques.
+    """
+
+    def __init__(
+        self, regulator: SlipRegulator, optimizer: ForceOptimizer, controller: Controller
+    ) -> None:
+        """Wire the blocks, or nodes that stand for them."""
+        self.regulator, self.optimizer, self.controller = regulator, optimizer, controller
+
+    def answer(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        applied: Array | None,
+        contacts: Contacts,
+        forces: Array,
+    ) -> Answer:
+        """Return the answer to a tick.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            applied: Torques since the tick before, shape (m,), N m; None where not known.
+            contacts: Contacts by touch, palm frame.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+        """
+        grasp_force = self.regulator.step(stamp, contacts, forces)
+        friction = self.regulator.learned_friction
+        optimal = self.optimizer.step(stamp, contacts, friction, forces)
+        command = self.controller.step(
+            stamp, theta, rates, contacts, optimal.forces, grasp_force, forces, applied
+        )
+        self.pass_on_rejection()
+        return Answer(grasp_force, optimal, command)
+
+    def pass_on_rejection(self) -> None:
+        """Let regulator and optimizer know whether the controller rejects touch."""
+        rejected = self.controller.touch_rejected
+        self.regulator.reject_touch(rejected)
+        self.optimizer.reject_touch(rejected)
+
+
+class SensingChain(Chain):
+    """From true contacts to torques: the simulated skin before a `Chain`.
+
+    Attributes:
+        sensor: The skin.
+    """
+
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        regulator: SlipRegulator,
+        optimizer: ForceOptimizer,
+        controller: Controller,
+    ) -> None:
+        """Wire the blocks, or nodes that stand for them."""
+        super().__init__(regulator, optimizer, controller)
+        self.sensor = sensor
+
+    def sense(
+        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
+    ) -> tuple[TactileReading, Answer]:
+        """Return what touch reports at a tick, and the answer to it.
+
+        Args:
+            stamp: The tick, ns.
+            state: Hand and object.
+            true: True contacts of that state.
+            sliding: Their sliding speeds, shape (k,), m/s.
+        """
+        touch = self.sensor.step(stamp, true, sliding, state.theta)
+        answer = self.answer(
+            stamp, state.theta, state.rates, state.torque, touch.contacts, touch.forces
+        )
+        return touch, answer
+
+
+def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
+    """Build the blocks of a scenario for a hand as its controllers know it."""
+    c = scenario.tactile_sensor
+    belief = None if c.calibration.is_right else Belief(c.calibration, hand)
+    return SensingChain(
+        TactileSensor(c, hand.radii, None if belief is None else belief.step),
+        SlipRegulator(scenario.slip_regulator, hand.fingers),
+        ForceOptimizer(scenario.force_optimizer, hand.fingers),
+        Controller(scenario.manipulation_controller),
+    )
 
 
 class ClosedLoop:
@@ -30,6 +145,9 @@ class ClosedLoop:
     quaternions of the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
 
     Attributes:
+        scenario: What is run.
+        plant: Hand and object.
+        chain: The other blocks.
         state: Hand and object at the present tick.
         stamp: The present tick, ns.
     """
@@ -42,13 +160,7 @@ class ClosedLoop:
         """
         self.scenario = scenario
         self.plant = Plant(scenario.plant)
-        hand = self.plant.known
-        self.sensor = TactileSensor(scenario.tactile_sensor, hand.radii)
-        calibration = scenario.tactile_sensor.calibration
-        self._belief = None if calibration.is_right else Belief(calibration, hand)
-        self.regulator = SlipRegulator(scenario.slip_regulator, hand.fingers)
-        self.optimizer = ForceOptimizer(scenario.force_optimizer, hand.fingers)
-        self.controller = Controller(scenario.manipulation_controller)
+        self.chain = sensing_chain(scenario, self.plant.known)
         self.state = self.plant.state
         self.stamp = 0
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)
@@ -56,6 +168,26 @@ class ClosedLoop:
         self._targets = list(scenario.targets)
         for target in scenario.targets:
             self.controller.command(target.target(), target.stamp)
+
+    @property
+    def sensor(self) -> TactileSensor:
+        """The skin."""
+        return self.chain.sensor
+
+    @property
+    def regulator(self) -> SlipRegulator:
+        """The slip regulator."""
+        return self.chain.regulator
+
+    @property
+    def optimizer(self) -> ForceOptimizer:
+        """The force optimizer."""
+        return self.chain.optimizer
+
+    @property
+    def controller(self) -> Controller:
+        """The manipulation controller."""
+        return self.chain.controller
 
     def run(
         self, ticks: int | None = None, progress: Callable[[int], None] | None = None
@@ -86,35 +218,12 @@ class ClosedLoop:
 
     def answer(self, record: Record, row: int) -> Command:
         """Return the controller's answer to the present tick, and write both into a row."""
-        state, stamp = self.state, self.stamp
-        true = true_reading(state)
         self._ask()
-        sliding = sliding_speeds(state)
-        seen = true if self._belief is None else self._belief.step(state.theta, true)
-        touch = self.sensor.step(stamp, seen, sliding)
-        contacts = touch.contacts
-        self.pass_on_rejection()
-        grasp_force = self.regulator.step(stamp, contacts, touch.forces)
-        friction = self.regulator.learned_friction
-        optimal = self.optimizer.step(stamp, contacts, friction, touch.forces)
-        command = self.controller.step(
-            stamp,
-            state.theta,
-            state.rates,
-            contacts,
-            optimal.forces,
-            grasp_force,
-            touch.forces,
-            state.torque,
-        )
-        self._write(record, row, true, touch, grasp_force, optimal, command)
+        true, sliding = true_reading(self.state), sliding_speeds(self.state)
+        touch, answer = self.chain.sense(self.stamp, self.state, true, sliding)
+        self._write(record, row, true, touch, answer)
         record.true_sliding[row] = sliding
-        return command
-
-    def pass_on_rejection(self) -> None:
-        """Let regulator and optimizer know whether the controller doubted the last touch."""
-        self.regulator.reject_touch(self.controller.touch_rejected)
-        self.optimizer.reject_touch(self.controller.touch_rejected)
+        return answer.command
 
     def _ask(self) -> None:
         """Pass on what the user asks for at this tick."""
@@ -127,11 +236,10 @@ class ClosedLoop:
         row: int,
         true: TactileReading,
         touch: TactileReading,
-        grasp_force: float,
-        optimal: OptimalForces,
-        command: Command,
+        answer: Answer,
     ) -> None:
         state = self.state
+        grasp_force, optimal, command = answer
         record.stamps[row] = self.stamp
         record.theta[row], record.rates[row] = state.theta, state.rates
         record.torque[row], record.command[row] = state.torque, command.torque

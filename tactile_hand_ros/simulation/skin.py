@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,9 +120,22 @@ class TactileSensor:
     is true is known at ticks only, and stands for the samples since the last one.
     """
 
-    def __init__(self, config: TactileSensorConfig, radii: Array) -> None:
-        """Build the skin of fingertips with the given radii, shape (k,), m."""
+    def __init__(
+        self,
+        config: TactileSensorConfig,
+        radii: Array,
+        miscalibrated: Callable[[Array, TactileReading], TactileReading] | None = None,
+    ) -> None:
+        """Build the skin of fingertips.
+
+        Args:
+            config: Its parameters.
+            radii: Radii of the fingertips, shape (k,), m.
+            miscalibrated: Turns joint angles and true contacts into those that a wrong calibration
+                gives; None for a right one.
+        """
         self._radii = np.asarray(radii, dtype=float)
+        self._miscalibrated = miscalibrated
         self._at_rest = np.zeros(len(self._radii))
         self.configure(config)
         self.reset()
@@ -145,7 +159,11 @@ class TactileSensor:
         self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
 
     def step(
-        self, stamp: int, true: TactileReading, sliding: Array | None = None
+        self,
+        stamp: int,
+        true: TactileReading,
+        sliding: Array | None = None,
+        theta: Array | None = None,
     ) -> TactileReading:
         """Return what is published at a tick.
 
@@ -153,7 +171,10 @@ class TactileSensor:
             stamp: The tick, ns.
             true: True contacts at this tick.
             sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
+            theta: Joint angles, shape (m,), rad; only needed with a wrong calibration.
         """
+        if self._miscalibrated is not None and theta is not None:
+            true = self._miscalibrated(theta, true)
         sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
         if sample != self._sample:
             count = 1 if self._sample < 0 else sample - self._sample

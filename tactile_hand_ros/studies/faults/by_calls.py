@@ -145,7 +145,7 @@ class FaultyLoop:
         given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
         forces = None if any(each is None for each in given) else np.array(given)
         squeeze = shape = None
-        loop.pass_on_rejection()
+        loop.chain.pass_on_rejection()
         if contacts is not None and forces is not None:
             squeeze = loop.regulator.step(stamp, contacts, forces)
         friction = loop.regulator.learned_friction
@@ -194,9 +194,9 @@ class FaultyLoop:
         if cell.fault != "off":
             return
         if cell.component == space.CONTROLLER:
-            loop.controller = Controller(loop.scenario.manipulation_controller)
+            loop.chain.controller = Controller(loop.scenario.manipulation_controller)
         elif cell.component == space.REGULATOR:
-            loop.regulator = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
+            loop.chain.regulator = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
 
 
 def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

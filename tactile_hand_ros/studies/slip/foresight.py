@@ -71,5 +71,5 @@ def foresee(case: SlipCase) -> tuple[Record, Scenario]:
     loop = ClosedLoop(scenario)
     mu = case.friction / (case.load if case.event == "friction" else 1.0)
     config = scenario.slip_regulator
-    loop.regulator = Foresight(config, loop.plant.hand.fingers, first_told(case), mu)
+    loop.chain.regulator = Foresight(config, loop.plant.hand.fingers, first_told(case), mu)
     return loop.run(), scenario

@@ -24,7 +24,7 @@ def loop(**errors: object) -> ClosedLoop:
 def test_without_errors_hand_and_model_are_one() -> None:
     made = loop()
     assert CalibrationConfig().is_right
-    assert made.plant.hand is made.plant.known and made._belief is None
+    assert made.plant.hand is made.plant.known
 
 
 def test_longer_links_reach_farther_and_stay_mounted() -> None:
@@ -44,8 +44,7 @@ def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() 
     np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
     assert np.abs(state.gaps).max() < 1e-12
     true = true_reading(state)
-    assert made._belief is not None
-    seen = made._belief.step(state.theta, true)
+    seen = Belief(made.scenario.tactile_sensor.calibration, known).step(state.theta, true)
     normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
     expected = known.tip_positions(state.theta) + known.radii[:, None] * normals
     np.testing.assert_allclose(seen.positions, expected, atol=1e-12)
