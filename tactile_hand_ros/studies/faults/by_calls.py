@@ -196,7 +196,9 @@ class FaultyLoop:
         if cell.component == space.CONTROLLER:
             loop.chain.controller = Controller(loop.scenario.manipulation_controller)
         elif cell.component == space.REGULATOR:
-            loop.chain.regulator = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
+            loop.chain.regulator = SlipRegulator(
+                loop.scenario.slip_regulator, loop.plant.hand.fingers
+            )
 
 
 def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
