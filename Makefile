@@ -39,7 +39,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench docs-figures mutate lock audit setup clean FORCE
+.PHONY: help demo run test lint bench study docs-figures mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -47,6 +47,7 @@ help:
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
+	@echo 'make study NAME=slip      a study: slip, loads, faults, fuzz, robustness or stalls; ARGS="--help" for its options'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
 	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
@@ -58,8 +59,11 @@ demo: $(VENV)/.package
 run: $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" run "$$SCENARIO" $(ARGS)
 
-bench: $(VENV)/.bench $(VENV)/.package
-	@"$$VENV_PREFIX/bin/tactile-hand" bench $(ARGS)
+bench: $(VENV)/.bench $(VENV)/.studies $(VENV)/.package
+	@$(PY) bench $(ARGS)
+
+study: $(VENV)/.studies $(VENV)/.package
+	@$(PY) studies $(NAME) $(ARGS)
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
@@ -76,7 +80,7 @@ lint: $(VENV)/.dev $(VENV)/.package
 
 # At low priority: it takes both cores for a while.
 mutate: $(VENV)/.mutate $(VENV)/.package
-	@PYTHONPATH=test nice $(PY) -m mutation $(ARGS)
+	@PYTHONPATH=studies nice $(PY) -m mutation $(ARGS)
 
 docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/figures
@@ -125,6 +129,11 @@ $(VENV)/.dev: requirements/locked/dev.txt requirements/locked/studies.txt $(VENV
 $(VENV)/.browser: requirements/browser.sh $(VENV)/.created
 	@if sh requirements/browser.sh; then touch '$@'; fi
 
+$(VENV)/.studies: requirements/locked/studies.txt $(VENV)/.run
+	@echo 'set-up: what studies run on'
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt)
+	@touch '$@'
+
 $(VENV)/.bench: requirements/locked/bench.txt $(VENV)/.run
 	@echo 'set-up: what speed is compared with'
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt bench.txt)
@@ -152,4 +161,4 @@ $(VENV)/.package: $(INSTALLED) $(VENV)/.sources $(VENV)/.run
 
 clean:
 	rm -rf "$$VENV_PREFIX" build/lib build/bdist.* *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find tactile_hand_ros test scripts -name __pycache__ -type d -prune -exec rm -rf {} +
+	find tactile_hand_ros test bench studies scripts -name __pycache__ -type d -prune -exec rm -rf {} +

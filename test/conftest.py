@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+# `bench` and `studies` stand beside the package; behind it, so that what is installed is tested.
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 # No test fails on a duration; the first call of a compiled function may take a second.
 settings.register_profile("patient", deadline=None)

@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, bench, measure, replay, runs, scenarios, steer, sweep
+from tactile_hand_ros.cli import bags, replay, reproduce, runs, scenarios, steer, sweep
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.prefix import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -29,9 +29,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # it would read units such as [s] as markup and drop them
 )
-study_app = typer.Typer(
-    help="Many runs on all cores, ending in figures and a table.", rich_markup_mode=None
-)
 
 for _command in (
     orchestrator.run,
@@ -41,18 +38,11 @@ for _command in (
     *sweep.COMMANDS,
     *bags.COMMANDS,
     replay.replay,
-    measure.reproduce,
-    bench.bench,
-    measure.fuzz,
+    reproduce.reproduce,
 ):
     app.command()(_command)
 # An unknown option may be a negative number.
 app.command(context_settings={"ignore_unknown_options": True})(steer.move)
-app.add_typer(study_app, name="study", no_args_is_help=True)
-study_app.command()(measure.slip)
-study_app.command()(measure.loads)
-study_app.command()(measure.faults)
-study_app.command()(sweep.robustness)
 
 
 def _print_version(wanted: bool) -> None:
@@ -73,11 +63,6 @@ def tactile_hand(
     ] = False,
 ) -> None:
     """Hold and turn an unknown object with a tactile prosthetic hand."""
-
-
-@study_app.callback()
-def study() -> None:
-    """Many runs on all cores, ending in figures and a table."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

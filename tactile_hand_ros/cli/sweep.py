@@ -21,16 +21,15 @@ from tactile_hand_ros.cli.output import (
     check_writable,
     console,
     figure_formats,
-    folder_for_results,
     print_table,
 )
 from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.studies.engine.backends import Backend
-    from tactile_hand_ros.studies.engine.keep import Tally
-    from tactile_hand_ros.studies.sweep.sweep import Sweep
+    from tactile_hand_ros.sweep.backends import Backend
+    from tactile_hand_ros.sweep.keep import Tally
+    from tactile_hand_ros.sweep.sweep import Sweep
 
 ClusterOption = Annotated[
     str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
@@ -95,8 +94,8 @@ class SweepOptions:
             TactileHandError: If the options do not go together, or a value is refused.
         """
         from tactile_hand_ros.config.plain_yaml import parse_changes
-        from tactile_hand_ros.studies.sweep.metrics import METRICS
-        from tactile_hand_ros.studies.sweep.sweep import make_sweep, read_sweep
+        from tactile_hand_ros.sweep.metrics import METRICS
+        from tactile_hand_ros.sweep.sweep import make_sweep, read_sweep
 
         if self.goes_on:
             if self.over or self.changes or self.metric:
@@ -134,7 +133,7 @@ def sweep(options: SweepOptions) -> None:
 
 
 def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
-    from tactile_hand_ros.studies.sweep.run import run_sweep
+    from tactile_hand_ros.sweep.run import run_sweep
 
     with backend(jobs, cluster) as where, progress(", ".join(asked.scenarios)) as watch:
         try:
@@ -155,7 +154,7 @@ def _again(out: Path) -> str:
 @contextlib.contextmanager
 def backend(jobs: int, cluster: str) -> Iterator[Backend]:
     """Provide where runs are made: processes of this machine, or a Dask cluster."""
-    from tactile_hand_ros.studies.engine.backends import Cluster, Local
+    from tactile_hand_ros.sweep.backends import Cluster, Local
 
     if not cluster:
         if jobs == 0:
@@ -211,9 +210,9 @@ def _clock(seconds: float) -> str:
 def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.report.tables import rich_table
-    from tactile_hand_ros.studies.sweep import tables
-    from tactile_hand_ros.studies.sweep.figures import figures
-    from tactile_hand_ros.studies.sweep.results import each_scenario
+    from tactile_hand_ros.sweep import tables
+    from tactile_hand_ros.sweep.figures import figures
+    from tactile_hand_ros.sweep.results import each_scenario
 
     results = each_scenario(asked, out)
     pictures = []
@@ -233,9 +232,9 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     """Replay one run through the nodes, recorded, with the values that it had."""
     from tactile_hand_ros import files
     from tactile_hand_ros.scenario.scenario import resolved
-    from tactile_hand_ros.studies.engine.store import read_description
-    from tactile_hand_ros.studies.engine.study import build
-    from tactile_hand_ros.studies.sweep.run import study_of
+    from tactile_hand_ros.sweep.run import study_of
+    from tactile_hand_ros.sweep.store import read_description
+    from tactile_hand_ros.sweep.study import build
 
     point = study_of(asked).point(index)
     scenario = asked.trial.scenario(point)
@@ -252,30 +251,6 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     options = ["--scenario", str(file), "--out", str(folder / "runs")]
     # What else this computer does may be the study itself.
     return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode
-
-
-def robustness(
-    scenario: Annotated[
-        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
-    cluster: ClusterOption = "",
-    seed: SeedOption = 0,
-    formats: FormatOption = None,
-) -> None:
-    """Map how far each scenario survives that the hand knows something wrongly."""
-    from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.report.tables import rich_table
-    from tactile_hand_ros.studies import robustness as r
-
-    kinds = folder_for_results(out, formats)
-    names = tuple(scenario or r.all_scenarios())
-    with backend(jobs, cluster) as where, progress("robustness") as watch:
-        tally = r.run_map(names, out, where, seed, watch)
-    files = save(r.figure(out, names), out, "robustness", kinds)
-    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
-    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 
 COMMANDS = (sweep,)

@@ -17,9 +17,9 @@ from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
 from visualization_msgs.msg import MarkerArray
 
+from bench.written import TickMessages
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
-from tactile_hand_ros.bench.written import TickMessages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import Grip

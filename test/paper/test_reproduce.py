@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tactile_hand_ros.reproduce.experiments import LAYOUTS, ExperimentResult, run_experiment
+from tactile_hand_ros.reproduce.stiffness import translational_stiffness
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.studies.paper.experiments import LAYOUTS, ExperimentResult, run_experiment
-from tactile_hand_ros.studies.paper.stiffness import translational_stiffness
 
 LAWS = ("optimal", "contact", "kawamura")
 

@@ -14,9 +14,9 @@ import yaml
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from bench.fuzz.targets import write_sample_bag
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.bench.fuzz.targets import write_sample_bag
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand

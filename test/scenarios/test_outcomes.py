@@ -6,11 +6,11 @@ import pytest
 from joblib import Parallel, delayed
 from support.outcomes import run_scenario, survival
 
+from studies.slip.outcomes import SLIDING
+from studies.slip.survival import least_against
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.disturbance import external_wrench
-from tactile_hand_ros.studies.slip.outcomes import SLIDING
-from tactile_hand_ros.studies.slip.survival import least_against
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}

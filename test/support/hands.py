@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tactile_hand_ros.bench.hands import LINK, posture_for, prism_grasp, write_hand
+from bench.hands import LINK, posture_for, prism_grasp, write_hand
 
 __all__ = ["LINK", "posture_for", "prism_grasp", "tip_rotations", "write_hand"]
 

@@ -5,11 +5,11 @@ from collections import deque
 
 import numpy as np
 
+from studies.stalls import GuardedLoop
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.studies.stalls import GuardedLoop
 
 LATE, EVERY = 3, 3  # ticks that an answer takes; of so many ticks one is answered
 # Until the worst of the load has come.

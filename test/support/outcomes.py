@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.slip.survival import least_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.studies.slip.survival import least_at
 
 _STEP, _MOST = 0.02, 400  # s between instants that are looked at, and about how many at most
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_hand_ros.errors import DivergedError
-from tactile_hand_ros.studies.engine.study import Point
+from tactile_hand_ros.sweep.study import Point
 
 if TYPE_CHECKING:
     from tactile_hand_ros.closed_loop.record import Record

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -46,7 +45,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 def test_help_lists_the_commands() -> None:
     done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0
-    for command in ("reproduce", "figures", "report", "compare", "summary", "scenarios", "bench"):
+    for command in ("reproduce", "figures", "report", "compare", "summary", "scenarios", "sweep"):
         assert command in done.stdout
 
 
@@ -247,40 +246,17 @@ def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
-    assert "--ticks" in refused(capsys, "bench", "--ticks", "1")
     assert "Missing argument" in refused(capsys, "show")
     assert "Did you mean 'run'" in refused(capsys, "rum")
     assert "did you mean '--pacing'" in refused(capsys, "run", "--pacin", "realtime")
     assert "`tactile-hand run --help`" in refused(capsys, "run", "paper", "twice")
-    for command in (("reproduce",), ("study", "slip")):
-        assert "0 processes cannot work" in refused(capsys, *command, "--jobs", "0")
+    assert "0 processes cannot work" in refused(capsys, "reproduce", "--jobs", "0")
 
 
 def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (run / "file").write_text("")
     text = refused(capsys, "figures", run, "--out", run / "file" / "figures")
     assert "Nothing can be written to" in text
-
-
-def test_bench_saves_its_results_and_compares_with_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "results" / "bench.json"
-    words = ["bench", "--blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]
-    assert main(words) == 0
-    assert "when the saved run was made" not in capsys.readouterr().out
-    assert json.loads(out.read_text())["results"]
-    assert main(words) == 0
-    page = capsys.readouterr().out
-    assert "closed loop" in page and "when the saved run was made" in page
-    assert re.search(r"controller, one tick .* \d+\.\d\d x", page)
-    assert max(map(len, page.splitlines())) <= 100
-
-
-def test_bench_refuses_a_folder_before_it_measures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "is a folder, expected the name of a file" in refused(capsys, "bench", "--out", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -301,31 +277,6 @@ def test_run_refuses_settings_with_which_nodes_never_meet(
 def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
     assert "--no-report" in refused(capsys, "run", "--open", "--no-report")
-
-
-def test_bench_draws_the_cost_against_size(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--sizes", "--ticks", "2", "--repeats", "1", "--format", "png"]
-    out = ["--out", str(tmp_path / "bench" / "sizes.json")]
-    assert main(["bench", *words, *out, "--figures", str(tmp_path)]) == 0
-    assert "5 fingers of 6 joints" in " ".join(capsys.readouterr().out.split())
-    assert {file.name for file in tmp_path.iterdir()} == {"sizes.png", "bench"}
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (["--realtime", "--seconds", "0"], "--seconds"),
-        (["--realtime", "--rates", "500,fast"], "--rates is '500,fast'"),
-        (["--realtime", "--sizes"], "measured separately"),
-        (["--scenarios", "no_such", "--runs", "1"], "no_such"),
-    ],
-)
-def test_bench_refuses_what_it_cannot_measure(
-    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert reason in refused(capsys, "bench", "--out", str(tmp_path / "x"), *words)
 
 
 def test_reproduce_writes_figures_and_report(

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
+from studies.faults.situations import SITUATIONS, scenario
+from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
-from tactile_hand_ros.studies.faults.situations import SITUATIONS, scenario
-from tactile_hand_ros.studies.stalls import GuardedLoop, Watch
 
 POSTURE = np.array([0.1, 0.2, 0.3])
 SQUEEZE = np.array([1.0, -1.0, 0.5])

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The limit that the wire sets: the graph of a run with nothing in it but its messages.
+
+The same processes, topics, readers and loop as in a run, but each node only counts what it receives
+and sends bytes on as soon as it has heard all of a tick: no numbers, no parameters, no diagnostics.
+
+``python -m bench.wire ROLES READERS TICKS`` is one process of it, with one or
+several roles joined by commas.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from bench.results import Result
+from bench.workload import SCENARIO, Workload
+from tactile_hand_ros.names import PLANT
+from tactile_hand_ros.orchestrator.topology import Link, links
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.executor import spin
+from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
+
+_NAMESPACE = "wire"
+_BYTES = 200  # of a message, as many as those of a run have in the middle
+_COUNT = struct.Struct("<I")
+_WARM = 200  # ticks
+_NUDGE = 0.2  # s
+_PATIENCE = 60.0  # s
+
+
+def measure_wire(work: Workload) -> list[Result]:
+    """Pass ticks round, in processes of their own and in one, with the recorder and without."""
+    ticks = min(2000, 4 * len(work.record))
+    apart, together = tuple(NODES), (",".join(NODES),)
+    rates: dict[str, list[float]] = {}
+    for _ in range(work.repeats):
+        for where, processes in (("six processes", apart), ("one process", together)):
+            for recorded in (True, False):
+                name = f"messages alone, {where}, {'with' if recorded else 'without'} recorder"
+                rates.setdefault(name, []).append(rate(processes, ticks, recorded=recorded))
+    return [Result.of(name, "ticks/s", samples) for name, samples in rates.items()]
+
+
+def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
+    """Return how many ticks a second go round.
+
+    Args:
+        processes: Roles of each process, joined by commas.
+        ticks: How many are counted.
+        recorded: Whether the recorder receives everything too.
+    """
+    with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        if recorded:
+            flags = ("-p", f"output:={folder}/bag", "-p", f"topics:=['/{_NAMESPACE}/.*']")
+            stack.enter_context(start_executable("recorder", "--ros-args", *flags))
+            wait_until(lambda: list(Path(folder).glob("bag/*.mcap")), _PATIENCE, "the recorder")
+        command = [sys.executable, __file__]
+        members = [
+            stack.enter_context(CapturedProcess([*command, roles, str(int(recorded)), str(ticks)]))
+            for roles in processes
+        ]
+        plant = next(m for m, roles in zip(members, processes, strict=True) if PLANT in roles)
+        plant.wait_for_output("ticks/s", _PATIENCE)
+        return float(plant.stdout.split()[0])
+
+
+def each_tick() -> list[Link]:
+    """Return the topics that get a message at each tick."""
+    return [
+        link
+        for link in links(load_scenario(SCENARIO))
+        if link.publisher in NODES and link.each_tick
+    ]
+
+
+class Role:
+    """A node that passes on what it receives; the plant begins, and begins again."""
+
+    def __init__(self, name: str, wiring: Sequence[Link], recorders: int, ticks: int) -> None:
+        """Create publishers and subscriptions.
+
+        Args:
+            name: A node of the run.
+            wiring: Who receives what from whom.
+            recorders: How many more hear everything.
+            ticks: How many are counted.
+        """
+        self.node = Node(name, namespace=_NAMESPACE)
+        sent = [link for link in wiring if link.publisher == name]
+        self._publishers = [self._publisher(link.topic) for link in sent]
+        self._readers = [len(link.subscribers) + recorders for link in sent]
+        heard = [link.topic for link in wiring if name in link.subscribers]
+        for topic in heard:
+            self._subscribe(topic)
+        self._heard, self._first = frozenset(heard), heard[0]
+        self._open: dict[int, set[str]] = {}
+        self._tick, self._last, self._began = 0, _WARM + ticks, 0.0
+        self._leads = name == PLANT
+        if self._leads:
+            self.node.create_timer(_NUDGE, self._nudge)
+
+    def _publisher(self, topic: str) -> Publisher:
+        return self.node.create_publisher(WrenchStamped, topic, qos.tick_publisher_qos())
+
+    def _subscribe(self, topic: str) -> None:
+        hear, profile = partial(self._hear, topic), qos.tick_qos()
+        self.node.create_subscription(WrenchStamped, topic, hear, profile, raw=True)
+
+    def _send(self, tick: int) -> None:
+        data = b"\x00\x01\x00\x00" + _COUNT.pack(tick) + bytes(_BYTES - 8)
+        for publisher in self._publishers:
+            publisher.publish(data)
+
+    def _nudge(self) -> None:
+        """Send the present tick again, if all who should hear it are there."""
+        present = [publisher.get_subscription_count() for publisher in self._publishers]
+        if self._tick < self._last and present == self._readers:
+            self._send(self._tick)
+
+    def _hear(self, topic: str, data: bytes) -> None:
+        (tick,) = _COUNT.unpack_from(data, 4)
+        if tick < self._tick:
+            if tick == self._tick - 1 and topic == self._first and not self._leads:
+                self._send(tick)  # a node has not received it
+            return
+        heard = self._open.setdefault(tick, set())
+        heard.add(topic)
+        if heard == self._heard:
+            self._open.clear()
+            self._tick = tick + 1
+            self._send(tick + self._leads)
+            self._time()
+
+    def _time(self) -> None:
+        if not self._leads:
+            return
+        if self._tick == _WARM:
+            self._began = time.perf_counter()
+        elif self._tick == self._last:
+            passed = time.perf_counter() - self._began
+            print(f"{(self._last - _WARM) / passed:.1f} ticks/s", flush=True)
+
+
+def main() -> None:
+    """Serve the roles until a signal."""
+    names, recorders, ticks = sys.argv[1].split(","), int(sys.argv[2]), int(sys.argv[3])
+    wiring = each_tick()
+    use_sockets()
+    rclpy.init()
+    try:
+        spin([Role(name, wiring, recorders, ticks).node for name in names])
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Studies and campaigns; they import the package, and nothing imports them."""

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`make study NAME=... ARGS=...`: many runs on all cores, ending in figures and a table."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+# Behind the installed package, which is what runs; also for the processes that are started.
+if __name__ == "__main__":
+    sys.path[0:1] = []
+    sys.path.append(str(Path(__file__).resolve().parents[1]))
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+
+import typer
+
+from tactile_hand_ros.cli.output import (
+    FormatOption,
+    JobsOption,
+    Progress,
+    SeedOption,
+    folder_for_results,
+    print_files,
+    print_table,
+)
+from tactile_hand_ros.cli.sweep import ClusterOption, backend, progress
+from tactile_hand_ros.command_line import run_command
+
+
+def slip(
+    out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
+    runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
+    jobs: JobsOption = -1,
+    seed: SeedOption = 0,
+    roc: Annotated[
+        bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
+    ] = False,
+    formats: FormatOption = None,
+) -> None:
+    """Measure how fast slip is found and stopped, and at what squeeze."""
+    from studies.slip import figures as study_figures
+    from studies.slip import roc as slip_roc
+    from studies.slip import roc_figure
+    from studies.slip import study as slip_study
+    from studies.slip import tables as s
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.sweep.backends import Local
+
+    kinds = folder_for_results(out, formats)
+    with Progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
+        result = slip_study.run_study(runs, seed, Local(jobs), advance)
+    drawn = study_figures.figures(result)
+    points: list[slip_roc.Point] = []
+    if roc:
+        with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
+            points = slip_roc.run_roc(seed=seed, backend=Local(jobs), progress=advance)
+        drawn["study_roc"] = roc_figure.roc_figure(points)
+    files = s.write(result, out)
+    if points:
+        files += slip_roc.write(points, out)
+    for name, figure in drawn.items():
+        files += save(figure, out, name, kinds)
+    print_table(tables.rich_table(f"slip, {runs} runs", s.COLUMNS, s.rows(result)))
+    print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
+    if points:
+        print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
+    print_files(files, out)
+
+
+def loads(
+    out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("study"),
+    runs: Annotated[int, typer.Option(help="Number of loads for each reserve.", min=1)] = 300,
+    jobs: JobsOption = -1,
+    seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
+    floor: Annotated[
+        list[float] | None,
+        typer.Option(help="Floor of the reserve [N]; may be repeated. A grid by default.", min=0.0),
+    ] = None,
+    formats: FormatOption = None,
+) -> None:
+    """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
+
+    What is in the folder already is kept: after an interruption the same command goes on.
+    """
+    from studies.slip import loads as slip_loads
+    from studies.slip import loads_report as report
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.sweep.backends import Local
+
+    kinds = folder_for_results(out, formats)
+    reserves = slip_loads.RESERVES
+    if floor:
+        reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
+    with progress("loading") as watch:
+        slip_loads.run_loads(runs, seed, out, Local(jobs), reserves, watch)
+    found = slip_loads.outcomes_of(out)
+    files = [report.write(found, out)]
+    files += save(report.loads_figure(found), out, "study_loads", kinds)
+    print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
+    print_files(files, out)
+
+
+def faults(
+    out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("faults"),
+    runs: Annotated[
+        int, typer.Option(help="Number of injections; 0 only draws what is stored.", min=0)
+    ] = 500,
+    seed: SeedOption = 0,
+    way: Annotated[
+        list[str] | None,
+        typer.Option(help="calls, lockstep, composed or processes; may be repeated."),
+    ] = None,
+    deaths: Annotated[
+        bool | None,
+        typer.Option(help="Only nodes that are killed or stopped, or only all other faults."),
+    ] = None,
+    jobs: JobsOption = -1,
+    formats: FormatOption = None,
+) -> None:
+    """Let parts of the running hand fail, and measure drops, time to safety and forces.
+
+    What is in the folder already is kept: an interrupted campaign goes on where it stopped.
+    """
+    from studies.faults import campaign, space
+    from studies.faults import tables as fault_tables
+    from studies.faults.figure import faults_figure
+    from tactile_hand_ros.errors import ConfigurationError
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.style import save
+
+    ways = tuple(dict.fromkeys(way or space.WAYS))
+    if unknown := [name for name in ways if name not in space.WAYS]:
+        raise ConfigurationError(
+            f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
+        )
+    kinds = folder_for_results(out, formats)
+    among = [cell for cell in space.cells() if deaths in (None, cell.is_death)]
+    chosen = space.sample(runs, seed, ways=ways, among=among)
+    done = campaign.load(out)
+    outcomes = list(done)
+    try:
+        with Progress("injecting", len(chosen)) as advance:
+            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, jobs, advance)):
+                outcomes.append(outcome)
+    except KeyboardInterrupt:
+        print(f"interrupted after {len(outcomes)} runs; the same command goes on")
+    files = [out / campaign.RESULTS, *fault_tables.write(outcomes, out)]
+    files += save(faults_figure(outcomes), out, "faults", kinds)
+    title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
+    print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
+    print_files(files, out)
+
+
+def fuzz(
+    seconds: Annotated[float, typer.Option(help="How long [s].", min=1.0)] = 60.0,
+    seed: Annotated[int, typer.Option(help="Seed of all inputs.", min=0)] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for inputs that were not survived.")] = Path(
+        "fuzz"
+    ),
+    live: Annotated[bool, typer.Option(help="Also attack running nodes, half of the time.")] = True,
+    again: Annotated[
+        Path | None, typer.Option("--replay", help="Read a kept input again instead.")
+    ] = None,
+) -> None:
+    """Feed hostile bytes, requests and files to readers and nodes; count deaths, hangs, growth."""
+    from bench.fuzz.fuzz import fuzz as run_fuzz
+    from bench.fuzz.fuzz import replay
+    from bench.fuzz.live import fuzz_nodes
+    from bench.fuzz.targets import reading_targets
+
+    with reading_targets() as targets:
+        if again is not None:
+            print(replay(targets, again) or "survived")
+            return
+        share = 0.5 if live else 1.0
+        report = run_fuzz(targets, share * seconds, seed, out)
+    if live:
+        fuzz_nodes(report, (1.0 - share) * seconds, out)
+    print(json.dumps(report.data(), indent=2))
+    if report.findings or report.grew:
+        raise typer.Exit(1)
+
+
+def robustness(
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
+    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    cluster: ClusterOption = "",
+    seed: SeedOption = 0,
+    formats: FormatOption = None,
+) -> None:
+    """Map how far each scenario survives that the hand knows something wrongly."""
+    from studies import robustness as r
+    from tactile_hand_ros.report.style import save
+    from tactile_hand_ros.report.tables import rich_table
+
+    kinds = folder_for_results(out, formats)
+    names = tuple(scenario or r.all_scenarios())
+    with backend(jobs, cluster) as where, progress("robustness") as watch:
+        tally = r.run_map(names, out, where, seed, watch)
+    files = save(r.figure(out, names), out, "robustness", kinds)
+    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
+    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
+
+
+app = typer.Typer(
+    help="Many runs on all cores, ending in figures and a table.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for _command in (slip, loads, faults, fuzz, robustness):
+    app.command()(_command)
+
+
+@app.command()
+def stalls() -> None:
+    """Print what stalls and delays of commands do, with the guard and without."""
+    from studies.stalls import main as print_tables
+
+    print_tables()
+
+
+def main(words: list[str]) -> int:
+    """Run a study and return its exit code."""
+    name = "make study"
+    return run_command(name, lambda: app(args=words, prog_name=name, standalone_mode=False))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same faults by function calls: time goes on at every tick, whatever has been answered.
+
+As in real time, but without a clock, so that results are the same on every computer. The blocks
+are those of the closed loop; the study has the wires between them in its hands, the guard stands in
+front of the joints, and a block that misses an input gives no answer, as its node would.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.faults import space
+from studies.faults.outcome import LET_GO, Outcome, distance
+from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
+from studies.faults.space import Run
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Controller, Mode
+from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
+from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.errors import DivergedError, TactileHandError
+from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
+
+Array = NDArray[np.float64]
+
+DELAY = 0.1  # s
+_KEPT = 10  # of so many messages one passes a slow wire
+_PULSE = 0.05  # s
+_AFTER = 1.0  # s that are watched after a fault
+_FACTOR, _AWAY, _TURN, _JUMP = 3.0, 0.02, 0.2, 0.05  # of wrong values: forces, m, rad, m
+
+_WIRES = {
+    space.JOINTS: ("joints",),
+    space.FINGER: ("force 0",),
+    space.SKIN: ("contacts", "force"),
+    space.REGULATOR: ("grasp force",),
+    space.OPTIMIZER: ("shape",),
+    space.CONTROLLER: ("torque",),
+}
+
+
+class Wires:
+    """Carries messages from block to block, some of them badly."""
+
+    def __init__(self, run: Run, tick: float) -> None:
+        """Take the fault and the length of a tick [s]; all is well until `failing` is set."""
+        self.failing = False
+        self._names = _WIRES.get(run.cell.component, ())
+        self._fault, self._chance, self._tick = run.cell.fault, random.Random(run.seed), tick
+        self._frozen: dict[str, Any] = {}
+        self._count = 0
+        self._is_on, self._left = True, 0.0
+
+    def begin_tick(self) -> None:
+        """Let a tick pass for what depends on time."""
+        self._count += 1
+        self._left -= self._tick
+        if self._left <= 0.0:
+            self._is_on = not self._is_on
+            self._left = self._chance.expovariate(1.0 / _PULSE)
+
+    def carry(self, name: str, value: Any, wrong: Callable[[Any], Any]) -> Any:
+        """Return what arrives of a value; None where nothing does."""
+        if not (self.failing and name.startswith(self._names)) or not self._names:
+            return value
+        if self._fault == "stuck":
+            return self._frozen.setdefault(name, value)
+        if self._fault == "wrong":
+            return wrong(value)
+        if self._fault == "slow":
+            return None if self._count % _KEPT else value
+        if self._fault == "intermittent":
+            return value if self._is_on else None
+        # Off; garbage, which every reader refuses; and stamps of another time, which match nothing.
+        return value if self._fault in ("delayed", space.NONE) else None
+
+    @property
+    def delay(self) -> int:
+        """By how many ticks an answer is late."""
+        return round(DELAY / self._tick) if self.failing and self._fault == "delayed" else 0
+
+
+class FaultyLoop:
+    """A closed loop with wires that fail and a guard in front of the joints."""
+
+    def __init__(self, chosen: Scenario, run: Run) -> None:
+        """Build the loop of a scenario for a run."""
+        self.loop = ClosedLoop(chosen)
+        plant = chosen.plant
+        self.guard = JointGuard(plant.guard, self.loop.plant.hand, plant.tick)
+        self.tick_time = 1e-9 * plant.tick
+        self.wires = Wires(run, self.tick_time)
+        self._run, self._chance = run, random.Random(run.seed)
+        self._newest: TorqueCommand | None = None
+        self._waiting: deque[tuple[int, TorqueCommand]] = deque()
+        self._missing, self._pause, self._late = 0.0, 0.0, 0
+        self.drives = True
+
+    def tick(self) -> None:
+        """Move one tick ahead."""
+        loop, self.drives = self.loop, True
+        self.wires.begin_tick()
+        if not self._is_stopped():
+            torque = self.wires.carry("torque", self._answer(), np.negative)
+            if torque is not None:
+                due = loop.stamp + (self.wires.delay + self._late) * loop.scenario.plant.tick
+                self._waiting.append((due, TorqueCommand(loop.stamp, torque)))
+        while self._waiting and self._waiting[0][0] <= loop.stamp:
+            self._newest = self._waiting.popleft()[1]
+        loop.controller.joints_held = self.guard.holding
+        state = loop.state
+        loop.advance(self.guard.step(loop.stamp, state.theta, state.rates, self._newest))
+
+    def _is_stopped(self) -> bool:
+        """Return whether all blocks stand still, because of the computer or because one is dead."""
+        if not self.wires.failing or self._run.cell.component != space.COMPUTER:
+            self._late = 0
+            return False
+        if self._run.cell.fault == "starved":  # bursts of late answers between pauses
+            self._pause -= self.tick_time
+            if self._pause < -0.02:
+                self._pause = self._chance.expovariate(1.0 / 0.03)
+            self._late = self._chance.choice((0, 0, 1, 2, 4))
+            return self._pause > 0.0
+        return True
+
+    def _answer(self) -> Array | None:
+        """Return the torque that the blocks answer; None without one."""
+        loop, carry = self.loop, self.wires.carry
+        state, stamp = loop.state, loop.stamp
+        sliding = sliding_speeds(state)
+        touch = loop.sensor.step(stamp, true_reading(state), sliding)
+        joints = carry("joints", (state.theta, state.rates, state.torque), _turned)
+        contacts = carry("contacts", touch.contacts, _moved)
+        given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
+        forces = None if any(each is None for each in given) else np.array(given)
+        squeeze = shape = None
+        loop.chain.pass_on_rejection()
+        if contacts is not None and forces is not None:
+            squeeze = loop.regulator.step(stamp, contacts, forces)
+        friction = loop.regulator.learned_friction
+        if contacts is not None:
+            shape = loop.optimizer.step(stamp, contacts, friction, forces).forces
+        squeeze = carry("grasp force", squeeze, lambda value: value and _FACTOR * value)
+        shape = carry("shape", shape, lambda value: None if value is None else value[:, [1, 0, 2]])
+        if joints is None:
+            return None
+        observes = loop.scenario.manipulation_controller.law.observer.time > 0.0
+        missing = any(each is None for each in (contacts, squeeze, shape)) or (
+            observes and forces is None
+        )
+        self._missing = self._missing + self.tick_time if missing else 0.0
+        if missing:
+            is_blind = self._missing >= loop.scenario.manipulation_controller.input_timeout
+            held = loop.controller.hold(
+                joints[0], joints[1], "inputs are missing", applied=joints[2]
+            )
+            self.drives = False
+            return held.torque if is_blind and not held.withheld else None
+        self._command()
+        theta, rates, applied = joints
+        answer = loop.controller.step(
+            stamp, theta, rates, contacts, shape, squeeze, forces, applied
+        )
+        self.drives = answer.mode is Mode.DRIVE
+        return None if answer.withheld else answer.torque
+
+    def _command(self) -> None:
+        """Let the user send what the fault of the run makes of it; refusals are as intended."""
+        cell, loop = self._run.cell, self.loop
+        if not self.wires.failing or cell.component != space.USER or cell.fault == "garbage":
+            return
+        here = loop.state.position.copy()
+        if cell.fault == "wrong":
+            here += 10.0
+        elif cell.fault == "intermittent":
+            here += [self._chance.uniform(-_JUMP, _JUMP) for _ in range(3)]
+        with suppress(TactileHandError):
+            loop.controller.command(Target(here, np.eye(3)))
+
+    def restart(self) -> None:
+        """Start over with a block that was killed."""
+        cell, loop = self._run.cell, self.loop
+        if cell.fault != "off":
+            return
+        if cell.component == space.CONTROLLER:
+            loop.chain.controller = Controller(loop.scenario.manipulation_controller)
+        elif cell.component == space.REGULATOR:
+            loop.chain.regulator = SlipRegulator(
+                loop.scenario.slip_regulator, loop.plant.hand.fingers
+            )
+
+
+def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    theta, rates, applied = joints
+    return theta + _TURN, rates, -applied
+
+
+def _moved(contacts: Contacts) -> Contacts:
+    return Contacts(contacts.positions + np.array([_AWAY, 0.0, 0.0]), contacts.rotations)
+
+
+def _wrong_force(force: Array) -> Array:
+    return np.asarray(force * np.array([-_FACTOR, _FACTOR, -_FACTOR]))
+
+
+def run_by_calls(run: Run) -> Outcome:
+    """Inject one fault and return what became of the object."""
+    cell = run.cell
+    faulty = FaultyLoop(scenario(cell.situation, cell.way), run)
+    moment = SITUATIONS[cell.situation].time + run.delay
+    loop, seen = faulty.loop, _Seen(faulty)
+    is_lost = False
+    try:
+        for _ in range(round(moment / faulty.tick_time)):
+            faulty.tick()
+        faulty.wires.failing = cell.fault != space.NONE
+        seen.run(FAULT_TIME)
+        faulty.wires.failing = False
+        faulty.restart()
+        seen.run(_AFTER)
+    except DivergedError:
+        is_lost = True
+    failing = round(max(FAULT_TIME, seen.held_until) / faulty.tick_time)
+    moved = distance(cell, np.array(seen.positions[:failing]), moment)
+    return Outcome(
+        *cell,
+        run.seed,
+        dropped=is_lost or not bool(loop.state.contacts.all_touching) or moved > LET_GO,
+        moved=moved,
+        safe=seen.safe,
+        peak=seen.peak,
+        limit=loop.scenario.slip_regulator.maximum,
+        recovered=seen.recovered,
+        declared=seen.declared,
+    )
+
+
+class _Seen:
+    """What the object suffers from the fault on."""
+
+    def __init__(self, faulty: FaultyLoop) -> None:
+        self._faulty = faulty
+        self.positions: list[Array] = []
+        self.peak = self.held_until = self._time = 0.0
+        self.safe: float | None = None
+        self.declared = ""
+
+    @property
+    def recovered(self) -> float | None:
+        """Time from the end of the fault until the hand drives, s; None if it does not."""
+        is_driving = self._faulty.drives and not self._faulty.guard.holding
+        return max(0.0, self.held_until - FAULT_TIME) if is_driving else None
+
+    def run(self, seconds: float) -> None:
+        """Run on and look at every tick."""
+        faulty = self._faulty
+        for _ in range(round(seconds / faulty.tick_time)):
+            faulty.tick()
+            self._time += faulty.tick_time
+            state, guard = faulty.loop.state, faulty.guard
+            self.positions.append(state.position.copy())
+            self.peak = max(self.peak, float(state.forces[:, 1].sum()))
+            if guard.holding or not faulty.drives:
+                self.held_until = self._time
+                if guard.holding and self.safe is None:
+                    self.safe, self.declared = self._time, guard.reason

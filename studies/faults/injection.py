@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How each fault is brought about from outside: signals, limits, load, messages, the fault node."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+from std_msgs.msg import Float64, String
+
+from studies.faults import space, taps
+from studies.faults.running_hand import RunningHand
+from studies.faults.space import Run
+from tactile_hand_ros import names
+from tactile_hand_ros.ros.messages.wire import PoseCodec
+
+_NODE_OF = {
+    space.SENSOR: names.SENSOR,
+    space.REGULATOR: names.REGULATOR,
+    space.OPTIMIZER: names.OPTIMIZER,
+    space.CONTROLLER: names.CONTROLLER,
+    space.RECORDER: names.RECORDER,
+}
+_BUSY = "while True: pass"
+_LOOPS_PER_CORE = 2
+_FLOOD = 0.002  # s between two bursts of user commands
+_JUMP = 0.05  # m
+_STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@contextmanager
+def injected(hand: RunningHand, run: Run) -> Iterator[None]:
+    """Let a fault last as long as the block."""
+    cell = run.cell
+    with ExitStack() as stack:
+        if cell.fault == space.NONE:
+            pass
+        elif cell.component == space.USER:
+            stack.enter_context(_user(hand, run))
+        elif cell.component == space.COMPUTER:
+            stack.enter_context(_computer(hand, cell.fault))
+        elif cell.component == space.RECORDER or cell.is_signal:
+            stack.enter_context(_process(hand, _NODE_OF[cell.component], cell.fault))
+        else:
+            stack.enter_context(_tapped(hand, run))
+        yield
+
+
+@contextmanager
+def _tapped(hand: RunningHand, run: Run) -> Iterator[None]:
+    topics = taps.topics_of(run.cell.component, hand.fingers)
+    hand.control.publish(
+        String(data=" ".join([run.cell.fault.replace(" ", "_"), str(run.seed), *topics]))
+    )
+    try:
+        yield
+    finally:
+        hand.control.publish(String(data=""))
+
+
+@contextmanager
+def _process(hand: RunningHand, name: str, fault: str) -> Iterator[None]:
+    process = hand.processes[name]
+    if fault == "off":
+        process.send(signal.SIGKILL)
+        process.wait()
+        yield
+        hand.start(name)
+    elif fault in ("stuck", space.STOPPED):
+        with _stopped([process.pid]):
+            yield
+    else:
+        with _no_more_space(process.pid):
+            yield
+
+
+@contextmanager
+def _stopped(pids: list[int]) -> Iterator[None]:
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
+def _no_more_space(pid: int) -> Iterator[None]:
+    """Let every write beyond the present end of a file fail, as on a full disk."""
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, resource.RLIM_INFINITY))
+    try:
+        yield
+    finally:
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+
+
+@contextmanager
+def _computer(hand: RunningHand, fault: str) -> Iterator[None]:
+    if fault == "starved":
+        with _busy(_LOOPS_PER_CORE * (os.cpu_count() or 1)):
+            yield
+    elif fault == "stopped":
+        others = [p.pid for name, p in hand.processes.items() if name != names.PLANT]
+        with _stopped(others):
+            yield
+    else:
+        raise ValueError(f"there is no fault '{fault}' of a computer")
+
+
+@contextmanager
+def _busy(loops: int) -> Iterator[None]:
+    made = [subprocess.Popen([sys.executable, "-S", "-c", _BUSY]) for _ in range(loops)]
+    try:
+        yield
+    finally:
+        for process in made:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
+def _user(hand: RunningHand, run: Run) -> Iterator[None]:
+    """Let a user, or what stands in for one, send nonsense from a thread."""
+    over = threading.Event()
+    send = _sender(hand, run)
+
+    def keep_sending() -> None:
+        while not over.wait(_FLOOD):
+            send()
+
+    thread = threading.Thread(target=keep_sending)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _sender(hand: RunningHand, run: Run) -> Callable[[], None]:
+    """Return what sends one burst of a user whose commands fail in some way."""
+    codec, chance, fault = PoseCodec(), random.Random(run.seed), run.cell.fault
+    _, seen = hand.positions(hand.since(time.monotonic() - 1.0))
+    here = seen[-1]
+
+    def stuck() -> None:
+        hand.poses.publish(codec.encode(here, _STRAIGHT, 0))
+
+    def garbage() -> None:
+        hand.poses.publish(b"\0\1\0\0" + chance.randbytes(80))
+
+    def wrong() -> None:
+        hand.poses.publish(codec.encode(here + 10.0, _STRAIGHT, 0))
+        hand.squeezes.publish(Float64(data=chance.choice([-1.0, 1e6, float("nan")])))
+
+    def delayed() -> None:
+        hand.poses.publish(codec.encode(here, _STRAIGHT, 1))
+
+    def intermittent() -> None:
+        jump = [chance.uniform(-_JUMP, _JUMP) for _ in range(3)]
+        hand.poses.publish(codec.encode(here + jump, _STRAIGHT, 0))
+
+    return {
+        "stuck": stuck,
+        "garbage": garbage,
+        "wrong": wrong,
+        "delayed": delayed,
+        "intermittent": intermittent,
+    }[fault]

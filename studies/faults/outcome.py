@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What became of the object and the hand after one injection."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from studies.faults import space
+from studies.faults.expected import expected
+from studies.faults.running_hand import Event, RunningHand
+from studies.faults.space import Cell, Run
+from tactile_hand_ros import names
+
+Array = NDArray[Any]
+
+_LEAST = 0.1  # N; a hand that squeezes less has not begun to hold
+_BEFORE = 0.1  # s before a fault in which the hand must drive and hold
+LET_GO = 0.1
+"""Distance from where it may be [m]: an object there is not in the hand, whatever touches it."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one injection did.
+
+    Attributes:
+        way, situation, component, fault: The cell.
+        seed: Seed of the run.
+        dropped: Whether a finger does not touch at the end, or the object is 0.1 m from where it
+            may be.
+        moved: Largest distance of the object from where it may be until the hand drives for good,
+            m; see `Expected`. NaN where a user moves it.
+        safe: Time from the fault to the first hold or ERROR, s; None where none was declared.
+        peak: Largest sum of normal forces, N.
+        limit: The regulator's limit of it, N.
+        recovered: Time from the end of the fault until the hand drives for good, s; None if it
+            does not until the end.
+        declared: What was declared first.
+        starts: How often the hand was started until it had begun to hold, before the fault.
+        error: Why the run could not be judged; empty if it was.
+    """
+
+    way: str
+    situation: str
+    component: str
+    fault: str
+    seed: int
+    dropped: bool = False
+    moved: float = 0.0
+    safe: float | None = None
+    peak: float = 0.0
+    limit: float = 0.0
+    recovered: float | None = None
+    declared: str = ""
+    starts: int = 1
+    error: str = ""
+
+    @property
+    def cell(self) -> Cell:
+        """The cell of the run."""
+        return Cell(self.way, self.situation, self.component, self.fault)
+
+    @property
+    def key(self) -> str:
+        """What distinguishes the run from all others of a campaign."""
+        return Run(self.cell, self.seed).key
+
+    def data(self) -> dict[str, Any]:
+        """Return plain values by name."""
+        return asdict(self)
+
+
+def failed(run: Run, error: Exception) -> Outcome:
+    """Return the outcome of a run that could not be judged."""
+    return Outcome(*run.cell, run.seed, error=f"{type(error).__name__}: {error}"[:300])
+
+
+def why_not_begun(hand: RunningHand) -> str:
+    """Return why the hand has not begun to hold its object, before anything fails; empty if it has.
+
+    It has begun when all fingers touch, press, and were not held by the guard just now.
+    """
+    since = time.monotonic() - _BEFORE
+    before = hand.since(since)
+    holds = [event for event in hand.events if event.topic == names.JOINT_HOLD]
+    if (holds and hand.read(holds[-1]).data) or _holds(hand, before):
+        return "the joints are held"
+    if not hand.is_touching(before):
+        return "a finger does not touch"
+    return "" if hand.squeeze(before) >= _LEAST else "the fingers do not press"
+
+
+def judge(
+    hand: RunningHand, run: Run, moment: float, begin: float, end: float, starts: int
+) -> Outcome:
+    """Return what became of a run.
+
+    Args:
+        hand: The hand with all events of the run.
+        run: What was injected.
+        moment: Simulated time of the fault, s.
+        begin: When the fault began, by the monotonic clock, s.
+        end: When it ended, s.
+        starts: How often the hand was started.
+    """
+    after = hand.since(begin)
+    recovered = recovery(hand, after, end)
+    failing = [e for e in after if recovered is None or e.time <= end + recovered]
+    safe, declared = _first_declared(hand, after)
+    moved = distance(run.cell, hand.positions(failing)[1], moment)
+    return Outcome(
+        *run.cell,
+        run.seed,
+        dropped=not hand.is_touching(after) or moved > LET_GO,
+        moved=moved,
+        safe=None if safe is None else safe - begin,
+        peak=hand.squeeze(after),
+        limit=hand.scenario.slip_regulator.maximum,
+        recovered=recovered,
+        declared=declared,
+        starts=starts,
+    )
+
+
+def distance(cell: Cell, seen: Array, moment: float) -> float:
+    """Return how far an object was from where it may be, m; NaN where a user moves it.
+
+    Args:
+        cell: What failed in which situation.
+        seen: Where it was, shape (n, 3), m.
+        moment: Simulated time of the fault, s.
+    """
+    if cell.component == space.USER and cell.fault in ("stuck", "delayed", "intermittent"):
+        return math.nan  # poses in reach are orders, wherever they lead
+    return expected(cell.situation, cell.way).distance(seen, moment)
+
+
+def _first_declared(hand: RunningHand, events: list[Event]) -> tuple[float | None, str]:
+    """Return when the first hold or ERROR was declared, and by what."""
+    holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, events)]
+    found = sorted([*holds, *hand.errors(events)])
+    return found[0] if found else (None, "")
+
+
+def _holds(hand: RunningHand, events: list[Event]) -> list[Event]:
+    return [e for e in events if e.topic == names.JOINT_HOLD and hand.read(e).data]
+
+
+def recovery(hand: RunningHand, events: list[Event], end: float) -> float | None:
+    """Return how long after the end of the fault the hand drives for good, s; None if it does not.
+
+    It drives while the joints are not held and the controller says what it believes of the object.
+    """
+    holds = [event for event in events if event.topic == names.JOINT_HOLD]
+    if holds and hand.read(holds[-1]).data:
+        return None
+    free = max([end, *(event.time for event in holds)])
+    beliefs = [e.time for e in events if e.topic == names.AUXILIARY_POSE and e.time >= free]
+    return beliefs[0] - end if beliefs else None

@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes of a hand as processes, steered and watched from outside."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, String
+from std_srvs.srv import SetBool, Trigger
+
+from studies.faults import taps
+from studies.faults.fault_node import CONTROL
+from tactile_hand_ros import names
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import ERROR
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.executor import make_executor
+from tactile_hand_ros.ros.messages.conversions import (
+    contacts_from_ros,
+    force_from_ros,
+    stamp_to_ns,
+)
+from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
+from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
+from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import NODES, Scenario
+
+Array = NDArray[np.float64]
+
+PATIENCE = 180.0
+"""Longest wait for the nodes of a session [s]."""
+
+_POLL = 0.01  # s
+_ANSWER = 20.0  # s, longest wait for a service
+_AGAIN = 5.0  # s without an answer after which a service is asked again
+
+
+class Event(NamedTuple):
+    """Something that was received: when, by the monotonic clock [s], where, and its bytes."""
+
+    time: float
+    topic: str
+    data: bytes
+
+
+class RunningHand:
+    """The nodes of one scenario in a domain of their own; none of them outlives the block.
+
+    Attributes:
+        processes: By name of the executable.
+        events: Everything that was received since the start of the run.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        tap: str,
+        *,
+        composed: bool,
+        scheduling: Scheduling = Scheduling(),
+    ) -> None:
+        """Prepare; entering the block starts the processes.
+
+        Args:
+            scenario: What they run.
+            folder: For parameter files and the recording.
+            tap: Topics that pass the fault node; empty for none.
+            composed: Whether the nodes share one process.
+            scheduling: How the nodes run; in real time they prepare for it in any case.
+        """
+        self.scenario, self._folder, self._tap = scenario, folder, tap
+        real_time = scenario.plant.pacing == "realtime"
+        self._scheduling = replace(scheduling, real_time=real_time)
+        self.composed = composed
+        self.fingers = load_hand_config(scenario.hand).finger_names
+        self.processes: dict[str, CapturedProcess] = {}
+        self.events: list[Event] = []
+        self._stack = ExitStack()
+        self._clients: dict[str, Any] = {}
+        self._types: dict[str, Any] = {}
+        self._facts: dict[str, dict[str, str]] = {}
+        self._looked_at = 0
+
+    def __enter__(self) -> RunningHand:
+        """Start everything and wait until the hand holds its object."""
+        try:
+            domain = self._stack.enter_context(isolated_domain())
+            if self._tap:
+                self.processes["fault_node"] = self._stack.enter_context(_fault_node(self._tap))
+            else:
+                self._start_recorder()
+            if self.composed:
+                self._launch(names.COMPOSED, NODES)
+            else:
+                for name in NODES:
+                    self.start(name)
+            context = self._stack.enter_context(private_context(domain))
+            self.node = Node("campaign", context=context)
+            self._stack.callback(self.node.destroy_node)
+            self._listen()
+            self._stack.enter_context(_spinning(self.node))
+            self._await_readiness()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        self._stack.close()
+
+    def _start_recorder(self) -> None:
+        config = RecorderConfig(output=str(self._folder / "bag"))
+        file = self._folder / "recorder.yaml"
+        file.write_text(to_params_yaml(config, names.RECORDER))
+        arguments = ("--ros-args", "--params-file", str(file))
+        process = start_executable(names.RECORDER, *arguments)
+        self.processes[names.RECORDER] = self._stack.enter_context(process)
+
+    def start(self, name: str) -> None:
+        """Start a node, or start it again."""
+        if name == names.RECORDER:
+            self._start_recorder()
+        else:
+            self._launch(name, (name,))
+
+    def _launch(self, executable: str, nodes: tuple[str, ...]) -> None:
+        arguments = [*self._scheduling.arguments, "--ros-args"]
+        for name in nodes:
+            file = self._folder / f"{name}.yaml"
+            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
+            arguments += ["--params-file", str(file)]
+        for topic, (owner, _) in taps.tapped(self._tap, self.fingers).items():
+            if owner in nodes:
+                arguments += ["-r", f"{owner}:{topic}:={taps.PREFIX}{topic}"]
+        process = start_executable(executable, *arguments)
+        self.processes[executable] = self._stack.enter_context(process)
+
+    def _listen(self) -> None:
+        make, profile = self.node.create_publisher, qos.user_qos()
+        self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
+        self.squeezes = make(Float64, names.USER_GRASP_FORCE, profile)
+        self.control = make(String, CONTROL, profile)
+        self._hear(PoseStamped, names.OBJECT_POSE)
+        self._hear(PoseArray, names.TRUE_CONTACTS)
+        self._hear(PoseStamped, names.AUXILIARY_POSE)
+        for name in self.fingers:
+            self._hear(WrenchStamped, names.true_wrench(name))
+        self._hear(JointState, names.JOINT_COMMAND)
+        self._hear(Bool, names.JOINT_HOLD, qos.latched_qos())
+        self._hear(DiagnosticArray, names.DIAGNOSTICS, profile)
+
+    def _hear(self, kind: Any, topic: str, profile: Any = None) -> None:
+        self._types[topic] = kind
+
+        def keep(data: bytes) -> None:
+            self.events.append(Event(time.monotonic(), topic, data))
+
+        self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
+
+    def _await_readiness(self) -> None:
+        """Wait until every node has met all that it listens to, and the fault node."""
+        taken = [f"/{taps.PREFIX}{topic}" for topic in taps.tapped(self._tap, self.fingers)]
+
+        def met() -> bool:
+            values = self._peers()
+            return len(values) == len(NODES) and all(
+                int(count) >= 1
+                for facts in values.values()
+                for key, count in facts.items()
+                if key.startswith(f"{SUBSCRIPTIONS} ")
+                or key.removeprefix(f"{PUBLICATIONS} ") in taken
+            )
+
+        self.wait(met, "nodes that have met each other")
+
+    def _peers(self) -> dict[str, dict[str, str]]:
+        """Return the last values in the diagnostics of each of the five nodes."""
+        new, self._looked_at = self.events[self._looked_at :], len(self.events)
+        for event in new:
+            if event.topic == names.DIAGNOSTICS:
+                for status in self.read(event).status:
+                    if status.name.removeprefix("/") in NODES:
+                        facts = {pair.key: pair.value for pair in status.values}
+                        self._facts[status.name] = facts
+        return self._facts
+
+    def facts(self, name: str) -> dict[str, str]:
+        """Return the values in the last diagnostics of a node."""
+        return self._peers().get(f"/{name}", {})
+
+    def forget_but(self, count: int) -> None:
+        """Keep no more than the last events, in a run without end."""
+        self._peers()  # what the diagnostics say is kept
+        surplus = len(self.events) - count
+        if surplus > 0:
+            del self.events[:surplus]
+            self._looked_at = max(0, self._looked_at - surplus)
+
+    def since(self, moment: float) -> list[Event]:
+        """Return the events after a moment of the monotonic clock [s]."""
+        events, found = self.events, []
+        for index in range(len(events) - 1, -1, -1):
+            if events[index].time < moment:
+                break
+            found.append(events[index])
+        return found[::-1]
+
+    def read(self, event: Event) -> Any:
+        """Return the message of an event."""
+        return deserialize_message(event.data, self._types[event.topic])
+
+    def wait(self, condition: Callable[[], Any], what: str, limit: float = PATIENCE) -> Any:
+        """Wait for a condition, which is looked at every few milliseconds.
+
+        Raises:
+            TimeoutError: If it stays false.
+        """
+        deadline, pause = time.monotonic() + limit, threading.Event()
+        while not (result := condition()):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"waited {limit:g} s in vain for {what}")
+            pause.wait(_POLL)
+        return result
+
+    def _call(self, kind: Any, service: str, request: Any) -> Any:
+        """Ask a service until it answers.
+
+        For 20 s a server that was killed counts as there. What is sent before the client has met
+        its successor goes to the dead one only.
+        """
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+        client = self._clients[service]
+        self.wait(client.service_is_ready, f"the service {service}")
+        asked: list[Any] = []
+        begin = time.monotonic()
+
+        def answer() -> Any:
+            if time.monotonic() >= begin + len(asked) * _AGAIN:
+                asked.append(client.call_async(request))
+            return next((future for future in asked if future.done()), None)
+
+        return self.wait(answer, f"an answer of {service}", _ANSWER).result()
+
+    def begin(self) -> None:
+        """Begin again at stamp 0, with the targets of the scenario."""
+        self._call(SetBool, "plant/run", SetBool.Request(data=False))
+        self._call(Trigger, "plant/reset", Trigger.Request())
+        self._call(Trigger, "manipulation_controller/reset", Trigger.Request())
+        self._call(Trigger, "slip_regulator/reset", Trigger.Request())
+        codec = PoseCodec()
+        for target in self.scenario.targets:
+            position, rotation = target.target()
+            turn = quaternion_from_rotation(rotation)
+            self.poses.publish(codec.encode(position, turn, target.stamp))
+        self.events.clear()
+        self._looked_at = 0
+        self._call(SetBool, "plant/run", SetBool.Request(data=True))
+
+    def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
+        """Wait until simulated time has come to a moment [s], but no longer than a limit [s]."""
+        due = round(1e9 * seconds)
+
+        def is_there() -> bool:
+            for event in reversed(self.events):
+                if event.topic == names.OBJECT_POSE:
+                    return bool(stamp_to_ns(self.read(event).header.stamp) >= due)
+            return False
+
+        self.wait(is_there, f"t = {seconds:g} s", limit)
+
+    def positions(self, events: list[Event]) -> tuple[Array, Array]:
+        """Return when the object was seen [s], and where, shape (n, 3), m."""
+        seen = [event for event in events if event.topic == names.OBJECT_POSE]
+        points = [self.read(event).pose.position for event in seen]
+        where = np.array([[p.x, p.y, p.z] for p in points]).reshape(-1, 3)
+        return np.array([event.time for event in seen]), where
+
+    def is_touching(self, events: list[Event]) -> bool:
+        """Return whether all fingers touched in the last message about contacts."""
+        for event in reversed(events):
+            if event.topic == names.TRUE_CONTACTS:
+                contacts = contacts_from_ros(self.read(event), len(self.fingers))
+                return bool(np.isfinite(contacts.positions).all())
+        return False
+
+    def squeeze(self, events: list[Event]) -> float:
+        """Return the largest sum of normal forces [N], of those that belong to one tick."""
+        topics = [names.true_wrench(name) for name in self.fingers]
+        sums: dict[bytes, list[float]] = {}
+        for event in events:
+            if event.topic in topics:
+                force = force_from_ros(self.read(event))
+                sums.setdefault(event.data[4:12], []).append(float(force[1]))
+        return max((sum(each) for each in sums.values() if len(each) == len(topics)), default=0.0)
+
+    def errors(self, events: list[Event]) -> list[tuple[float, str]]:
+        """Return when nodes reported an ERROR [s], and what."""
+        found = []
+        for event in events:
+            if event.topic == names.DIAGNOSTICS:
+                for status in self.read(event).status:
+                    if status.level == ERROR:
+                        found.append((event.time, f"{status.name}: {status.message}"))
+        return found
+
+
+def _fault_node(tap: str) -> CapturedProcess:
+    return CapturedProcess([sys.executable, str(Path(__file__).with_name("fault_node.py")), tap])
+
+
+@contextmanager
+def _spinning(node: Node) -> Iterator[None]:
+    """Serve a node in a thread."""
+    executor = make_executor(node.context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        thread.join()

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the paper claims, beside what was measured, with a verdict that numbers decide."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_hand_ros.reproduce.experiments import ExperimentResult
+from tactile_hand_ros.reproduce.stiffness import translational_stiffness
+from tactile_hand_ros.run import derived
+
+Outcomes = Mapping[str, ExperimentResult]
+
+
+class ClaimVerdict(enum.Enum):
+    """How a claim fared."""
+
+    HOLDS = "holds"
+    PARTLY = "holds in part"
+    FAILS = "does not hold"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of the paper.
+
+    Attributes:
+        source: Where the paper makes it.
+        statement: What it says.
+        measured: What was found, in words.
+        verdict: Whether it holds.
+        numbers: What the verdict rests on, with units in the names; NaN where unknown.
+    """
+
+    source: str
+    statement: str
+    measured: str
+    verdict: ClaimVerdict
+    numbers: Mapping[str, float]
+
+
+def judge(outcomes: Outcomes) -> list[Claim]:
+    """Judge all claims by the experiments of one layout, Theorem 1 (9) among them."""
+    return [claim(outcomes) for claim in CLAIMS]
+
+
+def _verdict(holds: bool, partly: bool = False) -> ClaimVerdict:
+    return ClaimVerdict.HOLDS if holds else ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
+
+
+def _position(outcomes: Outcomes) -> Claim:
+    error = outcomes["optimal"].metrics.final_position_error_m
+    return Claim(
+        "Fig. 3b, (15)",
+        "The contact centroid converges to p_d.",
+        f"{_millimetres(error)} from p_d at the end",
+        _verdict(error < 1e-4, error < 1e-2),
+        {"final_position_error_m": error},
+    )
+
+
+def _orientation(outcomes: Outcomes) -> Claim:
+    run = outcomes["optimal"]
+    error = run.metrics.final_rotation_error_rad
+    peak = _largest(np.linalg.norm(derived.rotation_error(run.record), axis=1))
+    return Claim(
+        "Fig. 3c, (15)",
+        "The orientation error r_d converges to zero.",
+        f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
+        _verdict(error < 1e-3, error < 1e-1),
+        {"final_rotation_error_rad": error, "peak_rotation_error_rad": peak},
+    )
+
+
+def _true_orientation(outcomes: Outcomes) -> Claim:
+    turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
+    moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
+    return Claim(
+        "Sec. II, (7)",
+        "Moving the virtual frame to its target moves the object there.",
+        f"the cube itself turns up to {math.degrees(turned):.1f} deg and shifts up to "
+        f"{_millimetres(moved)} against the virtual frame, because the tips roll on it",
+        _verdict(turned < 0.01 and moved < 1e-3, turned < 0.5),
+        {"max_object_rotation_in_grasp_rad": turned, "max_object_displacement_in_grasp_m": moved},
+    )
+
+
+def _rates(outcomes: Outcomes) -> Claim:
+    record = outcomes["optimal"].record
+    rates = np.abs(record.rates)
+    tick, joint = np.unravel_index(int(np.nanargmax(rates)), rates.shape)
+    peak, final = float(rates[tick, joint]), _largest(rates[-1])
+    return Claim(
+        "Fig. 3a",
+        "The joint rates converge to zero.",
+        f"{final:.1e} rad/s at the end; peak {peak:.3f} rad/s of {record.joint_names[joint]} at "
+        f"{record.times[tick]:.2f} s (the text gives no number to compare)",
+        _verdict(final < 1e-3, final < 0.1 * peak),
+        {"final_joint_rate_rad_per_s": final, "peak_joint_rate_rad_per_s": peak},
+    )
+
+
+def _normal_forces(outcomes: Outcomes) -> Claim:
+    m = outcomes["optimal"].metrics
+    worst = m.worst_normal_force_relative_error
+    pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
+    listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
+    return Claim(
+        "Fig. 3d, (15)",
+        "Every normal force converges to k_f f*_n.",
+        f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %",
+        _verdict(worst < 1e-3, worst < 5e-2),
+        {"worst_normal_force_relative_error": worst},
+    )
+
+
+def _sum(outcomes: Outcomes) -> Claim:
+    m = outcomes["optimal"].metrics
+    error = m.normal_force_sum_relative_error
+    return Claim(
+        "(13c), (15)",
+        "The normal forces sum to k_f.",
+        f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
+        f"{100 * error:.4f} % off",
+        _verdict(error < 1e-4, error < 1e-2),
+        {"normal_force_sum_relative_error": error},
+    )
+
+
+def _in_motion(outcomes: Outcomes) -> Claim:
+    run = outcomes["optimal"]
+    apart = derived.contact_forces(run.record)[:, :, 1] - derived.expected_normal_forces(run.record)
+    largest, final = _largest(np.abs(apart[1:])), _largest(np.abs(apart[-1:]))
+    return Claim(
+        "Sec. IV-A",
+        "While the object moves, normal forces deviate from k_f f*_n.",
+        f"by up to {largest:.3f} N in motion, {final:.1e} N at the end",
+        _verdict(largest > 10.0 * final),
+        {"largest_deviation_N": largest, "final_deviation_N": final},
+    )
+
+
+def _grasp_kept(outcomes: Outcomes) -> Claim:
+    m = outcomes["optimal"].metrics
+    return Claim(
+        "Sec. IV",
+        "With k_f = 10 and without the relative attitude term, (14) loses no contact.",
+        f"{m.contacts_lost_ticks} of {m.ticks} ticks without one of the contacts",
+        _verdict(m.contacts_lost_ticks == 0),
+        {"contacts_lost_ticks": float(m.contacts_lost_ticks)},
+    )
+
+
+def _friction(outcomes: Outcomes) -> Claim:
+    penalised = outcomes["optimal"].metrics.final_required_friction
+    nominal = outcomes["nominal"].metrics.final_required_friction
+    less = [penalised[name] < nominal[name] for name in penalised]
+    worst = max(penalised.values()), max(nominal.values())
+    listed = ", ".join(
+        f"{name.replace('_', ' ')} {nominal[name]:.3f} -> {penalised[name]:.3f}"
+        for name in penalised
+    )
+    return Claim(
+        "Fig. 4, Sec. III",
+        "Penalising tangential forces reduces the friction that each contact needs.",
+        f"beta, nominal -> penalised: {listed}; the grasp as a whole needs "
+        f"{worst[1]:.3f} -> {worst[0]:.3f}",
+        _verdict(all(less), any(less)),
+        {f"{name}_nominal": value for name, value in nominal.items()}
+        | {f"{name}_penalised": value for name, value in penalised.items()},
+    )
+
+
+def _internal_force(outcomes: Outcomes) -> Claim:
+    names = {"nominal": "W = I", "firm": "twice k_f", "contact": "(10) for (14)"}
+    apart = {key: _apart(outcomes["optimal"], outcomes[key]) for key in names}
+    listed = ", ".join(f"{1e6 * apart[key]:.2f} um with {name}" for key, name in names.items())
+    return Claim(
+        "(13b)",
+        "f* has no effect on the motion: W and k_f change forces only.",
+        f"the centroid's path differs by at most {listed}",
+        _verdict(max(apart.values()) < 1e-5, max(apart.values()) < 1e-3),
+        {f"largest_distance_{key}_m": value for key, value in apart.items()},
+    )
+
+
+def _kawamura(outcomes: Outcomes) -> Claim:
+    m = outcomes["kawamura"].metrics
+    end = _loss(m.first_contact_loss_s)
+    lost = m.contacts_lost_ticks > 0
+    error = m.final_position_error_m
+    there = "" if math.isnan(error) else f", {_millimetres(error)} from p_d at the end"
+    return Claim(
+        "Theorem 1, (9)",
+        "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none).",
+        f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s",
+        _verdict(not lost and error < 1e-3, not lost and error < 1e-2),
+        {"final_position_error_m": error, "first_contact_loss_s": m.first_contact_loss_s},
+    )
+
+
+def _rolling(outcomes: Outcomes) -> Claim:
+    keys = {"hold_kawamura": "(8)", "hold_contact": "(10)", "hold_optimal": "(14)"}
+    rolled = {key: _largest(_until_loss(outcomes[key])) for key in keys}
+    listed = ", ".join(f"{name} {_millimetres(rolled[key])}" for key, name in keys.items())
+    end = _loss(outcomes["hold_kawamura"].metrics.first_contact_loss_s)
+    induced = rolled["hold_kawamura"] > 1e-2
+    still = max(rolled["hold_contact"], rolled["hold_optimal"]) < 1e-4
+    return Claim(
+        "Sec. III",
+        "Squeezing through fingertips, (8), induces rolling; through contacts it does not.",
+        f"held where it is, contacts roll over the object by {listed}; under (8) {end}",
+        _verdict(induced and still, induced or still),
+        {f"largest_rolling_{key}_m": value for key, value in rolled.items()},
+    )
+
+
+def _stiffness(outcomes: Outcomes) -> Claim:
+    eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
+    fingers = len(outcomes["optimal"].record.finger_names)
+    gain = fourteen.manipulation_controller.law.k_p
+    tips, felt = np.diag(translational_stiffness(eight)), translational_stiffness(eight, "contacts")
+    other = np.diag(translational_stiffness(fourteen, "contacts"))
+    listed = ", ".join(f"{value:.2f}" for value in np.diag(felt))
+    return Claim(
+        "below (10)",
+        "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14).",
+        f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
+        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
+        _verdict(bool(np.allclose(np.diag(felt), gain, rtol=0.01))),
+        {
+            "stiffness_8_at_tips_N_per_m": float(tips.mean()),
+            "stiffness_14_at_contacts_N_per_m": float(other.mean()),
+        },
+    )
+
+
+CLAIMS: tuple[Callable[[Outcomes], Claim], ...] = (
+    _position,
+    _orientation,
+    _rates,
+    _normal_forces,
+    _sum,
+    _in_motion,
+    _grasp_kept,
+    _friction,
+    _internal_force,
+    _rolling,
+    _kawamura,
+    _stiffness,
+    _true_orientation,
+)
+"""The claims in the order of the paper, then what we found on the way."""
+
+
+@dataclass(frozen=True)
+class LawResult:
+    """What one law does on the paper's task.
+
+    Attributes:
+        law: Its number in the paper.
+        final_position_error_m: |p_d - p|; NaN when the grasp was lost.
+        final_rotation_error_rad: |r_d|; NaN when the grasp was lost.
+        first_contact_loss_s: When a contact was lost first; NaN for never.
+        peak_joint_rate_rad_per_s: Largest joint rate.
+        normal_force_sum_N: Sum of f_n at the end.
+        worst_required_friction: Largest beta of any contact at the end.
+        largest_rolling_m: How far a contact moved over the object before a contact was lost.
+        stiffness_N_per_m: Mean pull at the contacts per metre of position error.
+    """
+
+    law: str
+    final_position_error_m: float
+    final_rotation_error_rad: float
+    first_contact_loss_s: float
+    peak_joint_rate_rad_per_s: float
+    normal_force_sum_N: float
+    worst_required_friction: float
+    largest_rolling_m: float
+    stiffness_N_per_m: float
+
+
+def compare_laws(outcomes: Outcomes) -> list[LawResult]:
+    """Put the three laws side by side on the same task."""
+    laws = {"kawamura": "(8)", "contact": "(10)", "optimal": "(14)"}
+    return [_law_result(name, outcomes[key]) for key, name in laws.items()]
+
+
+def _law_result(name: str, run: ExperimentResult) -> LawResult:
+    m = run.metrics
+    return LawResult(
+        law=name,
+        final_position_error_m=m.final_position_error_m,
+        final_rotation_error_rad=m.final_rotation_error_rad,
+        first_contact_loss_s=m.first_contact_loss_s,
+        peak_joint_rate_rad_per_s=m.peak_joint_rate_rad_per_s,
+        normal_force_sum_N=m.normal_force_sum_N,
+        worst_required_friction=float(np.max(list(m.final_required_friction.values()))),
+        largest_rolling_m=_largest(_until_loss(run)),
+        stiffness_N_per_m=float(np.diag(translational_stiffness(run.scenario, "contacts")).mean()),
+    )
+
+
+def _until_loss(run: ExperimentResult) -> derived.Array:
+    """Return how far contacts rolled over the object, as long as all of them touched."""
+    lost = np.flatnonzero(derived.contact_lost(run.record))
+    end = int(lost[0]) if len(lost) else len(run.record)
+    return derived.rolling(run.record.part(slice(end)))
+
+
+def _apart(one: ExperimentResult, other: ExperimentResult) -> float:
+    """Return the largest distance between the centroids of two runs."""
+    between = one.record.auxiliary_position - other.record.auxiliary_position
+    return float(np.linalg.norm(between, axis=1).max())
+
+
+def _largest(values: derived.Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else math.nan
+
+
+def _millimetres(metres: float) -> str:
+    return "an unknown distance" if math.isnan(metres) else f"{1e3 * metres:.3g} mm"
+
+
+def _loss(time: float) -> str:
+    return "no contact is lost" if math.isnan(time) else f"a contact is lost at {time:.2f} s"

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The runs that the paper's claims are judged by."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.study import Point, Result, Study
+
+LAYOUTS = ("three_faces", "pinch")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario with some values changed.
+
+    Attributes:
+        scenario: Name of the scenario.
+        meaning: What it shows.
+        changes: Values to change, by dotted key.
+    """
+
+    scenario: str
+    meaning: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+EXPERIMENTS: Mapping[str, Experiment] = {
+    "optimal": Experiment("paper", "law (14), the paper's experiment"),
+    "nominal": Experiment("paper_nominal_weights", "law (14) with W = I"),
+    "firm": Experiment(
+        "paper", "law (14) with twice the squeeze", {"slip_regulator.grasp_force": 20.0}
+    ),
+    "contact": Experiment("contact_law", "law (10) on the same task"),
+    "kawamura": Experiment("kawamura", "law (8) on the same task"),
+    "hold_optimal": Experiment("paper", "law (14), held where it is", {"targets": []}),
+    "hold_contact": Experiment("contact_law", "law (10), held where it is", {"targets": []}),
+    "hold_kawamura": Experiment("kawamura", "law (8), held where it is", {"targets": []}),
+}
+
+
+@dataclass(frozen=True)
+class ExperimentResult:
+    """A finished experiment.
+
+    Attributes:
+        key: Which of `EXPERIMENTS`.
+        layout: Layout of the hand's fingers.
+        scenario: What was run.
+        record: What happened.
+        metrics: What was achieved.
+    """
+
+    key: str
+    layout: str
+    scenario: Scenario
+    record: Record
+    metrics: Metrics
+
+
+def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentResult:
+    """Run one experiment by function calls.
+
+    Args:
+        key: Which of `EXPERIMENTS`.
+        layout: Layout of the hand's fingers.
+        duration: Simulated time in s instead of the scenario's.
+    """
+    scenario = scenario_of(key, layout, duration)
+    record = ClosedLoop(scenario).run()
+    return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
+
+
+def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
+    """Return the scenario of an experiment; arguments as for `run_experiment`.
+
+    Raises:
+        ConfigurationError: If a layout or duration cannot be used.
+    """
+    experiment = EXPERIMENTS[key]
+    changes = {"layout": layout, **experiment.changes}
+    if duration is not None:
+        changes["duration"] = duration
+    options = {"layout": "--layout", "duration": "--duration"}
+    return load_scenario(experiment.scenario, changes, options)
+
+
+def study_of(
+    layouts: Sequence[str],
+    duration: float | None,
+    reduce: Callable[[Iterable[Result]], Any],
+) -> Study:
+    """Return the study that runs all experiments in all layouts.
+
+    Args:
+        layouts: Layouts of the hand's fingers.
+        duration: Simulated time in s instead of the scenarios'.
+        reduce: Takes the results, each an `ExperimentResult`.
+    """
+    space = Space({"layout": Choice(tuple(layouts)), "key": Choice(tuple(EXPERIMENTS))})
+    return Study(space, "grid", functools.partial(_run, duration), reduce)
+
+
+def _run(duration: float | None, point: Point) -> ExperimentResult:
+    return run_experiment(point.values["key"], point.values["layout"], duration)

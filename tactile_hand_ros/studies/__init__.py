@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Studies: many runs that answer one question."""

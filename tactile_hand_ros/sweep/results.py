@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of a sweep, column by column, and what it shows: shares, medians, sensitivities."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.sweep.keep import OUTCOMES, REACHED
+from tactile_hand_ros.sweep.metrics import measures
+from tactile_hand_ros.sweep.samplers import base_size
+from tactile_hand_ros.sweep.space import Choice, Parameter
+from tactile_hand_ros.sweep.statistics import median_interval, share_of
+from tactile_hand_ros.sweep.store import read_column
+from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How much a parameter moves a metric.
+
+    Attributes:
+        parameter: Its path.
+        metric: Its column.
+        value: Spearman's rank correlation, or the total-order Sobol' index.
+        low: Lower end of the 95 % interval.
+        high: Upper end.
+        first: First-order Sobol' index; NaN for a rank correlation.
+    """
+
+    parameter: str
+    metric: str
+    value: float
+    low: float
+    high: float
+    first: float = math.nan
+
+
+class Results:
+    """The finished runs of one scenario of a sweep, or of all.
+
+    Attributes:
+        sweep: What was asked.
+        scenario: Name of the scenario, empty for all.
+    """
+
+    def __init__(self, sweep: Sweep, folder: Path, scenario: str = "") -> None:
+        """Open the table in the folder of a sweep."""
+        self.sweep, self.scenario = sweep, scenario
+        self._folder = folder
+
+    @functools.cached_property
+    def _chosen(self) -> Any:
+        if not self.scenario:
+            return slice(None)
+        return read_column(self._folder, SCENARIO).astype(str) == self.scenario
+
+    def column(self, name: str) -> Any:
+        """Return a column of the table; ``reached`` is 1 where the goal was reached, else 0."""
+        if name == REACHED:
+            return (self.column("outcome").astype(str) == REACHED).astype(float)
+        return read_column(self._folder, name)[self._chosen]
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """The parameters that are numbers, by path."""
+        found = self.sweep.space.parameters
+        return {path: p for path, p in found.items() if _is_number(p)}
+
+    @property
+    def metrics(self) -> list[str]:
+        """The columns that were asked for."""
+        return list(measures(self.sweep.metrics))
+
+    def shares(self) -> list[tuple[str, int, int, tuple[float, float, float]]]:
+        """Return outcome, count, number of runs, and share with Wilson's interval."""
+        found = self.column("outcome").astype(str)
+        counts = {name: int((found == name).sum()) for name in OUTCOMES}
+        return [(name, n, len(found), share_of(n, len(found))) for name, n in counts.items()]
+
+    def medians(self) -> list[tuple[str, int, tuple[float, float, float]]]:
+        """Return metric, number of runs that know it, and median with bootstrap interval."""
+        out = []
+        for name in self.metrics:
+            values = self.column(name)
+            out.append((name, int(np.isfinite(values).sum()), median_interval(values)))
+        return out
+
+    def effects(self) -> list[Effect]:
+        """Return the effect of each parameter on reaching the goal and on each metric."""
+        if self.sweep.sampler == "saltelli":
+            return [e for name in (REACHED, *self.metrics) for e in self._indices(name)]
+        return [
+            _correlation(path, name, self.column(path), self.column(name))
+            for name in (REACHED, *self.metrics)
+            for path in self.parameters
+        ]
+
+    def _indices(self, metric: str) -> list[Effect]:
+        """Return Sobol' indices; none where a run does not know the metric."""
+        stats = optional("scipy.stats", "Sobol' indices")
+        paths = list(self.sweep.space.parameters)
+        n = base_size(self.sweep.runs, len(paths))
+        values = self.column(metric)
+        if (
+            len(values) != n * (len(paths) + 2)
+            or not np.isfinite(values).all()
+            or not np.ptp(values)
+        ):
+            return []
+        blocks = values.reshape(-1, 1, n)
+        design = {"f_A": blocks[0], "f_B": blocks[1], "f_AB": blocks[2:]}
+        found = stats.sobol_indices(func=design, n=n)
+        interval = found.bootstrap(n_resamples=200).total_order.confidence_interval
+        each = zip(
+            paths,
+            np.ravel(found.total_order),
+            np.ravel(interval.low),
+            np.ravel(interval.high),
+            np.ravel(found.first_order),
+            strict=True,
+        )
+        return [Effect(path, metric, *map(float, numbers)) for path, *numbers in each]
+
+
+def _is_number(parameter: Parameter) -> bool:
+    if not isinstance(parameter, Choice):
+        return True
+    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in parameter.values)
+
+
+def _correlation(path: str, metric: str, x: Array, y: Array) -> Effect:
+    """Return Spearman's rank correlation, with the interval of Bonett and Wright, 2000."""
+    known = np.isfinite(y)
+    x, y, n = x[known], y[known], int(known.sum())
+    if n < 4 or not np.ptp(x) or not np.ptp(y):
+        return Effect(path, metric, math.nan, math.nan, math.nan)
+    r = float(optional("scipy.stats", "A rank correlation").spearmanr(x, y).statistic)
+    z, half = (
+        math.atanh(max(-0.999999, min(0.999999, r))),
+        1.96 * math.sqrt((1.0 + 0.5 * r * r) / (n - 3)),
+    )
+    return Effect(path, metric, r, math.tanh(z - half), math.tanh(z + half))
+
+
+def each_scenario(sweep: Sweep, folder: Path) -> list[Results]:
+    """Return the results of each scenario."""
+    names: Sequence[str] = tuple(sweep.scenarios)
+    return [Results(sweep, folder, name if len(names) > 1 else "") for name in names]

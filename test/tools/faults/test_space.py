@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sample of a campaign is balanced, reproducible and in the order of its sessions."""
+
+import itertools
+from collections import Counter
+
+import pytest
+
+from studies.faults import space
+
+
+@pytest.mark.parametrize("runs", [1, 37, 500, 2000])
+def test_no_cell_comes_twice_more_often_than_another(runs):
+    drawn = space.sample(runs, seed=3)
+    counts = Counter(run.cell for run in drawn)
+    assert len(drawn) == runs and max(counts.values()) - min(counts.values()) <= 1
+    assert len({run.key for run in drawn}) == runs
+    assert drawn == space.sample(runs, seed=3) != space.sample(runs, seed=4)
+
+
+def test_runs_of_a_session_follow_each_other():
+    drawn = space.sample(400, seed=0, ways=("composed",))
+    sessions = [
+        key for key, _ in itertools.groupby(drawn, lambda r: (r.cell.situation, r.cell.tap))
+    ]
+    assert len(sessions) == len(set(sessions))
+    assert {run.cell.way for run in drawn} == {"composed"}
+
+
+def test_every_fault_of_every_component_has_its_cells():
+    known = space.cells()
+    assert len(known) == len(set(known)) > 900
+    for component, faults in space.FAULTS_OF.items():
+        assert {cell.fault for cell in known if cell.component == component} - {"none"} == set(
+            faults
+        )
+    assert all(cell.tap in ("joints", "touch", "forces", "") for cell in known)
+
+
+def test_a_node_is_killed_where_it_is_a_process_and_silenced_where_it_is_not():
+    for cell in space.cells():
+        if cell.is_signal:
+            assert cell.is_death and not cell.tap and cell.way in ("lockstep", "processes")
+    killed = space.Cell("processes", "moving", "sensor", "stopped")
+    silent = space.Cell("composed", "moving", "regulator", "off")
+    assert killed.is_signal and silent.is_death and silent.tap == "forces"
+    assert killed in space.cells() and killed._replace(way="composed") not in space.cells()

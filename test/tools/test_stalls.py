@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands that stop do to an object, with the guard and without it."""
+
+import pytest
+
+from studies.stalls import LAST_TORQUE, GuardedLoop, Watch
+from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+
+def load(kind: str, force: float, **timing: float):
+    """Return a scenario under a load that changes while there are no commands."""
+    carried = {"kind": "step", "start": 0.0, "force": [0.0, 0.0, 1.962]}
+    comes = {"kind": kind, "start": 0.3, "force": [0.0, 0.0, force], **timing}
+    return load_scenario("lift", {"plant.disturbances": [carried, comes]})
+
+
+SCENARIOS = {
+    "the weight comes on": load("ramp", -1.962, duration=0.2),
+    "five times the weight comes on": load("ramp", -9.81, duration=0.4),
+    "a sudden pull": load("step", -10.0),
+    "moving": load_scenario("paper"),
+}
+
+
+def stalled(name: str, config: GuardConfig, seconds: float):
+    """Return the outcome of a stall that begins at 0.3 s and its loop."""
+    guarded = GuardedLoop(SCENARIOS[name], config)
+    guarded.run(0.3)
+    watch = Watch(guarded)
+    watch.run(seconds, answers=False)
+    return watch, guarded
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_stall_costs_no_object(name):
+    watch, guarded = stalled(name, GuardConfig(), 0.6)
+    assert guarded.guard.reason
+    watch.run(0.3, answers=True, moves=True)
+    outcome = watch.outcome()
+    assert not outcome.is_dropped and not guarded.guard.holding
+    assert outcome.moved < 0.006 and outcome.slid < 0.003
+    assert outcome.peak < 1.2 * outcome.limit
+
+
+@pytest.mark.parametrize("name", ["a sudden pull", "the weight comes on"])
+def test_the_same_stall_without_the_guard_drops_it(name):
+    watch, _ = stalled(name, LAST_TORQUE, 0.6)
+    assert watch.outcome().is_dropped
+
+
+def test_a_stall_shorter_than_the_age_limit_changes_nothing():
+    _, guarded = stalled("moving", GuardConfig(), 0.006)
+    _, unguarded = stalled("moving", LAST_TORQUE, 0.006)
+    assert not guarded.guard.reason
+    assert (guarded.loop.state.theta == unguarded.loop.state.theta).all()
+
+
+def test_commands_that_are_always_late_let_the_hand_stand_still():
+    guarded = GuardedLoop(SCENARIOS["moving"], GuardConfig())
+    guarded.run(0.3)
+    watch = Watch(guarded)
+    watch.run(0.5, answers=True, delay=4)
+    outcome = watch.outcome()
+    assert guarded.guard.reason and not outcome.is_dropped and outcome.moved < 0.003

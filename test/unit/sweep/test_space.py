@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spaces and samplers: what the command line says, and where in it the runs are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.sweep.samplers import SAMPLERS
+from tactile_hand_ros.sweep.space import Choice, Range, Space, parse_parameter
+
+SPACE = Space({"a": Range(0.0, 2.0), "b": Range(0.1, 10.0, is_log=True), "c": Choice(("u", "v"))})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("m=0.05..0.5", Range(0.05, 0.5)),
+        ("m=-1..1/5", Range(-1.0, 1.0, levels=5)),
+        ("m=1e-3..1:log", Range(1e-3, 1.0, is_log=True)),
+        ("m=1e-3..1/4:log", Range(1e-3, 1.0, is_log=True, levels=4)),
+        ("m=a,b", Choice(("a", "b"))),
+        ("m=[[0, 0, -9.81], [0, 0, 0]]", Choice(([0, 0, -9.81], [0, 0, 0]))),
+        ("m=true,false", Choice((True, False))),
+        ("m=7", Choice((7,))),
+    ],
+)
+def test_what_is_varied_is_read(text: str, expected: object) -> None:
+    assert parse_parameter(text) == ("m", expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("m", "expected PATH= and LOW..HIGH"),
+        ("m=", "expected PATH= and LOW..HIGH"),
+        ("m=2..1", "the empty range 2..1"),
+        ("m=1..1", "the empty range 1..1"),
+        ("m=0..1:log", "expected bounds above 0"),
+        ("m=1..2:lin", "expected LOW..HIGH"),
+        ("m=1..x", "expected LOW..HIGH"),
+        ("m=0..inf", "expected LOW..HIGH"),
+        ("m=0..1/1", "expected 2 or more"),
+        ("m=[]", "expected LOW..HIGH"),
+    ],
+)
+def test_what_cannot_be_varied_is_refused_in_a_sentence(text: str, told: str) -> None:
+    with pytest.raises(ConfigurationError, match=told.replace("(", r"\(")) as refused:
+        parse_parameter(text)
+    assert str(refused.value).startswith("--over")
+
+
+@given(st.floats(0.0, 1.0))
+def test_a_share_is_a_value_of_the_parameter(share: float) -> None:
+    assert 0.1 <= SPACE.parameters["b"].value(share) <= 10.0 * (1.0 + 1e-12)
+    assert Range(1, 6, is_whole=True).value(share) in range(1, 7)
+    assert Choice("abc").value(share) in "abc"
+
+
+def test_a_whole_range_gives_each_number_alike() -> None:
+    values = [Range(1, 4, is_whole=True).value(share) for share in np.linspace(0, 1, 400, False)]
+    assert np.unique(values, return_counts=True)[1].tolist() == [100] * 4
+
+
+@pytest.mark.parametrize("name", list(SAMPLERS))
+def test_slices_are_the_same_points_as_the_whole(name: str) -> None:
+    """A study that goes on in the middle finds the runs that it would have made."""
+    design = SAMPLERS[name](SPACE, 60, 3)
+    whole = design.rows(0, design.runs)
+    assert whole.shape == (design.runs, 3)
+    assert (whole >= 0.0).all() and (whole <= 1.0).all()
+    again = SAMPLERS[name](SPACE, 60, 3)
+    parts = [again.rows(first, min(first + 7, again.runs)) for first in range(0, again.runs, 7)]
+    np.testing.assert_array_equal(np.vstack(parts), whole)
+    if name != "grid":
+        assert not np.array_equal(SAMPLERS[name](SPACE, 60, 4).rows(0, 5), whole[:5])
+
+
+def test_a_grid_takes_all_combinations_with_both_ends() -> None:
+    space = Space({"a": Range(0.0, 2.0, levels=3), "c": Choice(("u", "v", "w", "x", "y"))})
+    design = SAMPLERS["grid"](space, 1, 0)
+    found = [tuple(space.values(row).values()) for row in design.rows(0, design.runs)]
+    assert found == [(a, c) for a in (0.0, 1.0, 2.0) for c in "uvwxy"]
+
+
+def test_a_latin_hypercube_holds_one_run_in_each_slot() -> None:
+    rows = SAMPLERS["latin"](SPACE, 50, 0).rows(0, 50)
+    for column in rows.T:
+        assert sorted((50 * column).astype(int)) == list(range(50))
+
+
+def test_a_saltelli_design_changes_one_column_at_a_time() -> None:
+    design = SAMPLERS["saltelli"](SPACE, 60, 0)
+    a, b, *mixed = np.split(design.rows(0, design.runs), 5)
+    assert len(a) == 8
+    for column, block in enumerate(mixed):
+        np.testing.assert_array_equal(block[:, column], b[:, column])
+        np.testing.assert_array_equal(np.delete(block, column, 1), np.delete(a, column, 1))
+    with pytest.raises(ConfigurationError, match="at least 10 for Sobol' indices"):
+        SAMPLERS["saltelli"](SPACE, 9, 0)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps: from the command line to the table, and from a row back to its run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv
+import pytest
+
+from studies import robustness
+from tactile_hand_ros.cli import main
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.scenario.scenario import load_scenario, plain
+from tactile_hand_ros.sweep.metrics import friction_margin, measures, outcome
+from tactile_hand_ros.sweep.results import Results
+from tactile_hand_ros.sweep.run import study_of
+from tactile_hand_ros.sweep.study import Point
+from tactile_hand_ros.sweep.sweep import make_sweep
+
+MASS, FRICTION = "plant.object.mass=0.001..0.1:log", "plant.object.friction=0.2..1"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Return the one sentence with which a command is refused."""
+    assert main([str(argument) for argument in arguments]) == 2
+    text = capsys.readouterr().err
+    assert text.startswith("tactile-hand: ") and "Traceback" not in text
+    return text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a small sweep over two scenarios."""
+    out = tmp_path_factory.mktemp("sweeps") / "sweep"
+    words = ["--over", MASS, "--over", FRICTION, "--set", "duration=0.05", "--runs", "24"]
+    words += ["--metric", "slip", "--metric", "support.trials:mean_torque_Nm"]
+    fixed = ["--jobs", "1", "--format", "png", "--out", str(out)]
+    assert main(["sweep", "paper", "pinch", *words, *fixed]) == 0
+    return out
+
+
+def test_a_sweep_leaves_table_summary_and_figures(folder: Path) -> None:
+    names = {path.name for path in folder.iterdir()}
+    assert {"study.json", "runs.parquet", "runs.csv", "summary.md"} <= names
+    for scenario in ("paper", "pinch"):
+        assert {f"metrics_{scenario}.png", f"success_{scenario}.png"} <= names
+    table = pyarrow.csv.read_csv(folder / "runs.csv")
+    assert table.num_rows == 24
+    assert sorted(set(table["scenario"].to_pylist())) == ["paper", "pinch"]
+    assert "| paper | missed | 12 of 12 | 100.0 % |" in (folder / "summary.md").read_text()
+
+
+def test_a_row_is_its_run_again_to_the_bit(folder: Path) -> None:
+    row = pyarrow.csv.read_csv(folder / "runs.csv").to_pylist()[17]
+    changes = {name: row[name] for name in ("plant.object.mass", "plant.object.friction", "seed")}
+    scenario = load_scenario(row["scenario"], {"duration": 0.05, **changes})
+    record = ClosedLoop(scenario).run()
+    assert float(np.nanmax(record.true_slid)) == row["max_slip_distance_m"]
+    assert float(abs(record.torque).mean()) == row["mean_torque_Nm"]
+
+
+def test_a_finished_sweep_only_shows_its_results(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (folder / "runs.parquet").read_bytes()
+    assert main(["sweep", str(folder), "--format", "png"]) == 0
+    assert "24 of 24 runs" in capsys.readouterr().out
+    assert (folder / "runs.parquet").read_bytes() == before
+
+
+def test_bad_input_is_refused_in_a_sentence(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def sweep(*words: object) -> str:
+        return refused(capsys, "sweep", *words, f"--out={tmp_path / 'x'}", "--jobs=1")
+
+    assert "did you mean 'plant.object.mass'" in sweep("paper", "--over=plant.object.mas=1..2")
+    assert "the empty range 2..1" in sweep("paper", "--over=plant.object.mass=2..1")
+    assert "expected a finite number > 0" in sweep("paper", "--over=plant.object.mass=-1..1")
+    assert "nothing is varied" in sweep("paper")
+    assert "did you mean 'paper'" in sweep("papr", f"--over={MASS}")
+    assert "did you mean 'latin'" in sweep("paper", f"--over={MASS}", "--sampler=latn")
+    assert "did you mean 'slip'" in sweep("paper", f"--over={MASS}", "--metric=slp")
+    assert "expected module:function" in sweep("paper", f"--over={MASS}", "--metric=no.such:f")
+    assert "--jobs is 0" in refused(
+        capsys, "sweep", "paper", f"--over={MASS}", f"--out={tmp_path / 'x'}", "--jobs=0"
+    )
+    assert "expected the folder of a study" in sweep("paper", f"--over={MASS}", "--rerun=1")
+    assert "there is no run 24" in refused(capsys, "sweep", folder, "--rerun=24")
+    assert "says what it varies" in refused(capsys, "sweep", folder, f"--over={MASS}")
+    assert "another study: runs is 24 there" in refused(
+        capsys, "sweep", "paper", f"--over={MASS}", f"--out={folder}"
+    )
+    assert not (tmp_path / "x" / "study.json").exists()
+
+
+def test_paths_lead_into_lists_and_whole_numbers_stay_whole() -> None:
+    made = make_sweep(["gravity"], ["gravity.2=-9.81..-1", "seed=1..5"], {}, ["outcome"], runs=10)
+    points = list(study_of(made).points())
+    assert {type(point.values["seed"]) for point in points} == {int}
+    assert sorted(point.values["seed"] for point in points) == sorted([1, 2, 3, 4, 5] * 2)
+    scenario = made.trial.scenario(points[0])
+    assert scenario.gravity == (0.0, 0.0, points[0].values["gravity.2"])
+    assert scenario.seed == points[0].values["seed"] == scenario.tactile_sensor.seed
+    with pytest.raises(ConfigurationError, match="unknown parameter 'gravity.3'"):
+        make_sweep(["gravity"], ["gravity.3=0..1"], {}, ["outcome"])
+
+
+def test_plain_data_is_the_scenario() -> None:
+    for name in ("gravity", "slippery", "pinch"):
+        scenario = load_scenario(name, {"calibration.link_lengths": 1.02})
+        assert type(scenario).model_validate(json.loads(json.dumps(plain(scenario)))) == scenario
+
+
+def test_the_margin_is_what_the_true_friction_leaves() -> None:
+    scenario = load_scenario("gravity", {"duration": 0.1, "targets": []})
+    record = ClosedLoop(scenario).run()
+    found = metrics(record, scenario)
+    worst = np.inf
+    for tick in np.flatnonzero(record.times >= 0.02):
+        for x, y, z in record.true_forces[tick]:
+            worst = min(worst, 1.0 - np.hypot(x, z) / y / scenario.plant.object.friction)
+    assert friction_margin(record, scenario, found) == pytest.approx(worst, abs=1e-12)
+    assert outcome(record, found) in ("reached", "missed")
+    record.true_positions[-1, 0] = np.nan
+    assert outcome(record, found) == "lost"
+
+
+def test_sobol_indices_find_the_parameter_that_matters(tmp_path: Path) -> None:
+    """Y = x1 + 0 x2, whose indices are 1 and 0, put into a table by hand."""
+    over = ["plant.object.mass=1..2", "plant.object.friction=1..2"]
+    made = make_sweep(["paper"], over, {}, ["slip"], sampler="saltelli", runs=256)
+    store = made.store(tmp_path)
+    store.begin(made.description(), 256)
+    for point in study_of(made).points():
+        row = {"run": point.index, "scenario": "paper", "outcome": "reached", **point.values}
+        mass, friction = point.values.values()
+        store.add([{**row, "max_slip_distance_m": mass + 0.01 * friction}])
+    store.finish()
+    effects = {e.parameter: e for e in Results(made, tmp_path).effects()}
+    assert effects["plant.object.mass"].value == pytest.approx(1.0, abs=0.05)
+    assert effects["plant.object.mass"].first == pytest.approx(1.0, abs=0.05)
+    assert effects["plant.object.friction"].value == pytest.approx(0.0, abs=0.01)
+
+
+def test_metrics_have_units_or_none_in_their_names() -> None:
+    from tactile_hand_ros.sweep.metrics import METRICS
+
+    for name in measures(list(METRICS)):
+        assert name.endswith(("_m", "_rad", "_N", "_s", "_margin")), name
+
+
+@pytest.mark.parametrize("error", robustness.ERRORS, ids=lambda error: error.name)
+def test_an_error_of_the_map_changes_its_scenario(error: robustness.Error) -> None:
+    def changed(rank: int) -> str:
+        values = {"rank": rank, "error": error.name, "scenario": "slippery"}
+        return robustness.scenario_of(Point(0, 7, values)).model_dump_json()
+
+    right = load_scenario("slippery", {"seed": 7}).model_dump_json()
+    assert len({right, *(changed(rank) for rank in range(3))}) == 4
+
+
+def test_the_map_is_drawn_from_its_table(tmp_path: Path) -> None:
+    names = ("paper", "pinch")
+    store_rows = []
+    study = robustness.study_of(names, 0)
+    for point in study.points():
+        came = ("reached", "missed", "lost")[point.values["rank"]]
+        store_rows.append({"run": point.index, **point.values, "outcome": came})
+    from tactile_hand_ros.sweep.store import Store
+
+    kept = Store(tmp_path, {"scenario": str, "error": str, "rank": int, "outcome": str}, {})
+    kept.begin({}, len(store_rows))
+    kept.add(store_rows)
+    kept.finish()
+    assert robustness.figure(tmp_path) is not None
+    rows = robustness.rows_of(tmp_path)
+    assert rows[0] == ["links longer, 1 %", "2", "0", "0", "0"]
+    assert rows[2] == ["links longer, 10 %", "0", "0", "2", "0"]
