@@ -16,7 +16,7 @@ import psutil
 from bench.results import Goal, Result
 from studies.faults.running_hand import RunningHand
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 _PERIOD = 0.5  # s between two samples

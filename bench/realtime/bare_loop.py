@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from tactile_hand_ros.ros.histogram import Histogram, parse_histogram
 from tactile_hand_ros.ros.processes import CapturedProcess
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import Scheduling
 
 _PATIENCE = 60.0  # s, on top of the time that is measured
 

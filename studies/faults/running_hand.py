@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,7 +39,7 @@ from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
@@ -89,8 +88,7 @@ class RunningHand:
             scheduling: How the nodes run; in real time they prepare for it in any case.
         """
         self.scenario, self._folder, self._tap = scenario, folder, tap
-        real_time = scenario.plant.pacing == "realtime"
-        self._scheduling = replace(scheduling, real_time=real_time)
+        self._scheduling = scheduling
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.processes: dict[str, CapturedProcess] = {}

@@ -31,7 +31,7 @@ from tactile_hand_ros.orchestrator.session import Plan, Session
 from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.orchestrator.view import make_view
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling, chosen_cpus, parse_priority
+from tactile_hand_ros.ros.scheduling import Scheduling, chosen_cpus, parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 

@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
@@ -34,7 +34,7 @@ from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, p
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
 from tactile_hand_ros.orchestrator.view import Rate, View
 from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario
 
 # After the recorder, which is soon there: what takes longest to load comes first.
@@ -186,8 +186,7 @@ class Session:
     def _start(self) -> None:
         """Start all processes, one right after the other: they load at the same time."""
         text = self.directory.write_scenario(self.plan.scenario)
-        is_real_time = self.plan.scenario.plant.pacing == "realtime"
-        scheduling = replace(self.plan.scheduling, real_time=is_real_time)
+        scheduling = self.plan.scheduling
         # What a node says goes into its log here, not a second time below the home folder.
         common = ["--ros-args", "--disable-external-lib-logs"]
         if self.plan.namespace != "/":

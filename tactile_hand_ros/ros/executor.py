@@ -43,11 +43,7 @@ from rclpy.subscription import Subscription
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
-from tactile_hand_ros.ros.realtime.memory import bounded_memory
 from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
-
-_REQUEST_ROOM = 2 * 2**20
-"""What reading one request may take [bytes]; that of a thousand parameters takes a twentieth."""
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
@@ -135,8 +131,7 @@ class SurvivingExecutor(SingleThreadedExecutor):
 
     def _take_service(self, srv: Service) -> Any:
         try:
-            with bounded_memory(_REQUEST_ROOM):
-                return super()._take_service(srv)
+            return super()._take_service(srv)
         except Exception as error:
             owners = [node for node in self.get_nodes() if srv in node.services]
             self._survive(srv.srv_name, _unreadable(error), owners)

@@ -42,6 +42,11 @@ class Histogram:
         place = int(_PER_DECADE * math.log10(seconds / _LEAST)) if seconds > _LEAST else 0
         self._counts[min(place, _BINS - 1)] += 1
 
+    def quantile(self, fraction: float) -> float:
+        """Return the middle of the bin in which a quantile lies [s]; at least one is counted."""
+        rank = np.searchsorted(np.cumsum(self._counts), max(1.0, fraction * self.count))
+        return float(_MIDDLES[rank])
+
     def text(self) -> str:
         """Return it as one line, ``middle of a bin in us:count`` separated by blanks."""
         filled = [(name, count) for name, count in zip(_NAMES, self._counts, strict=True) if count]

@@ -33,8 +33,7 @@ from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Guard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
-from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
-from tactile_hand_ros.ros.realtime.scheduling import report_scheduling
+from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
 
@@ -93,7 +92,6 @@ class TactileNode(Node, Generic[C]):
         except TactileHandError:
             self.destroy_node()
             raise
-        self._between_ticks = between_ticks(self.context)
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
@@ -103,7 +101,7 @@ class TactileNode(Node, Generic[C]):
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
         self._peers: dict[str, int] = {}
         self._attention = PollBackoff(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
-        self._peers_timer = self.create_timer(PEERS_PERIOD, self._on_peers_due, clock=steady)
+        self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
     @property
     def config(self) -> C:
@@ -273,9 +271,6 @@ class TactileNode(Node, Generic[C]):
         """
         self._guard.caught(source, error)
 
-    def _on_peers_due(self) -> None:
-        self._between_ticks.run(self._look_for_peers)
-
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""
         peers = {**dict.fromkeys(self._peers, 0), **self.peers()}
@@ -299,21 +294,10 @@ class TactileNode(Node, Generic[C]):
         inside = 0 if direct is None else direct.publisher_count(subscription)
         return inside + int(subscription.get_publisher_count())
 
-    def tick_done(self) -> None:
-        """Note that a tick has been answered: there is time now for what can wait."""
-        self._between_ticks.tick_done()
-
     def publish_diagnostics(self) -> None:
-        """Publish the state of the node, between two ticks; the timer calls it, a node may too."""
-        self._between_ticks.run(self._gather_status)
-
-    def _gather_status(self) -> None:
-        """Gather what there is to say; it is said after the next tick, for each takes its time."""
+        """Publish the state of the node; the timer calls it, a node may too."""
         self.on_report()
         report_scheduling(self.diagnostics)
-        self._between_ticks.run(self._publish_status)
-
-    def _publish_status(self) -> None:
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

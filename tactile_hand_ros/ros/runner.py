@@ -23,30 +23,20 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.direct.delivery import deliver_directly
 from tactile_hand_ros.ros.executor import is_supported, spin
 from tactile_hand_ros.ros.middleware import share_process, use_sockets
-from tactile_hand_ros.ros.realtime.memory import bound_memory, pad_heaps
-from tactile_hand_ros.ros.realtime.scheduling import USAGE, Scheduling, take_scheduling
+from tactile_hand_ros.ros.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
 EXIT_FAILED = 1
 EXIT_REFUSED = 2
 
-ROOM = 512 * 2**20
-"""What a process may grow by while it runs [bytes]: a hundred messages of a megabyte in some of its
-queues, and what a tick needs."""
 
-
-def run_node(
-    node: Callable[[], Node], args: Sequence[str] | None = None, *, room: int = ROOM
-) -> int:
+def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Run one node until SIGINT, SIGTERM or shutdown; see `run_nodes`."""
-    return run_nodes([node], args, room=room)
+    return run_nodes([node], args)
 
 
 def run_nodes(
-    factories: Sequence[Callable[[], Node]],
-    args: Sequence[str] | None = None,
-    *,
-    room: int = ROOM,
+    factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None
 ) -> int:
     """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
 
@@ -56,7 +46,6 @@ def run_nodes(
         factories: Node classes or functions that make a node.
         args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
             ask for SCHED_FIFO and for processors, see `scheduling`.
-        room: Bytes by which the memory of the process may grow while it runs.
 
     Returns:
         0 after a normal end, 1 when a node gave up while running, 2 when the configuration
@@ -74,7 +63,6 @@ def run_nodes(
             _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
-    bound_memory(room)
     return _stop(nodes, _serve(nodes, scheduling))
 
 
@@ -84,7 +72,7 @@ def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
     gc.freeze()
     gc.enable()
     try:
-        scheduling.prepare(nodes[0].context)
+        scheduling.after_start()
         spin(nodes)
     except BaseException as error:
         return _code_of(error, EXIT_FAILED)
@@ -147,7 +135,6 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
     use_sockets()
-    pad_heaps()  # before there are threads
     direct = len(factories) > 1 and is_supported() and share_process()
     try:
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])

@@ -12,8 +12,7 @@ from rclpy.clock_type import ClockType
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.nodes.mode_log import ModeLog
-from tactile_hand_ros.nodes.plant.pacing import Pace
-from tactile_hand_ros.nodes.plant.real_time import RealTime
+from tactile_hand_ros.nodes.plant.real_time import Pace
 from tactile_hand_ros.nodes.plant.senders import SenderWatch
 from tactile_hand_ros.nodes.plant.topics import PlantTopics
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
@@ -57,7 +56,6 @@ class PlantDriver:
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
-        self._real_time = RealTime(node, self._pace, is_used=not self._is_lockstep)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
         self._pacer.timer_period_ns = c.tick
@@ -137,7 +135,7 @@ class PlantDriver:
             self._let_time_pass(True)
         if stamp == run.stamp:
             self._diagnostics.latency(self._answered_at - self._sent_at)
-            self._real_time.answered()
+            self._pace.answered()
         # A tick that others have followed is older than the newest by their number.
         self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
         if self._is_lockstep:
@@ -176,11 +174,9 @@ class PlantDriver:
     def _let_time_pass(self, passes: bool) -> None:
         self._pace.start()
         self._pacer.reset()
-        if passes:
-            self._real_time.start()
-        else:
+        if not passes:
             self._pacer.cancel()
-            self._real_time.stop()
+            self._pace.stop()
 
     def _advance(self, ticks: int) -> None:
         """Move ahead and publish the newest tick."""
@@ -234,7 +230,6 @@ class PlantDriver:
     def _on_pace(self) -> None:
         due = self._pace.due()
         if due:
-            self._real_time.due(due)
             self._advance(due)
 
     def _on_watch(self) -> None:
@@ -290,8 +285,3 @@ class PlantDriver:
         put("too_old_commands", self._too_old)
         put("conflicting_commands", self._senders.conflicts)
         self._pace.report(put)
-        self._real_time.report(put)
-
-    def close(self) -> None:
-        """Let go of what watches the pace."""
-        self._real_time.close()

@@ -79,10 +79,6 @@ class PlantNode(TactileNode[PlantConfig]):
         """Hold the joints."""
         self._driver.to_safe_state(reason)
 
-    def close(self) -> None:
-        """Let go of what watches the pace."""
-        self._driver.close()
-
     def on_report(self) -> None:
         """Report mode, time, silence and the margins of contact."""
         put, state = self.diagnostics.value, self._run.state

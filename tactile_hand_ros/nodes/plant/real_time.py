@@ -1,106 +1,90 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the plant watches while it follows the wall clock: deadlines, their causes, and headroom."""
+"""Ticks that follow the wall clock: how many are due, and which were late or skipped."""
 
 from __future__ import annotations
 
-import os
+import time
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
-from tactile_hand_ros import names
-from tactile_hand_ros.nodes.plant.deadlines import Deadlines
-from tactile_hand_ros.nodes.plant.headroom import Headroom
-from tactile_hand_ros.nodes.plant.pacing import Pace
-from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.direct.delivery import direct_delivery
-from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
-from tactile_hand_ros.ros.realtime.causes import GARBAGE, TickWatch
-from tactile_hand_ros.ros.realtime.garbage import CollectionClock
+from tactile_hand_ros.ros.histogram import Histogram
+
+_MOST_BEHIND_NS = 200_000_000
+"""Delay beyond which time is given up instead of made up for [ns]."""
 
 
-class RealTime:
-    """Judges the ticks of a plant in real time, and says once when the computer is too slow.
+class Pace:
+    """Returns at each call of a timer with the period of a tick how many ticks have come due.
 
-    Without real time every method does nothing.
+    A tick is late when its command arrives after the next tick is due, or not at all. It is skipped
+    when it comes due together with a later one.
+
+    Attributes:
+        late: Ticks whose command was late or never came.
+        skipped: Ticks that came due together with a later one, so that no node saw them.
+        lost_ns: Wall time that was given up because the machine could not follow [ns].
+        jitter: How far from its time each tick came.
+        ages: How old a tick was when its command came, of all ticks that were answered.
     """
 
-    def __init__(self, node: TactileNode[Any], pace: Pace, *, is_used: bool) -> None:
+    def __init__(
+        self, tick_ns: int, busy_wait_ns: int = 0, clock: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         """Prepare.
 
         Args:
-            node: The plant.
-            pace: Says when ticks are due.
-            is_used: Whether the plant follows the wall clock.
+            tick_ns: Length of a tick [ns].
+            busy_wait_ns: How long before a tick `due` begins to watch the clock [ns].
+            clock: Time [ns].
         """
-        self._node, self._pace = node, pace
-        self._is_used = is_used
-        self._between = between_ticks(node.context)
-        self._collections = CollectionClock() if is_used else None
-        is_alone = direct_delivery(node.context) is None
-        spent = self._between.spent
-        timed = {cause: partial(spent.__getitem__, cause) for cause in spent}
-        if self._collections is not None:
-            collections = self._collections
-            timed[GARBAGE] = partial(getattr, collections, "seconds")
-        self._watch = TickWatch(timed, 1.0 / node.config.rate)
-        self._deadlines = Deadlines(self._watch, awaits_others=is_alone)
-        self._headroom = Headroom(node.config.rate, node.config.time_step)
-        self._advice = _advice(is_alone=is_alone)
-        self._has_complained = False
+        self._tick = tick_ns
+        self._lead = min(busy_wait_ns, tick_ns // 2)
+        self._clock = clock
+        self.late = self.skipped = self.lost_ns = 0
+        self.jitter, self.ages = Histogram(), Histogram()
+        self.start()
+        self.stop()
 
     def start(self) -> None:
-        """Begin with a tick that is published now."""
-        if self._is_used:
-            self._headroom.restart(self._deadlines.in_time, self._pace.ages.count)
-            self._deadlines.begin()
+        """Let the first tick come due one tick from now, or that later that `due` waits."""
+        self._due_at = self._clock() + self._tick + self._lead
+        self._awaits_command = True
 
     def stop(self) -> None:
-        """Note that time stands still."""
-        self._deadlines.forget()
-        self._between.rest()
+        """Expect no command for the newest tick: time stands still."""
+        self._awaits_command = False
 
-    def due(self, ticks: int) -> None:
-        """Begin with the newest of so many ticks that are due now."""
-        if self._is_used:
-            self._deadlines.due(ticks, self._pace.behind_ns)
+    def due(self) -> int:
+        """Return how many ticks are due now, and count them as done; wait for one nearly due."""
+        behind = self._clock() - self._due_at
+        while -self._lead <= behind < 0:
+            behind = self._clock() - self._due_at
+        if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
+            return 0
+        count = max(1, behind // self._tick + 1)
+        self.jitter.note(1e-9 * abs(behind))
+        if behind > _MOST_BEHIND_NS:
+            self.lost_ns += behind
+            self._due_at += behind
+            count = 1
+        self._due_at += count * self._tick
+        self.late += self._awaits_command
+        self.skipped += count - 1
+        self._awaits_command = True
+        return count
 
     def answered(self) -> None:
         """Note that the command for the newest tick has arrived."""
-        if self._is_used:
-            self._deadlines.answered(self._pace.overdue_ns)
-            self._between.tick_done(by_plant=True)
-
-    def close(self) -> None:
-        """Let go of what counts."""
-        self._watch.close()
-        if self._collections is not None:
-            self._collections.close()
+        self.late += self._awaits_command and self._clock() > self._due_at
+        self._awaits_command = False
 
     def report(self, put: Callable[[str, object], None]) -> None:
-        """Report counters and causes, and say in words when the computer is too slow."""
-        self._deadlines.report(put)
-        if self._is_used:
-            put("in_time_ticks", self._deadlines.in_time)
-            self._between.garbage.report(put)
-            self._judge_headroom()
-
-    def _judge_headroom(self) -> None:
-        text = self._headroom.judge(self._deadlines.in_time, self._pace.ages.count, self._advice)
-        self._node.diagnostics.judge(names.TOO_SLOW, bool(text), text, WARN)
-        if not text:
-            return
-        self._node.diagnostics.value(names.TOO_SLOW, text)
-        if not self._has_complained:
-            self._has_complained = True
-            self._node.get_logger().warning(text)
-
-
-def _advice(*, is_alone: bool) -> str:
-    """Return what helps besides a lower rate."""
-    if is_alone:
-        return "run the nodes in one process (composed)"
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        return "end other programs"
-    return "run the nodes with --priority 50"
+        """Report counters and durations, each as key and value."""
+        put("late_commands", self.late)
+        put("missed_ticks", self.skipped)
+        put("lost_s", 1e-9 * self.lost_ns)
+        if self.ages.count:
+            put("age_p50_us", f"{1e6 * self.ages.quantile(0.5):.0f}")
+            put("age_p99_us", f"{1e6 * self.ages.quantile(0.99):.0f}")
+            put("age_histogram_us", self.ages.text())
+        if self.jitter.count:
+            put("jitter_histogram_us", self.jitter.text())

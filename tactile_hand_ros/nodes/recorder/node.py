@@ -20,15 +20,11 @@ from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.direct.delivery import direct_delivery
 from tactile_hand_ros.ros.node import TactileNode, set_period
-from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
-from tactile_hand_ros.ros.realtime.scheduling import use_batch_scheduling
 from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
 _REST = 0.1  # s between two visits to the queues when next to nothing comes
 _FEW = 10  # messages of a visit that are next to nothing, such as the diagnostics of some nodes
-
-_ROOM = 4 * 2**30
-"""Bytes by which its memory may grow: its queues are long, and others' messages may be large."""
 
 
 class RecorderNode(TactileNode[RecorderConfig]):
@@ -61,7 +57,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         super().__init__("recorder", RecorderConfig, **kwargs)
         self._is_over = is_over
         self._failure: BagError | None = None
-        self._between = between_ticks(self.context)
         direct = direct_delivery(self.context)
         if direct is None:
             self._recording = Recording(self, self.config)
@@ -102,16 +97,12 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.diagnostics.fault(key, f"{count} {text}", WARN)
 
     def _on_visit(self) -> None:
-        self._between.run(self._step)
-
-    def _step(self) -> None:
         if self._is_over():
             self.close()
             self.context.try_shutdown()
             return
         try:
-            with self._between.recording():
-                came = self._recording.step()
+            came = self._recording.step()
         except BagError as error:
             self._give_up(error)
             return
@@ -123,8 +114,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
     def _on_rest(self) -> None:
         try:
-            with self._between.recording():
-                self._recording.rest()
+            self._recording.rest()
         except BagError as error:
             self._give_up(error)
 
@@ -185,7 +175,7 @@ _node_that_ends_with_a_signal.__doc__ = RecorderNode.__doc__  # shown by --help
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder until SIGINT or SIGTERM and return the exit code."""
     use_batch_scheduling()  # its queues are long; the hand's are not
-    return run_node(_node_that_ends_with_a_signal, args, room=_ROOM)
+    return run_node(_node_that_ends_with_a_signal, args)
 
 
 if __name__ == "__main__":

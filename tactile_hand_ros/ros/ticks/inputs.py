@@ -175,7 +175,6 @@ class TickInputs:
                 take(stamp, *self._values(matched))
             except TactileHandError as error:
                 self._node.reject(self._trigger, error)
-        self._node.tick_done()
 
     def _values(self, matched: tuple[Any, ...]) -> list[Any]:
         """Return one value per stream."""

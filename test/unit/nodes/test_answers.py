@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -21,8 +20,6 @@ from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose
 from tactile_hand_ros.errors import ConfigurationError, UnsafeOutputError
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
-from tactile_hand_ros.nodes.plant import real_time
-from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
@@ -315,72 +312,3 @@ def test_the_auxiliary_pose_has_the_frame_of_the_contacts(make: Callable[..., An
     assert hand.poses == [PoseCodec().encode(pose.position, quaternion, 7)]
     hand.node._answer(8, Command(np.zeros(9), Mode.HOLD, None))
     assert len(hand.poses) == 1
-
-
-@pytest.mark.parametrize(
-    ("alone", "policy", "advice"),
-    [
-        (True, os.SCHED_FIFO, "run the nodes in one process (composed)"),
-        (False, os.SCHED_FIFO, "end other programs"),
-        (False, os.SCHED_OTHER, "run the nodes with --priority 50"),
-    ],
-)
-def test_advice_is_what_has_not_been_done_yet(
-    monkeypatch: pytest.MonkeyPatch, alone: bool, policy: int, advice: str
-) -> None:
-    monkeypatch.setattr(real_time.os, "sched_getscheduler", {0: policy}.__getitem__)
-    assert real_time._advice(is_alone=alone) == advice
-
-
-def test_a_computer_that_is_too_slow_is_complained_of_once(
-    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make(PlantNode, pacing="realtime")
-    watch = node._driver._real_time
-    said = iter(["", "too slow", "slower", ""])
-    lines: list[str] = []
-    monkeypatch.setattr(watch._headroom, "judge", lambda *_: next(said))
-    monkeypatch.setattr(node.get_logger(), "warning", lines.append)
-    monkeypatch.setattr(node, "get_logger", lambda logger=node.get_logger(): logger)
-    found: dict[str, Any] = {}
-    for expected in (None, "too slow", "slower", None):
-        watch.report(found.__setitem__)
-        shown = {pair.key: pair.value for pair in node.diagnostics.status().values}
-        assert shown.get(f"fault {names.TOO_SLOW}") == expected
-    assert lines == ["too slow"] and found["in_time_ticks"] == 0
-    assert shown[names.TOO_SLOW] == "slower"
-
-
-def test_in_lockstep_nothing_is_judged(make: Callable[..., Any]) -> None:
-    node = make(PlantNode)
-    watch, found = node._driver._real_time, dict[str, Any]()
-    watch.start()
-    watch.due(2)
-    watch.answered()
-    watch.report(found.__setitem__)
-    assert found == {"late_commands": 0}
-
-
-def test_in_real_time_ticks_are_judged_until_time_stands_still(make: Callable[..., Any]) -> None:
-    node = make(PlantNode, pacing="realtime")
-    watch, found = node._driver._real_time, dict[str, Any]()
-
-    def counted() -> tuple[int, int, int]:
-        found.clear()
-        watch.report(found.__setitem__)
-        return found["in_time_ticks"], found["late_commands"], watch._deadlines.skipped
-
-    pace = node._driver._pace
-    watch.start()
-    pace._due_at = pace._clock() + 10**9
-    watch.answered()
-    assert counted() == (1, 0, 0)
-    pace.behind_ns = 0
-    watch.due(3)
-    pace._due_at = pace._clock() - 10**9
-    watch.answered()
-    assert counted() == (1, 1, 2)
-    watch.due(1)
-    watch.stop()
-    watch.answered()
-    assert counted() == (1, 1, 2)

@@ -45,7 +45,7 @@ from tactile_hand_ros.orchestrator.steering import UserForces
 from tactile_hand_ros.orchestrator.view import Silence
 from tactile_hand_ros.orchestrator.wiring import Gap
 from tactile_hand_ros.ros.processes import wait_until
-from tactile_hand_ros.ros.realtime.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import UserForceConfig, load_scenario
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "plant.rate": 250.0})
@@ -131,12 +131,6 @@ def test_a_recorder_apart_and_none(make: Callable[..., Session]) -> None:
     }
     (session.directory.path / "logs" / f"{RECORDER}.log").unlink()
     assert set(told(make(composed=True, record=False))) == {COMPOSED}
-
-
-def test_in_real_time_the_nodes_are_told(make: Callable[..., Session]) -> None:
-    session = make(scenario=SCENARIO.changed({"plant": {"pacing": "realtime"}}), record=False)
-    expected = Scheduling(real_time=True).arguments
-    assert expected and told(session)[PLANT][: len(expected)] == list(expected)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from tactile_hand_ros.ros import executor as module
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import SurvivingExecutor, WaitSetExecutor, is_supported, spin
-from tactile_hand_ros.ros.realtime.memory import bounded_memory
 from tactile_hand_ros.ros.wait_set import Ready
 
 
@@ -148,17 +147,6 @@ def test_bytes_that_cannot_be_read_concern_their_owner(
     monkeypatch.setattr(SingleThreadedExecutor, "_take_service", lambda *_: "good")
     assert executor._take_subscription(subscription) == executor._take_service(service) == "good"
     monkeypatch.undo()
-
-
-def test_a_request_is_read_with_2_mib_of_room(
-    executor: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rooms: list[int] = []
-    monkeypatch.setattr(
-        module, "bounded_memory", lambda room: rooms.append(room) or bounded_memory(room)
-    )
-    monkeypatch.setattr(SingleThreadedExecutor, "_take_service", lambda *_: "good")
-    assert executor._take_service(SimpleNamespace()) == "good" and rooms == [2 << 20]
 
 
 @pytest.fixture

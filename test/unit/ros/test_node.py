@@ -132,19 +132,6 @@ def test_a_report_is_gathered_and_then_published(
     (message,) = sent
     assert [status.name for status in message.status] == ["/left/example"]
     assert message.header.stamp.sec == 7
-    waiting: list[Any] = []
-    node._between_ticks = SimpleNamespace(  # type: ignore[assignment]
-        run=waiting.append, tick_done=lambda: waiting.append("done")
-    )
-    node.publish_diagnostics()
-    waiting.pop()()
-    assert node.calls == ["report"] * 2 and len(sent) == 1
-    waiting.pop()()
-    assert len(sent) == 2
-    node._on_peers_due()
-    assert waiting.pop() == node._look_for_peers
-    node.tick_done()
-    assert waiting == ["done"]
 
 
 class _Stamp:

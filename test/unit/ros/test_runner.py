@@ -173,10 +173,10 @@ def test_what_exists_at_the_start_is_left_to_no_collector_and_then_it_spins(
     )
     monkeypatch.setattr(runner, "gc", collector)
     monkeypatch.setattr(runner, "spin", calls.append)
-    scheduling: Any = SimpleNamespace(prepare=calls.append)
+    scheduling: Any = SimpleNamespace(after_start=lambda: calls.append("after"))
     node: Any = SimpleNamespace(context="context")
     assert runner._serve([node], scheduling) == 0
-    assert calls == ["freeze", "enable", "context", [node]]
+    assert calls == ["freeze", "enable", "after", [node]]
 
     def fail(_: Any) -> None:
         raise LOOSE
@@ -252,7 +252,6 @@ def test_a_process_makes_checks_and_serves_its_nodes_and_ends_them(
     done: list[Any] = []
     monkeypatch.setattr(runner, "_let_signals_shut_down", lambda: done.append("signals"))
     monkeypatch.setattr(runner, "_init", lambda line, _: done.append(line) or "scheduling")
-    monkeypatch.setattr(runner, "bound_memory", done.append)
     monkeypatch.setattr(runner, "_serve", lambda nodes, how: done.append((len(nodes), how)) or 1)
     monkeypatch.setattr(runner, "rclpy", SimpleNamespace(try_shutdown=lambda: done.append("end")))
 
@@ -264,9 +263,9 @@ def test_a_process_makes_checks_and_serves_its_nodes_and_ends_them(
 
     factories = [lambda: named("a"), lambda: named("b")]
     ends = ["close b", "destroy b", "close a", "destroy a", "end"]
-    assert runner.run_nodes(factories, ["program"], room=5) == 1
+    assert runner.run_nodes(factories, ["program"]) == 1
     start = ["signals", ["program"]]
-    assert done == [*start, "check a", "ready", "check b", "ready", 5, (2, "scheduling"), *ends]
+    assert done == [*start, "check a", "ready", "check b", "ready", (2, "scheduling"), *ends]
     done.clear()
     monkeypatch.setattr(runner.sys, "argv", ["other"])
 
@@ -277,4 +276,4 @@ def test_a_process_makes_checks_and_serves_its_nodes_and_ends_them(
     assert done == ["signals", ["other"], "close a", "destroy a", "end"]
     assert capsys.readouterr().err == "the cable is loose, fix it.\n"
     done.clear()
-    assert runner.run_node(factories[0], ["x"]) == 1 and 512 * 2**20 in done
+    assert runner.run_node(factories[0], ["x"]) == 1

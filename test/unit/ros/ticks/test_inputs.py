@@ -65,7 +65,6 @@ class Ear:
         observe = self.on_skipped_tick if observes else None
         self.inputs = TickInputs(self, declared, self, silence=0.5, observe=observe)  # type: ignore[arg-type]
         self.reads_late = False
-        self.done = 0
         self.waiting: list[Callable[[], None]] = []
         self.rejected: list[tuple[str, str]] = []
 
@@ -75,9 +74,6 @@ class Ear:
         assert options["raw"]
         self.callbacks[topic] = callback
         self.subscribed[topic] = kind, options["sensor"]
-
-    def tick_done(self) -> None:
-        self.done = len(self.heard)
 
     def guarded(self, source: str, callback: Callable[[], None]) -> Callable[[], None]:
         return callback
@@ -465,18 +461,6 @@ def test_the_first_ticks_of_all_are_answered_also_after_time_started_over() -> N
     assert node.kinds() == [("tick", 0), ("tick", 1)]
     complete(node, 0, 1)
     assert node.kinds() == ["restart", ("tick", 0), ("tick", 1)]
-
-
-def test_the_end_of_answering_is_noted_and_nothing_is_called_skipped() -> None:
-    node = Ear()
-    complete(node, 2, 4)
-    assert node.done == 2
-    node.reads_late = True
-    complete(node, 6)
-    assert node.done == 2
-    node.has_read()
-    assert node.done == 3
-    assert "ticks_left_out" not in {pair.key for pair in node.diagnostics.status().values}
 
 
 def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:

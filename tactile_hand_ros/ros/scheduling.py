@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a process runs: SCHED_FIFO, the processors it may use, and whether it prepares for real time.
+"""How a process runs: SCHED_FIFO and the processors it may use.
 
-All are asked for on the command line. Policy and processors are set before ROS starts: the threads
+Both are asked for on the command line. Policy and processors are set before ROS starts: the threads
 of the middleware inherit them. What the system does not permit does not stop the node: it runs as
 before and says so in its diagnostics.
 """
@@ -14,18 +14,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rclpy.context import Context
-
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics
-from tactile_hand_ros.ros.realtime.between_ticks import between_ticks
-from tactile_hand_ros.ros.realtime.memory import keep_heap, lock_memory, touch_stack
 
-PRIORITY, CPUS, REAL_TIME = "--priority", "--cpus", "--realtime"
-USAGE = (
-    f"{PRIORITY} N (SCHED_FIFO, 1 to 99), {CPUS} LIST (as 0,2-3), {REAL_TIME} (lock memory, keep"
-    " garbage collection and diagnostics out of ticks)"
-)
+PRIORITY, CPUS = "--priority", "--cpus"
+USAGE = f"{PRIORITY} N (SCHED_FIFO, 1 to 99), {CPUS} LIST (as 0,2-3)"
 
 _POLICIES = {
     number: name
@@ -37,7 +30,6 @@ _RESENDING = "dds.asyn"
 """What names of Fast DDS's threads begin with that send again what a subscriber missed."""
 
 _refusals: list[str] = []
-_unlocked: list[str] = []
 
 
 @dataclass(frozen=True)
@@ -47,20 +39,17 @@ class Scheduling:
     Attributes:
         priority: Priority among SCHED_FIFO processes, 1 to 99; 0 leaves the policy as it is.
         cpus: Processors to run on; empty leaves them as they are.
-        real_time: Whether the process prepares for real time: memory is locked, and collector and
-            diagnostics keep out of ticks.
     """
 
     priority: int = 0
     cpus: tuple[int, ...] = ()
-    real_time: bool = False
 
     @property
     def arguments(self) -> list[str]:
         """The words that ask an executable for it."""
         priority = [PRIORITY, str(self.priority)] if self.priority else []
         cpus = [CPUS, format_cpus(self.cpus)] if self.cpus else []
-        return priority + cpus + ([REAL_TIME] if self.real_time else [])
+        return priority + cpus
 
     def apply(self) -> None:
         """Set it for all threads and those that they will start; remember what was refused."""
@@ -73,21 +62,10 @@ class Scheduling:
             here = format_cpus(sorted(os.sched_getaffinity(0)))
             _ask(what, self._set_cpus, f"this process runs on {here}")
 
-    def prepare(self, context: Context) -> None:
-        """Prepare for real time, if that is asked for, when all nodes have been made.
-
-        Args:
-            context: The context of the nodes.
-        """
-        _unlocked.clear()
+    def after_start(self) -> None:
+        """Adjust the threads that the middleware has started, when all nodes have been made."""
         if self.priority:
             yield_while_resending()
-        if self.real_time:
-            refused = lock_memory()
-            _unlocked.append(f"no ({refused})" if refused else "yes")
-            keep_heap()
-            touch_stack()
-            between_ticks(context).begin()
 
     def _set_policy(self) -> None:
         for thread in _threads():
@@ -135,19 +113,17 @@ def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
     Raises:
         ConfigurationError: If a value is missing or none of those allowed.
     """
-    left, values, real_time = [], {PRIORITY: "0", CPUS: ""}, False
+    left, values = [], {PRIORITY: "0", CPUS: ""}
     rest = iter(words)
     for word in rest:
         name, equals, value = word.partition("=")
-        if word == REAL_TIME:
-            real_time = True
-        elif name in values:
+        if name in values:
             values[name] = value if equals else next(rest, "")
         else:
             left.append(word)
     asked = any(word.partition("=")[0] == CPUS for word in words)
     cpus = chosen_cpus(values[CPUS]) if asked else ()
-    return Scheduling(parse_priority(values[PRIORITY]), cpus, real_time), left
+    return Scheduling(parse_priority(values[PRIORITY]), cpus), left
 
 
 def parse_priority(text: str) -> int:
@@ -217,8 +193,6 @@ def report_scheduling(diagnostics: Diagnostics) -> None:
     diagnostics.value("scheduling_policy", _POLICIES.get(number, str(number)))
     diagnostics.value("scheduling_priority", os.sched_getparam(0).sched_priority)
     diagnostics.value("scheduling_cpus", format_cpus(sorted(os.sched_getaffinity(0))))
-    if _unlocked:
-        diagnostics.value("memory_locked", _unlocked[0])
     diagnostics.judge("scheduling", bool(_refusals), "; ".join(_refusals), WARN)
 
 

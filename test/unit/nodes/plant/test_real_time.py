@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever the timer does, as many ticks come due as time has passed, and delays are counted."""
+"""As many ticks come due as time has passed; each is judged once: in time, late or skipped."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.nodes.plant.pacing import Pace
+from tactile_hand_ros.nodes.plant.real_time import Pace
 
 TICK = 1_000_000
 
@@ -30,7 +30,7 @@ def test_a_punctual_timer_gives_one_tick_each_time():
     for n in range(1, 6):
         hands.now = n * TICK
         assert made.due() == 1
-    assert made.missed == 0
+    assert made.skipped == 0
 
 
 @pytest.mark.parametrize(("late", "due"), [(-0.6, 0), (-0.4, 1), (0.6, 1), (1.2, 2), (3.0, 4)])
@@ -38,7 +38,7 @@ def test_early_and_late_calls(late, due):
     made, hands = pace()
     hands.now = round((1 + late) * TICK)
     assert made.due() == due
-    assert made.missed == max(0, due - 1)
+    assert made.skipped == max(0, due - 1)
 
 
 class Running(Hands):
@@ -75,15 +75,13 @@ def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
         hands.now += TICK
         assert made.due() == 1
     assert made.lost_ns == 1000 * TICK
-    assert made.missed == 0  # nobody waits for what is given up
+    assert made.skipped == 0  # nobody waits for what is given up
     hands.now += 2001 * TICK
     assert made.due() == 1
     assert made.lost_ns == 3000 * TICK
     shown = {}
     made.report(shown.__setitem__)
     assert (shown["lost_s"], shown["missed_ticks"]) == (pytest.approx(3.0), 0)
-    assert shown["jitter_max_us"] == "0"
-    assert not made._delays.any()  # to the nanosecond
 
 
 @pytest.mark.parametrize(("late", "due", "lost"), [(0, 201, 0), (1, 1, 200 * TICK + 1)])
@@ -91,7 +89,7 @@ def test_time_up_to_a_fifth_of_a_second_is_made_up_for(late, due, lost):
     made, hands = pace()
     hands.now = 201 * TICK + late
     assert made.due() == due
-    assert (made.missed, made.lost_ns) == (due - 1, lost)
+    assert (made.skipped, made.lost_ns) == (due - 1, lost)
 
 
 @given(st.lists(st.integers(0, 20 * TICK) | st.integers(0, 900 * TICK), max_size=50))
@@ -104,7 +102,45 @@ def test_all_time_is_ticks_or_lost_and_all_ticks_are_seen_or_missed(steps):
         total += due
         calls += due > 0
         assert abs(hands.now - total * TICK - made.lost_ns) <= TICK
-        assert made.missed == total - calls
+        assert made.skipped == total - calls
+
+
+@given(st.lists(st.integers(1, 4) | st.integers(-5, 0)))
+def test_each_tick_is_judged_once(events):
+    made, hands = pace()
+    made.start()
+    ticks, in_time, awaits = 1, 0, True
+    for event in events:
+        if event > 0:
+            hands.now += event * TICK
+            ticks += made.due()
+            awaits = True
+        elif awaits:
+            late = made.late
+            made.answered()
+            in_time += made.late == late
+            awaits = False
+            made.answered()  # the same tick again
+    hands.now += TICK
+    made.due()
+    assert in_time + made.late + made.skipped == ticks
+
+
+def test_a_command_is_late_once_the_next_tick_is_due():
+    made, hands = pace()
+    made.start()
+    hands.now = TICK
+    made.answered()  # just in time
+    assert (made.late, made.due()) == (0, 1)
+    hands.now = 2 * TICK + 1
+    made.answered()
+    assert made.late == 1
+    made.due()
+    made.stop()
+    hands.now += 3 * TICK
+    made.answered()
+    made.due()
+    assert made.late == 1  # no command was expected while time stood still
 
 
 def test_a_new_start_counts_from_now():
@@ -114,15 +150,16 @@ def test_a_new_start_counts_from_now():
     assert made.due() == 0
     hands.now += TICK
     assert made.due() == 1
-    assert (made.missed, made.lost_ns) == (0, 0)
+    assert (made.skipped, made.lost_ns) == (0, 0)
 
 
-def test_the_report_names_delays_in_microseconds():
-    made, hands = pace()
+def test_the_report_names_counters_and_the_age_of_commands():
+    made, _ = pace()
     shown = {}
     made.report(shown.__setitem__)
-    assert shown == {"missed_ticks": 0, "lost_s": 0.0}
-    hands.now = TICK + 300_000
-    made.due()
+    assert shown == {"late_commands": 0, "missed_ticks": 0, "lost_s": 0.0}
+    for age in [2e-4] * 98 + [3e-3] * 2:
+        made.ages.note(age)
     made.report(shown.__setitem__)
-    assert shown["jitter_max_us"] == "300"
+    assert float(shown["age_p50_us"]) == pytest.approx(200.0, rel=0.1)
+    assert float(shown["age_p99_us"]) == pytest.approx(3000.0, rel=0.1)

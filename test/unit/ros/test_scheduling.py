@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.realtime.scheduling import (
+from tactile_hand_ros.ros.scheduling import (
     Scheduling,
     format_cpus,
     parse_cpus,
