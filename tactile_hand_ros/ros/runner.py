@@ -35,9 +35,7 @@ def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     return run_nodes([node], args)
 
 
-def run_nodes(
-    factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None
-) -> int:
+def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None) -> int:
     """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
 
     Before a node is destroyed its ``close()`` is called, if it has one.
