@@ -12,7 +12,7 @@ import yaml
 
 from tactile_hand_ros.bag.metadata import FILE_NAME
 from tactile_hand_ros.bag.yaml_text import load
-from tactile_hand_ros.config.untrusted import read_text
+from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import BagError, ConfigurationError
 
 _MOST = 2**63 - 1

@@ -17,7 +17,7 @@ except ModuleNotFoundError:  # the nodes run without it
 
 from tactile_hand_ros.cli import bags, replay, reproduce, runs, scenarios, steer, sweep
 from tactile_hand_ros.command_line import run_command
-from tactile_hand_ros.config.prefix import use_own_prefix
+from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
 
 PROGRAM = "tactile-hand"

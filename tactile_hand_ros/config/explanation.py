@@ -1,27 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why a configuration is refused, in words: the place, what was given and what is allowed."""
+"""What a field accepts and why a value is refused, in words: the place, the value, the limits."""
 
 from __future__ import annotations
 
 import enum
+import reprlib
 import types
 import typing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from tactile_hand_ros.config.fields import (
-    bound_of,
-    choices_of,
-    element_type,
-    is_sequence,
-    unit_of,
-)
 from tactile_hand_ros.errors import ConfigurationError, nearest
 
 _MOST_LISTED = 30  # names in a sentence
+
+LOOKALIKE = "it is not a number"
+"""Why a truth value is refused where a number is meant."""
 
 Source = str | Callable[[str], str]
 """Where a value came from: the name of a file or interface, or a function of its dotted place."""
@@ -40,11 +37,12 @@ def explain(
 
 def _said_once(findings: Sequence[Any]) -> list[Any]:
     """Leave out what is wrong in a section only because it repeats a value of the top."""
-    known = {(finding["loc"], repr(finding.get("input"))) for finding in findings}
+    known = {(finding["loc"], shortened(finding.get("input"))) for finding in findings}
     return [
         finding
         for finding in findings
-        if len(finding["loc"]) < 2 or (finding["loc"][1:], repr(finding.get("input"))) not in known
+        if len(finding["loc"]) < 2
+        or (finding["loc"][1:], shortened(finding.get("input"))) not in known
     ]
 
 
@@ -75,13 +73,22 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
 
 
 def _is_lookalike(finding: Any) -> bool:
-    return str(finding["ctx"]["error"]).endswith("is not a number")
+    return str(finding["ctx"]["error"]) == LOOKALIKE
 
 
 def shortened(value: Any, limit: int = 60) -> str:
-    """Return a value as text of at most so many characters."""
-    text = repr(value.value) if isinstance(value, enum.Enum) else repr(value)
+    """Return a value as text of at most so many characters; references may make it huge."""
+    value = value.value if isinstance(value, enum.Enum) else value
+    try:
+        text = repr(value) if isinstance(value, str) else _SHORT.repr(value)
+    except ValueError:  # a number of thousands of digits
+        return "a number that is too long"
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel = 3
+_SHORT.maxother = 100
 
 
 def _unknown_key(location: tuple[int | str, ...], model: type[BaseModel]) -> str:
@@ -172,3 +179,52 @@ def _limits(field: FieldInfo) -> list[str]:
 def _phrases(bound_named: Callable[[str], Any]) -> list[str]:
     bounds = ((phrase, bound_named(name)) for name, phrase in _LIMITS)
     return [phrase(bound) for phrase, bound in bounds if bound is not None]
+
+
+SEQUENCES = (list, tuple)
+
+
+def unit_of(field: FieldInfo) -> str:
+    """Return the unit declared with `param`, empty if none."""
+    return str(_extra(field).get("unit", ""))
+
+
+def is_live(field: FieldInfo) -> bool:
+    """Return whether the field was declared with ``live=True``."""
+    return bool(_extra(field).get("live", False))
+
+
+def _extra(field: FieldInfo) -> Mapping[str, Any]:
+    extra = field.json_schema_extra
+    return extra if isinstance(extra, Mapping) else {}
+
+
+def element_type(annotation: Any) -> Any:
+    """Return the item type of a list or tuple type without its constraints, else the type."""
+    if typing.get_origin(annotation) not in SEQUENCES:
+        return annotation
+    item = typing.get_args(annotation)[0]
+    return typing.get_args(item)[0] if typing.get_origin(item) is typing.Annotated else item
+
+
+def is_sequence(annotation: Any) -> bool:
+    """Return whether a type is a list or tuple of something."""
+    return typing.get_origin(annotation) in SEQUENCES
+
+
+def choices_of(annotation: Any) -> list[str]:
+    """Return the accepted names of a Literal or Enum type, empty for other types."""
+    if typing.get_origin(annotation) is typing.Literal:
+        return [str(choice) for choice in typing.get_args(annotation)]
+    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
+        return [str(member.value) for member in annotation]
+    return []
+
+
+def bound_of(field: FieldInfo, name: str) -> Any:
+    """Return a constraint (``ge``, ``gt``, ``le``, ``lt``, ...) of a field, None if not set."""
+    for item in field.metadata:
+        bound = getattr(item, name, None)
+        if bound is not None:
+            return bound
+    return None

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from pydantic import Field, field_validator, model_validator
 
-from tactile_hand_ros.config.angles import check_radians
-from tactile_hand_ros.config.model import Config, load_yaml, param
+from tactile_hand_ros.config.model import Config, check_radians, load_yaml, param
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import HandModelError
 

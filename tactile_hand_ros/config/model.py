@@ -3,16 +3,24 @@
 
 from __future__ import annotations
 
+import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic.fields import FieldInfo
 
-from tactile_hand_ros.config.explanation import Source, after_source, did_you_mean, explain
-from tactile_hand_ros.config.fields import SEQUENCES, element_type
+from tactile_hand_ros.config.explanation import (
+    LOOKALIKE,
+    SEQUENCES,
+    Source,
+    after_source,
+    did_you_mean,
+    element_type,
+    explain,
+)
 from tactile_hand_ros.config.plain_yaml import read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 
@@ -52,12 +60,15 @@ class Config(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _refuse_lookalikes(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse ``true`` and ``"1"`` where a number is meant; pydantic would convert them."""
+        """Refuse ``true`` where a number is meant; pydantic would convert it.
+
+        A text such as ``1e3`` is a number: only YAML 1.1 takes it for text.
+        """
         annotation = cls.model_fields[str(info.field_name)].annotation
         if element_type(annotation) in (int, float):
             items = value if isinstance(value, SEQUENCES) else (value,)
-            if any(isinstance(item, bool | str) for item in items):
-                raise ValueError(f"{value!r} is not a number")
+            if any(isinstance(item, bool) for item in items):
+                raise ValueError(LOOKALIKE)
         return value
 
     def changed(self: C, changes: Mapping[str, Any]) -> C:
@@ -144,3 +155,29 @@ def load_yaml(path: str | Path, model: type[C]) -> C:
         ConfigurationError: If the file cannot be read, is not YAML or does not fit the model.
     """
     return validate(model, read_yaml(path), str(path))
+
+
+HALF_TURN = math.pi
+FULL_TURN = 2.0 * math.pi
+_ROUNDING = 1e-3  # rad; a half turn may be written with few digits
+
+
+def check_radians(angles: Sequence[float], most: float = FULL_TURN) -> None:
+    """Refuse angles of which no user means as many radians.
+
+    Args:
+        angles: Angles, or a rotation vector, in rad.
+        most: Largest sensible angle, rad.
+
+    Raises:
+        ValueError: With the same values read as degrees.
+    """
+    if max((abs(angle) for angle in angles), default=0.0) <= most + _ROUNDING:
+        return
+    given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
+    turn = "half a turn" if most == HALF_TURN else "a full turn"
+    raise ValueError(f"{given} goes beyond {turn}; angles are in rad: {meant} if these are degrees")
+
+
+def _listed(values: Sequence[float]) -> str:
+    return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"

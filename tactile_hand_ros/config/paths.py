@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the configuration files are, from a source tree as well as from an installation."""
+"""Where the configuration files and this package are: a source tree, a workspace, an install."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 from tactile_hand_ros.errors import ConfigurationError
 
 ENVIRONMENT = "TACTILE_HAND_CONFIG"
+_INDEX = Path("share", "ament_index", "resource_index")
+_MARK = _INDEX / "packages" / "tactile_hand_ros"
 _SHARE = Path("share") / "tactile_hand_ros" / "config"
 
 
@@ -66,3 +68,26 @@ def _candidates() -> Iterator[Path]:
         if prefix:
             yield Path(prefix) / _SHARE
     yield Path(sys.prefix) / _SHARE
+
+
+def use_own_prefix() -> None:
+    """Put the prefixes of this package and of this interpreter on AMENT_PREFIX_PATH.
+
+    Executables and message definitions are looked up there. Where the package is listed already,
+    as in a sourced workspace, nothing changes.
+    """
+    listed = [entry for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    if any((Path(entry) / _MARK).exists() for entry in listed):
+        return
+    found = [str(prefix) for prefix in own_prefixes() if str(prefix) not in listed]
+    os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([*listed, *dict.fromkeys(found)])
+
+
+def own_prefixes() -> Iterator[Path]:
+    """Yield the prefix of this package and that of this interpreter, where they have an index."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / _MARK).exists():
+            yield folder
+            break
+    if (Path(sys.prefix) / _INDEX).is_dir():
+        yield Path(sys.prefix)

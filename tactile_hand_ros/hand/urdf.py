@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from tactile_hand_ros.config.hand_config import MountConfig
-from tactile_hand_ros.config.untrusted import read_text
+from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
 _MOST_LINKS = 500

@@ -21,10 +21,11 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tactile_hand_ros.config.explanation import allowed, did_you_mean
-from tactile_hand_ros.config.fields import (
+from tactile_hand_ros.config.explanation import (
+    allowed,
     bound_of,
     choices_of,
+    did_you_mean,
     element_type,
     is_live,
     is_sequence,

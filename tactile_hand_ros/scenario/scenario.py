@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from tactile_hand_ros.config.angles import HALF_TURN, check_radians
-from tactile_hand_ros.config.model import Config, param, validate
+from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import parse_yaml, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig

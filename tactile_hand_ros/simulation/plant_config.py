@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from tactile_hand_ros.config.angles import HALF_TURN, check_radians
-from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param
 from tactile_hand_ros.control.joint_guard import GuardConfig
 from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.disturbance import Disturbance

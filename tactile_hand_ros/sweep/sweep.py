@@ -13,8 +13,7 @@ from typing import Any
 import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.compiled import ensure_compiled
-from tactile_hand_ros.config.explanation import did_you_mean
-from tactile_hand_ros.config.fields import unit_of
+from tactile_hand_ros.config.explanation import did_you_mean, unit_of
 from tactile_hand_ros.config.model import leaves, validate
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError

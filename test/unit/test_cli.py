@@ -83,7 +83,7 @@ def test_shell_completion(words: str, word: int, offered: str) -> None:
 
 def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     code = (
-        "from tactile_hand_ros.config.prefix import use_own_prefix as u; u(); u();"
+        "from tactile_hand_ros.config.paths import use_own_prefix as u; u(); u();"
         "from tactile_hand_ros.ros.executables import executable_path as e; print(e('plant'));"
         "from ament_index_python import get_package_prefix as p; print(p('sensor_msgs'))"
     )

@@ -2,17 +2,26 @@
 """Configuration is immutable, finite, and says where and why it refuses a value."""
 
 import enum
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from tactile_hand_ros.config.explanation import did_you_mean
-from tactile_hand_ros.config.fields import bound_of, choices_of, element_type, is_live, unit_of
+from tactile_hand_ros.config.explanation import (
+    bound_of,
+    choices_of,
+    did_you_mean,
+    element_type,
+    is_live,
+    unit_of,
+)
 from tactile_hand_ros.config.model import (
+    FULL_TURN,
+    HALF_TURN,
     Config,
+    check_radians,
     flatten,
     from_flat,
     leaves,
@@ -20,7 +29,7 @@ from tactile_hand_ros.config.model import (
     param,
     validate,
 )
-from tactile_hand_ros.config.plain_yaml import parse_changes, parse_yaml, read_yaml, yaml_text
+from tactile_hand_ros.config.plain_yaml import parse_changes, parse_yaml, yaml_text
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 
 
@@ -64,26 +73,6 @@ def test_an_empty_file_gives_the_defaults(tmp_path):
     assert load(tmp_path, "# nothing\n") == Example()
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("010", 10), ("+7", 7), ("1.0e3", 1000.0), ("1e3", 1000.0), (".5", 0.5), ("-1.", -1.0)],
-)
-def test_numbers_are_what_they_look_like(text, value):
-    read = parse_yaml(text)
-    assert read == value and type(read) is type(value)
-
-
-@pytest.mark.parametrize("text", ["1:30", "1_0", "0x10", "0b1", "on", "no", "Yes", "2024-01-01"])
-def test_what_only_yaml_1_1_takes_for_something_else_is_text(text):
-    assert parse_yaml(text) == text
-
-
-@pytest.mark.parametrize("text", ["010", "1:30", "1e3", "1.0e3", "on", "true", "~", "2024-01-01"])
-def test_text_is_written_so_that_it_stays_text(text):
-    written = yaml_text({"name": text})
-    assert parse_yaml(written) == yaml.safe_load(written) == {"name": text}
-
-
 def test_values_are_read_into_their_types(tmp_path):
     config = load(
         tmp_path,
@@ -108,7 +97,8 @@ def test_values_are_read_into_their_types(tmp_path):
         ("gains: [-1]", "gains[0]", ["gains[0] is -1", ">= 0.0"]),
         ("gains: 3", "gains", ["gains is 3", "a list"]),
         ("body: {mass: true}", "body.mass", ["is True", "a finite number"]),
-        ("fingers: '4'", "fingers", ["is '4'", "a whole number >= 3"]),
+        ("fingers: four", "fingers", ["is 'four'", "a whole number >= 3"]),
+        ("fingers: 1e3x", "fingers", ["is '1e3x'", "a whole number >= 3"]),
         ("fingers: 3.5", "fingers", ["is 3.5", "a whole number"]),
         ("noisy: perhaps", "noisy", ["is 'perhaps'", "true or false"]),
         ("pushes: [{kind: shove}]", "pushes[0].kind", ["is 'shove'", "one of step, ramp"]),
@@ -116,13 +106,12 @@ def test_values_are_read_into_their_types(tmp_path):
         ("body: 3", "body", ["body is 3", "a mapping of mass, size"]),
         ("- 1", "", ["the content is [1]", "a mapping of body, law"]),
         ("noisy: true\nfingers: 5", "", ["noise is supported for up to 4 fingers"]),
-        ("law: [", "line 2", ["not valid YAML"]),
-        ("law: proposed\nlaw: kawamura", "line 2", ["the key 'law' appears twice"]),
-        ("law: {[1, 2]: 3}", "line 1, column 7", ["a sequence is not a key, expected text"]),
-        ("fingers: 3\n? {a: 1}\n: 2", "line 2, column 3", ["a mapping is not a key"]),
-        ("law: 2024-13-01", "law", ["law is '2024-13-01'", "one of proposed"]),
-        ("fingers: !!int three", "line 1, column 10", ["'three' is no int"]),
-        ("gains: " + 50_000 * "[", "line 1, column 57", ["nested more than 50 deep"]),
+        ("law: [", "line 1", ["not valid YAML"]),
+        ("law: {[1, 2]: 3}", "line 1, column 7", ["unhashable key"]),
+        ("law: 2024-13-01", "this file", ["not what it looks like (month must be in 1..12)"]),
+        ("fingers: !!int three", "this file", ["a value is not what it looks like"]),
+        ("law: !!python/object:os.system ''", "line 1", ["could not determine a constructor"]),
+        ("gains: " + 50_000 * "[", "this file", ["nested too deeply"]),
     ],
 )
 def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, words):
@@ -280,22 +269,12 @@ def test_a_long_value_is_shortened(tmp_path, length, shown):
         load(tmp_path, "law: " + "x" * length)
 
 
-@pytest.mark.parametrize("size", [2**17, 2**17 + 1])
-def test_a_yaml_file_has_128_kb_at_most(tmp_path, size):
-    (tmp_path / "large.yaml").write_text("a: 1 #".ljust(size, "#"))
-    if size == 2**17:
-        assert read_yaml(tmp_path / "large.yaml") == {"a": 1}
-    else:
-        with pytest.raises(ConfigurationError, match=f"larger than {2**17} bytes"):
-            read_yaml(tmp_path / "large.yaml")
-
-
 def test_changes_of_a_command_line_have_a_key_and_a_value():
-    assert parse_changes(["a=1", "b=c=d", "e="]) == {"a": 1, "b": "c=d", "e": {}}
-    for wrong in ("a", "=1", "", "="):
+    assert parse_changes(["a=1", "b=c=d", "e=''"]) == {"a": 1, "b": "c=d", "e": ""}
+    for wrong in ("a", "=1", "", "=", "a=", "a= "):
         with pytest.raises(ConfigurationError, match="expected key=value such as plant.rate=250"):
             parse_changes([wrong])
-    with pytest.raises(ConfigurationError, match="--set a: line 2"):
+    with pytest.raises(ConfigurationError, match="--set a: line 1"):
         parse_changes(["a=["])
 
 
@@ -322,3 +301,22 @@ def test_a_key_below_a_value_is_unknown():
             from_flat(Example, {"fingers": 3, key: 1}, "there")
         assert (caught.value.source, caught.value.place) == ("there", key)
         assert str(caught.value).startswith("there: ")
+
+
+@pytest.mark.parametrize(
+    ("most", "words"), [(HALF_TURN, "half a turn"), (FULL_TURN, "a full turn")]
+)
+def test_a_thousandth_beyond_a_turn_is_rounding_and_more_is_refused(most, words):
+    assert most in (math.pi, 2.0 * math.pi)
+    for sign in (1.0, -1.0):
+        check_radians([0.0, sign * (most + 0.9999e-3), 1.0], most)
+        with pytest.raises(ValueError, match=f"goes beyond {words}; angles are in rad"):
+            check_radians([0.0, sign * (most + 1.0001e-3), 1.0], most)
+
+
+def test_a_full_turn_is_the_default_and_no_angles_are_fine():
+    check_radians([])
+    check_radians([], 0.5)
+    check_radians([6.28])
+    with pytest.raises(ValueError, match=r"\[90, -180\] goes .*: \[1.571, -3.142\] if these are"):
+        check_radians([90.0, -180.0])

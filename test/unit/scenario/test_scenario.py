@@ -171,8 +171,6 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("targets: [{position: [0, 0, 0], rotation: held}]", r"'held' is neither .* nor keep"),
         ("plant: {initial_joints: [60, 0, 90]}", r"in rad: \[1.047, 0, 1.571\] if .*degrees"),
         ("plant: {object: {rotation: [0, 0, 30]}}", r"half a turn; angles are in rad"),
-        ("duration: 1:30", r"duration is '1:30', expected a finite number"),
-        ("seed: 1_000", r"seed is '1_000', expected a whole number"),
         ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
         ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
         ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),
@@ -181,7 +179,6 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: 3\ntactile_sensor: {seed: 2}", r"set 'seed' once at the top, not in 'tactile"),
         ("[1, 2]", r"holds list; expected a mapping"),
         ("duration: 0", r"duration is 0, expected.*> 0"),
-        ("a: 1\na: 2", r"the key 'a' appears twice"),
         ("a: [1", r"not valid YAML"),
         (
             "targets: [{time: 2, position: [0, 0, 0]}, {time: 1, position: [0, 0, 0]}]",
