@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
@@ -22,7 +23,6 @@ from tactile_hand_ros.ros.messages.wire import (
     PoseCodec,
     SlipCodec,
     WrenchCodec,
-    clock_bytes,
 )
 from tactile_hand_ros.scenario.scenario import Scenario
 

@@ -17,12 +17,12 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import stamp_of
 
 _LATEST, _ALL = 1, 100
 
@@ -82,7 +82,7 @@ class Monitor:
         elif (data := take_latest(self._command)) is not None:
             before = self.tick
             with suppress(MessageError):  # the plant refuses it too, and says so
-                self.tick = stamp_of(data)
+                self.tick = header_stamp(data)
             if self.tick < before:
                 self._targets.clear()  # a reset forgets them
         return self.tick

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.cdr import Table, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.run.cdr import Table, tables
 
 _OF_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
 _TYPES = {

@@ -21,8 +21,8 @@ from tactile_hand_ros.bag.metadata_file import read_metadata
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.stream import is_being_written
+from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.ros.domains import isolated_domain
-from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
@@ -131,7 +131,7 @@ def test_killed_with_its_hand_it_loses_the_last_ticks_at_most(domain: int, tmp_p
         wait_until(lambda: not is_being_written(file), PATIENCE, "the end of the writer")
     assert not (graph.bag / "metadata.yaml").exists()
     recover(graph.bag, in_place=True)
-    stamps = [stamp_of(data) for data in payloads(graph.bag)["/joint_states"]]
+    stamps = [header_stamp(data) for data in payloads(graph.bag)["/joint_states"]]
     tick = graph.scenario.plant.tick
     assert stamps == [tick * i for i in range(len(stamps))]
     in_a_turn = 30  # ticks, far more than fit into the 5 ms until messages are handed on

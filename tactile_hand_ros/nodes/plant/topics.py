@@ -11,10 +11,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.readings import ReadingPublisher
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, SlipCodec, clock_bytes
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, SlipCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.plant import PlantState

@@ -21,11 +21,11 @@ from std_srvs.srv import SetBool
 
 from tactile_hand_ros.bag.reader import iterate, open_bag
 from tactile_hand_ros.bag.selection import TopicSelection
+from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.timeline import Timeline
 from tactile_hand_ros.ros.messages.types import message_class
-from tactile_hand_ros.ros.messages.wire import clock_bytes
 
 CLOCK = "/clock"
 _DEPTH = 1000  # messages that a publisher keeps for slow subscribers

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedback, JoyFeedbackArray
 from std_msgs.msg import Float64
 
+from tactile_hand_ros.cdr import to_nanoseconds
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import PALM_FRAME
@@ -66,20 +67,6 @@ def stamp_to_ns(stamp: Time) -> int:
         MessageError: If it is not a time that a message can carry.
     """
     return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
-
-
-def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
-    """Return the two numbers of a stamp as one.
-
-    Raises:
-        MessageError: If seconds are negative or nanoseconds are not below one second.
-    """
-    if seconds < 0 or not 0 <= nanoseconds < _SECOND:
-        raise MessageError(
-            f"the stamp is {seconds} s and {nanoseconds} ns, expected seconds >= 0 and 0 to "
-            f"{_SECOND - 1} ns."
-        )
-    return seconds * _SECOND + nanoseconds
 
 
 def stamp_from_ns(nanoseconds: int) -> Time:

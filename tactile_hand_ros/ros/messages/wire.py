@@ -13,7 +13,6 @@ Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1); REP 2000 types of ROS 2 J
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from tactile_hand_ros.cdr import CdrTemplate, header_stamp, to_nanoseconds
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.ros.messages import conversions
@@ -33,19 +33,11 @@ from tactile_hand_ros.ros.messages.conversions import (
     JointOrder,
     all_usable,
     stamp_to_ns,
-    to_nanoseconds,
 )
 
 Array = NDArray[np.float64]
 Force = tuple[float, float, float]
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = len(_LITTLE_ENDIAN)
-_AFTER_STAMP = _STAMP_AT + _STAMP.size
-_LENGTH = struct.Struct("<I")
-_DOUBLE = np.dtype("<f8")
-_SECOND = 1_000_000_000
 _UNIT_TOLERANCE = 1e-3
 
 LARGEST_MESSAGE = 65_536
@@ -84,120 +76,6 @@ def check_output(values: Array, *, nan_allowed: bool = False) -> None:
         f"the result {np.array2string(values.ravel(), threshold=12, precision=3)} is not finite "
         "and was not published; reset the node and check its inputs and gains."
     )
-
-
-class CdrTemplate:
-    """The bytes of a message that begins with a stamp, with gaps for blocks of doubles."""
-
-    def __init__(self) -> None:
-        """Start with the encapsulation and the stamp."""
-        self._buffer = bytearray(_LITTLE_ENDIAN + bytes(_STAMP.size))
-        self._blocks: list[tuple[int, int]] = []
-        self._constant: list[tuple[slice, bytes]] = []
-        self._views: list[Array] = []
-        self._parts: list[slice] = []
-        self._at = 0
-        self._all = np.empty(0)
-        self._format = _STAMP
-
-    def _align(self, size: int) -> None:
-        # Alignment counts from the end of the encapsulation.
-        self._buffer += bytes(-(len(self._buffer) - len(_LITTLE_ENDIAN)) % size)
-
-    def text(self, text: str) -> CdrTemplate:
-        """Append a string."""
-        raw = text.encode() + b"\x00"
-        self.length(len(raw))
-        self._buffer += raw
-        return self
-
-    def length(self, count: int) -> CdrTemplate:
-        """Append the length of a sequence."""
-        self._align(_LENGTH.size)
-        self._buffer += _LENGTH.pack(count)
-        return self
-
-    def doubles(self, count: int) -> CdrTemplate:
-        """Append a gap for doubles; none at all do not align, as CDR has it."""
-        if count:
-            self._align(_DOUBLE.itemsize)
-            self._blocks.append((len(self._buffer), count))
-            self._buffer += bytes(count * _DOUBLE.itemsize)
-        return self
-
-    def finish(self) -> CdrTemplate:
-        """Note what is constant; nothing can be appended any more."""
-        start = _AFTER_STAMP
-        for offset, count in [*self._blocks, (len(self._buffer), 0)]:
-            if offset > start:
-                self._constant.append((slice(start, offset), bytes(self._buffer[start:offset])))
-            start = offset + count * _DOUBLE.itemsize
-        if self._blocks:
-            self._note_numbers()
-        return self
-
-    def _note_numbers(self) -> None:
-        """Note where all blocks can be read at once, with the lengths between them as numbers."""
-        first = self._blocks[0][0]
-        starts = [(at - first) // _DOUBLE.itemsize for at, _ in self._blocks]
-        self._parts = [slice(at, at + n) for at, (_, n) in zip(starts, self._blocks, strict=True)]
-        count = self._parts[-1].stop
-        self._at = first
-        self._all = np.frombuffer(self._buffer, _DOUBLE, count, first)
-        self._views = [self._all[part] for part in self._parts]
-        self._format = struct.Struct(f"<{_STAMP_AT}xiI{first - _AFTER_STAMP}x{count}d")
-
-    def view(self, block: int) -> Array:
-        """Return the numbers of a block, to be written in place before `stamped`."""
-        return self._views[block]
-
-    def stamped(self, stamp_ns: int) -> bytes:
-        """Return the bytes with a stamp [ns] and the numbers that are in the blocks."""
-        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _SECOND))
-        return bytes(self._buffer)
-
-    def encode(self, stamp_ns: int, *values: NDArray[Any]) -> bytes:
-        """Return the bytes with a stamp [ns] and one array per block, flat and of its size.
-
-        Raises:
-            UnsafeOutputError: If a number is not finite.
-        """
-        for view, block in zip(self._views, values, strict=True):
-            view[:] = block
-        if not all_usable(self._all):  # a length between two blocks is a tiny number
-            for view in self._views:
-                check_output(view)
-        return self.stamped(stamp_ns)
-
-    def decode(self, data: bytes) -> tuple[int, list[Array]] | None:
-        """Return stamp [ns] and blocks, None if a number or anything but the numbers is unusual.
-
-        Raises:
-            MessageError: If the stamp is not a time.
-        """
-        if not self._fits(data):
-            return None
-        numbers = np.frombuffer(data, _DOUBLE, len(self._all), self._at).copy()  # aligned, and kept
-        if not all_usable(numbers):
-            return None
-        stamp = to_nanoseconds(*_STAMP.unpack_from(data, _STAMP_AT))
-        return stamp, [numbers[part] for part in self._parts]
-
-    def unpack(self, data: bytes) -> tuple[Any, ...] | None:
-        """Return seconds, nanoseconds and the numbers, None if anything but them is unusual.
-
-        For one short block this is faster than `decode`. The numbers may be of any size, or NaN.
-        """
-        return self._format.unpack_from(data) if self._fits(data) else None
-
-    def _fits(self, data: bytes) -> bool:
-        """Return whether bytes differ from the template in stamp and numbers only."""
-        if len(data) != len(self._buffer) or data[:_STAMP_AT] != _LITTLE_ENDIAN:
-            return False
-        for where, expected in self._constant:
-            if data[where] != expected:
-                return False
-        return True
 
 
 class WrenchCodec:
@@ -288,11 +166,11 @@ class ContactsCodec:
                 quaternion not of unit length.
         """
         found = self._template.decode(data)
-        if found is not None:
-            rows = found[1][0].reshape(-1, 7)
+        if found is not None and all_usable(found[0]):
+            rows = found[0].reshape(-1, 7)
             turns = rows[:, 3:].copy()
             if all(map(_is_unit, turns.tolist())):
-                return found[0], ContactPoses(rows[:, :3].copy(), turns)
+                return header_stamp(data), ContactPoses(rows[:, :3].copy(), turns)
         message = read_message(data, PoseArray)
         contacts = conversions.contacts_from_ros(message, self._count)
         return stamp_to_ns(message.header.stamp), contacts
@@ -327,7 +205,10 @@ class JointCodec:
         Raises:
             UnsafeOutputError: If a number is not finite.
         """
-        return self._template.encode(stamp_ns, *values)
+        if not all_usable(self._template.fill(*values)):
+            for block in values:
+                check_output(block)
+        return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]]:
         """Return stamp [ns] and one array of shape (m,) per wanted field.
@@ -346,9 +227,9 @@ class JointCodec:
             MessageError: As `decode`.
         """
         found = self._template.decode(data)
-        if found is not None:
-            stamp, values = found
-            return stamp, values[: len(self._wanted)], values[-1]
+        if found is not None and all_usable(found[0]):
+            values = found[1]
+            return header_stamp(data), values[: len(self._wanted)], values[-1]
         message = read_message(data, JointState)
         stamp = stamp_to_ns(message.header.stamp)
         values = [self._order.read(message, field) for field in self._wanted]
@@ -396,20 +277,3 @@ class GripCodec(JointCodec):
     def __init__(self, fingers: Sequence[str]) -> None:
         """Fix the fingers."""
         super().__init__(fingers, ("position", "velocity", "effort"))
-
-
-def clock_bytes(stamp_ns: int) -> bytes:
-    """Return a Clock message."""
-    return _LITTLE_ENDIAN + _STAMP.pack(*divmod(stamp_ns, _SECOND))
-
-
-def stamp_of(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that begins with a header.
-
-    Raises:
-        MessageError: If there is none, or it is not a time.
-    """
-    if len(data) < _AFTER_STAMP:
-        raise MessageError(f"{len(data)} bytes, expected a message that begins with a stamp.")
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _STAMP_AT)
-    return to_nanoseconds(seconds, nanoseconds)

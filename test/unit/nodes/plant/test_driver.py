@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
+from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.nodes.plant import driver as driver_module
 from tactile_hand_ros.nodes.plant.driver import CONFLICT
@@ -23,7 +24,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.processes import wait_until
 
 TICK = 2_000_000
@@ -168,7 +168,7 @@ def test_a_tick_without_an_answer_is_sent_again_as_it_was(
     rig.driver._on_watch()
     assert rig.values()["resent_ticks"] == 1
     ((again, _),) = wait_until(lambda: list(taken(told)))
-    assert again == first and stamp_of(first) == TICK
+    assert again == first and header_stamp(first) == TICK
     clock.now += 0.2501
     rig.driver._on_watch()
     assert rig.values()["resent_ticks"] == 2

@@ -18,13 +18,13 @@ from std_srvs.srv import SetBool
 
 from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.replay import replay as replay_module
 from tactile_hand_ros.nodes.replay.node import replaying
 from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
 from tactile_hand_ros.nodes.replay.replay import Replay
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.messages.wire import stamp_of
 from tactile_hand_ros.ros.processes import wait_until
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
@@ -60,7 +60,7 @@ class Player:
             publisher.publish = lambda data, topic=topic: self._note(topic, data)
         self.clock: list[int] = []
         if self.replay._clock is not None:
-            self.replay._clock.publish = lambda data: self.clock.append(stamp_of(data))
+            self.replay._clock.publish = lambda data: self.clock.append(header_stamp(data))
 
     def _note(self, topic: str, data: bytes) -> None:
         self.sent.append((topic, int.from_bytes(data[4:12], "little"), time.monotonic()))

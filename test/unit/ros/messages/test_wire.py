@@ -15,6 +15,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from support.messages import contacts_message, force_message, joint_message
 
+from tactile_hand_ros.cdr import clock_bytes, header_stamp
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.messages import conversions as c
 from tactile_hand_ros.ros.messages import wire
@@ -25,8 +26,6 @@ from tactile_hand_ros.ros.messages.wire import (
     PoseCodec,
     SlipCodec,
     WrenchCodec,
-    clock_bytes,
-    stamp_of,
 )
 
 FIELDS = ("position", "velocity", "effort")
@@ -198,9 +197,9 @@ def test_a_message_is_written_with_all_its_blocks_or_not_at_all() -> None:
 @pytest.mark.parametrize("stamp", [0, 2_000_000, 86_399_999_999_999])
 def test_stamp_is_read_from_bytes(stamp):
     data = serialize_message(joint_message(["a"], stamp))
-    assert stamp_of(data) == stamp
+    assert header_stamp(data) == stamp
     big_endian = bytes([0, 0, 0, 0]) + struct.pack(">iI", *divmod(stamp, 1_000_000_000))
-    assert stamp_of(big_endian) == stamp
+    assert header_stamp(big_endian) == stamp
 
 
 CODECS = {
@@ -336,10 +335,10 @@ def test_a_message_may_have_the_largest_size_and_not_a_byte_more():
 def test_a_stamp_needs_twelve_bytes(size):
     data = clock_bytes(7_000_000_008)[:size]
     if size == 12:
-        assert stamp_of(data) == 7_000_000_008
+        assert header_stamp(data) == 7_000_000_008
     else:
         with pytest.raises(MessageError, match=f"{size} bytes, expected"):
-            stamp_of(data)
+            header_stamp(data)
 
 
 def encoded(codec, stamp):

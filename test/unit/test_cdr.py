@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from support import recorded
 from support.recorded import STORE
 
+from tactile_hand_ros.cdr import tables
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.run.cdr import tables
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 JOINTS = "sensor_msgs/msg/JointState"

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serialized messages (plain CDR), read and written without rclpy.
+
+* `header_stamp`: the stamp of any message that begins with a header, from its bytes.
+* `tables`: all messages of a topic to arrays at once, for reading bags.
+* `CdrTemplate`: one message with a fixed layout, read and written in place, for ticks.
+
+A general decoder builds one Python object a message. The messages of a topic nearly always have
+the same strings and lengths, so that every number sits at the same byte.
+
+Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.errors import BagError, MessageError
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_ORIGIN = len(_LITTLE_ENDIAN)  # the encapsulation; alignment counts from behind it
+_STAMP = struct.Struct("<iI")
+_AFTER_STAMP = _ORIGIN + _STAMP.size
+_LENGTH = struct.Struct("<I")
+_DOUBLE = np.dtype("<f8")
+_SECOND = 1_000_000_000
+
+
+def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
+    """Return the two numbers of a stamp as one.
+
+    Raises:
+        MessageError: If seconds are negative or nanoseconds are not below one second.
+    """
+    if seconds < 0 or not 0 <= nanoseconds < _SECOND:
+        raise MessageError(
+            f"the stamp is {seconds} s and {nanoseconds} ns, expected seconds >= 0 and 0 to "
+            f"{_SECOND - 1} ns."
+        )
+    return seconds * _SECOND + nanoseconds
+
+
+def header_stamp(data: bytes) -> int:
+    """Return the stamp [ns] of a serialized message that begins with a header.
+
+    Raises:
+        MessageError: If there is none, or it is not a time.
+    """
+    if len(data) < _AFTER_STAMP:
+        raise MessageError(f"{len(data)} bytes, expected a message that begins with a stamp.")
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _ORIGIN)
+    return to_nanoseconds(seconds, nanoseconds)
+
+
+def clock_bytes(stamp_ns: int) -> bytes:
+    """Return a rosgraph_msgs/Clock message."""
+    return _LITTLE_ENDIAN + _STAMP.pack(*divmod(stamp_ns, _SECOND))
+
+
+class CdrTemplate:
+    """The bytes of a message that begins with a stamp, with gaps for blocks of doubles."""
+
+    def __init__(self) -> None:
+        """Start with the encapsulation and the stamp."""
+        self._buffer = bytearray(_LITTLE_ENDIAN + bytes(_STAMP.size))
+        self._blocks: list[tuple[int, int]] = []
+        self._constant: list[tuple[slice, bytes]] = []
+        self._views: list[Array] = []
+        self._parts: list[slice] = []
+        self._at = 0
+        self._all = np.empty(0)
+        self._format = _STAMP
+
+    def _align(self, size: int) -> None:
+        # Alignment counts from the end of the encapsulation.
+        self._buffer += bytes(-(len(self._buffer) - _ORIGIN) % size)
+
+    def text(self, text: str) -> CdrTemplate:
+        """Append a string."""
+        raw = text.encode() + b"\x00"
+        self.length(len(raw))
+        self._buffer += raw
+        return self
+
+    def length(self, count: int) -> CdrTemplate:
+        """Append the length of a sequence."""
+        self._align(_LENGTH.size)
+        self._buffer += _LENGTH.pack(count)
+        return self
+
+    def doubles(self, count: int) -> CdrTemplate:
+        """Append a gap for doubles; none at all do not align, as CDR has it."""
+        if count:
+            self._align(_DOUBLE.itemsize)
+            self._blocks.append((len(self._buffer), count))
+            self._buffer += bytes(count * _DOUBLE.itemsize)
+        return self
+
+    def finish(self) -> CdrTemplate:
+        """Note what is constant; nothing can be appended any more."""
+        start = _AFTER_STAMP
+        for offset, count in [*self._blocks, (len(self._buffer), 0)]:
+            if offset > start:
+                self._constant.append((slice(start, offset), bytes(self._buffer[start:offset])))
+            start = offset + count * _DOUBLE.itemsize
+        if self._blocks:
+            self._note_numbers()
+        return self
+
+    def _note_numbers(self) -> None:
+        """Note where all blocks can be read at once, with the lengths between them as numbers."""
+        first = self._blocks[0][0]
+        starts = [(at - first) // _DOUBLE.itemsize for at, _ in self._blocks]
+        self._parts = [slice(at, at + n) for at, (_, n) in zip(starts, self._blocks, strict=True)]
+        count = self._parts[-1].stop
+        self._at = first
+        self._all = np.frombuffer(self._buffer, _DOUBLE, count, first)
+        self._views = [self._all[part] for part in self._parts]
+        self._format = struct.Struct(f"<{_ORIGIN}xiI{first - _AFTER_STAMP}x{count}d")
+
+    def view(self, block: int) -> Array:
+        """Return the numbers of a block, to be written in place before `stamped`."""
+        return self._views[block]
+
+    def stamped(self, stamp_ns: int) -> bytes:
+        """Return the bytes with a stamp [ns] and the numbers that are in the blocks."""
+        _STAMP.pack_into(self._buffer, _ORIGIN, *divmod(stamp_ns, _SECOND))
+        return bytes(self._buffer)
+
+    def fill(self, *values: NDArray[Any]) -> Array:
+        """Write one array per block, flat and of its size; return all blocks as one array.
+
+        Between two blocks are their lengths, which read as tiny numbers.
+        """
+        for view, block in zip(self._views, values, strict=True):
+            view[:] = block
+        return self._all
+
+    def decode(self, data: bytes) -> tuple[Array, list[Array]] | None:
+        """Return all blocks as one array and each of them; None if the bytes do not fit.
+
+        The arrays are copies, which stay.
+        """
+        if not self._fits(data):
+            return None
+        numbers = np.frombuffer(data, _DOUBLE, len(self._all), self._at).copy()
+        return numbers, [numbers[part] for part in self._parts]
+
+    def unpack(self, data: bytes) -> tuple[Any, ...] | None:
+        """Return seconds, nanoseconds and the numbers, None if anything but them is unusual.
+
+        For one short block this is faster than `decode`. The numbers may be of any size, or NaN.
+        """
+        return self._format.unpack_from(data) if self._fits(data) else None
+
+    def _fits(self, data: bytes) -> bool:
+        """Return whether bytes differ from the template in stamp and numbers only."""
+        if len(data) != len(self._buffer) or data[:_ORIGIN] != _LITTLE_ENDIAN:
+            return False
+        for where, expected in self._constant:
+            if data[where] != expected:
+                return False
+        return True
+
+
+@dataclass
+class Layout:
+    """Where the parts of a message are.
+
+    Attributes:
+        little: Whether the numbers are little-endian.
+        texts: All strings in order; the first is the header's frame_id.
+        doubles: Offset and count of each group of doubles.
+        fixed: Ranges of bytes that a message must share to have this layout.
+    """
+
+    little: bool
+    texts: list[str] = field(default_factory=list)
+    doubles: dict[str, tuple[int, int]] = field(default_factory=dict)
+    fixed: list[tuple[int, int]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Messages of one layout.
+
+    Attributes:
+        rows: Which messages of the topic these are, shape (n,).
+        layout: Where the numbers are.
+        matrix: The bytes, shape (n, length).
+    """
+
+    rows: Rows
+    layout: Layout
+    matrix: NDArray[np.uint8]
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Header stamps in ns, shape (n,)."""
+        order = "<" if self.layout.little else ">"
+        seconds = self._column(_ORIGIN, 4, f"{order}i4").astype(np.int64)[:, 0]
+        rest = self._column(_ORIGIN + 4, 4, f"{order}u4").astype(np.int64)[:, 0]
+        return np.asarray(seconds * _SECOND + rest, dtype=np.int64)
+
+    def doubles(self, name: str) -> Array:
+        """Return a group of doubles, shape (n, count)."""
+        start, count = self.layout.doubles[name]
+        order = "<f8" if self.layout.little else ">f8"
+        return self._column(start, 8 * count, order).astype(np.float64)
+
+    def _column(self, start: int, size: int, kind: str) -> NDArray[np.generic]:
+        part = np.ascontiguousarray(self.matrix[:, start : start + size])
+        return part.view(kind) if size else np.empty((len(part), 0))
+
+
+class _Cursor:
+    """Walks over one message and notes what it finds."""
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) < _ORIGIN or data[0] or data[1] > 1:
+            raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
+        self._data, self._at = data, _ORIGIN
+        self.layout = Layout(little=bool(data[1]), fixed=[(0, 2)])
+
+    def header(self) -> None:
+        self._skip(8)
+        self.text()
+
+    def text(self) -> None:
+        size = self.length()
+        raw = self._fix(size)
+        self.layout.texts.append(raw.rstrip(b"\0").decode("utf-8", "replace"))
+
+    def length(self) -> int:
+        self._at += -(self._at - _ORIGIN) % 4
+        number: int = struct.unpack("<I" if self.layout.little else ">I", self._fix(4))[0]
+        return number
+
+    def doubles(self, name: str, count: int) -> None:
+        if count:
+            self._at += -(self._at - _ORIGIN) % 8
+        self.layout.doubles[name] = (self._at, count)
+        self._skip(8 * count)
+
+    def _fix(self, size: int) -> bytes:
+        start = self._at
+        self._skip(size)
+        self.layout.fixed.append((start, self._at))
+        return self._data[start : self._at]
+
+    def _skip(self, size: int) -> None:
+        self._at += size
+        if self._at > len(self._data):
+            raise ValueError(f"{len(self._data)} bytes, but at least {self._at} announced")
+
+
+def _joint_state(cursor: _Cursor) -> None:
+    cursor.header()
+    for _ in range(cursor.length()):
+        cursor.text()
+    for name in ("position", "velocity", "effort"):
+        cursor.doubles(name, cursor.length())
+
+
+def _pose_array(cursor: _Cursor) -> None:
+    cursor.header()
+    cursor.doubles("poses", 7 * cursor.length())
+
+
+def _pose(cursor: _Cursor) -> None:
+    cursor.header()
+    cursor.doubles("pose", 7)
+
+
+def _wrench(cursor: _Cursor) -> None:
+    cursor.header()
+    cursor.doubles("wrench", 6)
+
+
+PARSERS: dict[str, Callable[[_Cursor], None]] = {
+    "sensor_msgs/msg/JointState": _joint_state,
+    "geometry_msgs/msg/PoseArray": _pose_array,
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/WrenchStamped": _wrench,
+}
+"""The types that can be read, by name."""
+
+
+def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
+    """Group the messages of a topic by layout.
+
+    Args:
+        type_name: One of `PARSERS`.
+        messages: Serialized messages.
+
+    Raises:
+        BagError: If a message is not what its type says.
+    """
+    sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
+    for size in np.unique(sizes):
+        rows = np.flatnonzero(sizes == size)
+        joined = b"".join([messages[row] for row in rows.tolist()])
+        matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), int(size))
+        while len(rows):
+            layout = _layout(type_name, messages[int(rows[0])])
+            same = _sharing(matrix, layout)
+            yield Table(rows[same], layout, matrix[same])
+            rows, matrix = rows[~same], matrix[~same]
+
+
+def _layout(type_name: str, message: bytes) -> Layout:
+    try:
+        cursor = _Cursor(message)
+        PARSERS[type_name](cursor)
+    except ValueError as error:
+        raise BagError(f"A message is not a valid {type_name}: {error}; record it again.") from None
+    return cursor.layout
+
+
+def _sharing(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
+    """Return which messages have the fixed bytes of the first one."""
+    same = np.ones(len(matrix), dtype=np.bool_)
+    for start, end in layout.fixed:
+        same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
+    return same
