@@ -28,7 +28,7 @@ from rclpy.publisher import Publisher
 from bench.results import Result
 from bench.workload import SCENARIO, Workload
 from tactile_hand_ros.names import PLANT
-from tactile_hand_ros.orchestrator.topology import Link, links
+from tactile_hand_ros.orchestrator.graph import ExpectedTopic, expected_topics
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executor import spin
@@ -80,11 +80,11 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
         return float(plant.stdout.split()[0])
 
 
-def each_tick() -> list[Link]:
+def each_tick() -> list[ExpectedTopic]:
     """Return the topics that get a message at each tick."""
     return [
         link
-        for link in links(load_scenario(SCENARIO))
+        for link in expected_topics(load_scenario(SCENARIO))
         if link.publisher in NODES and link.each_tick
     ]
 
@@ -92,7 +92,9 @@ def each_tick() -> list[Link]:
 class Role:
     """A node that passes on what it receives; the plant begins, and begins again."""
 
-    def __init__(self, name: str, wiring: Sequence[Link], recorders: int, ticks: int) -> None:
+    def __init__(
+        self, name: str, wiring: Sequence[ExpectedTopic], recorders: int, ticks: int
+    ) -> None:
         """Create publishers and subscriptions.
 
         Args:

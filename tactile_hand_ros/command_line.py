@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib.util
 import io
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+import sysconfig
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -22,6 +25,9 @@ _ENDS: dict[signal.Signals, Any] = {
     signal.SIGHUP: signal.SIG_DFL,
 }
 """Signals that end a command, and what is done about each where nothing else was chosen."""
+
+_BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Set by the ROS wheels when they have set LD_LIBRARY_PATH, and inherited."""
 
 _ADVICE = {
     errno.ENOSPC: "; free some space or write elsewhere",
@@ -106,6 +112,44 @@ def _raise(number: int, frame: FrameType | None) -> None:
     raise _Signalled(signal.Signals(number))
 
 
+def prepare_for_ros() -> None:
+    """Make sure that rclpy can start: the right one, in an environment that it can live with.
+
+    A shell that has sourced ROS puts its own rclpy before that of a virtual environment. Then this
+    program starts again without it.
+    """
+    # rclpy looks for a place for its logs, and ends the process where HOME is not set.
+    os.environ.setdefault("HOME", os.path.expanduser("~"))
+    found = importlib.util.find_spec("rclpy")
+    own = Path(sysconfig.get_path("purelib")) / "rclpy"
+    if found is None or not found.origin or not own.is_dir():
+        return
+    foreign = Path(found.origin).parent
+    if foreign.resolve() == own.resolve():
+        return
+    environment = _without(foreign.parent, os.environ)
+    if environment != dict(os.environ):
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+
+
+def _without(packages: Path, environment: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment without the ROS installation that holds a folder of packages."""
+    left = {k: text for k, text in environment.items() if k != _BOOTSTRAPPED}
+
+    def belongs(entry: str) -> bool:
+        prefix = Path(entry)
+        is_prefix = (prefix / "share" / "ament_index").is_dir() and prefix in packages.parents
+        return (
+            prefix == packages or is_prefix or (prefix.name == "lib" and prefix in packages.parents)
+        )
+
+    for name in ("PYTHONPATH", "AMENT_PREFIX_PATH", "LD_LIBRARY_PATH"):
+        entries = [each for each in environment.get(name, "").split(os.pathsep) if each]
+        if any(map(belongs, entries)):
+            left[name] = os.pathsep.join(each for each in entries if not belongs(each))
+    return left
+
+
 class LastingOutput(io.TextIOBase):
     """The standard output for work that must go on when nothing can be written any more.
 
@@ -174,6 +218,12 @@ def _explained(error: Exception) -> tuple[str, int | None]:
         return str(error), EXIT_REFUSED
     if isinstance(error, OSError):
         return os_sentence(error), EXIT_REFUSED
+    if isinstance(error, ImportError) and "rclpy" in f"{error.name} {error.path}":
+        return (
+            f"rclpy cannot be loaded by Python {sys.version_info.major}.{sys.version_info.minor} "
+            f"({str(error).splitlines()[0]}); has this shell sourced another ROS? Start a new one.",
+            EXIT_REFUSED,
+        )
     return _usage(error)
 
 

@@ -16,7 +16,7 @@ except ModuleNotFoundError:  # the nodes run without it
     )
 
 from tactile_hand_ros.cli import bags, replay, reproduce, runs, scenarios, steer, sweep
-from tactile_hand_ros.command_line import run_command
+from tactile_hand_ros.command_line import prepare_for_ros, run_command
 from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
 
@@ -43,6 +43,7 @@ for _command in (
     app.command()(_command)
 # An unknown option may be a negative number.
 app.command(context_settings={"ignore_unknown_options": True})(steer.move)
+app.command(context_settings={"ignore_unknown_options": True})(steer.squeeze)
 
 
 def _print_version(wanted: bool) -> None:
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 after success, 2 when something was refused (one sentence on stderr), 130 after Ctrl-C.
     """
+    prepare_for_ros()
     use_own_prefix()
     # Other machines on the network take no part, unless asked.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -14,7 +14,7 @@ import typer
 from tactile_hand_ros.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.steering.client import HandClient
+    from tactile_hand_ros.orchestrator.steering import HandClient
 
 NamespaceOption = Annotated[str, typer.Option(help="Namespace of the hand, as /left.")]
 TimeoutOption = Annotated[
@@ -53,8 +53,13 @@ def move(
         raise ConfigurationError("--rotate and --rotation are given; give one")
     turn = rotation if rotation is not None else _turn(rotate)
     with _hand(namespace, timeout) as hand:
-        since = hand.move([x, y, z], [math.radians(v) for v in turn], absolute=rotation is not None)
-    print(f"the target is ({x:g}, {y:g}, {z:g}) m from t = {since:.3f} s on")
+        radians = [math.radians(v) for v in turn]
+        since, vector = hand.move([x, y, z], radians, absolute=rotation is not None)
+    degrees = ", ".join(f"{math.degrees(v):.4g}" for v in vector)
+    print(
+        f"the target is ({x:g}, {y:g}, {z:g}) m, rotation ({degrees}) degrees, from "
+        f"t = {since:.3f} s on"
+    )
 
 
 def squeeze(
@@ -62,13 +67,15 @@ def squeeze(
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Ask a running hand for a squeeze.
+    """Ask a running hand for a grasp force.
 
     Exit code 0: the hand accepts it; 2: it refuses, or there is no hand.
     """
     with _hand(namespace, timeout) as hand:
-        since = hand.squeeze(force)
-    print(f"a squeeze of {force:g} N is asked for from t = {since:.3f} s on")
+        since, mode = hand.grasp_force(force)
+    print(f"a grasp force of {force:g} N is asked for from t = {since:.3f} s on")
+    if mode == "auto":
+        print("in mode auto the slip regulator chooses the force itself: this changes nothing")
 
 
 def grasp(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
@@ -102,14 +109,13 @@ def _turn(rotate: tuple[str, float] | None) -> tuple[float, ...]:
 @contextlib.contextmanager
 def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
     """Take part in the graph of a hand."""
-    from tactile_hand_ros.orchestrator.conduct import full_namespace
-    from tactile_hand_ros.orchestrator.participation import check_environment, ros_context
-    from tactile_hand_ros.steering.client import HandClient, user_node
+    from tactile_hand_ros.orchestrator.execute import check_environment, full_namespace, ros_context
+    from tactile_hand_ros.orchestrator.steering import HandClient, user_node
 
     check_environment(os.environ)
-    with ros_context([]) as context, user_node(context, full_namespace(namespace, [])) as node:
+    with ros_context() as context, user_node(context, full_namespace(namespace)) as node:
         yield HandClient(node, timeout)
 
 
-COMMANDS = (squeeze, grasp, release, reset)
-"""All but `move`, which takes negative numbers as arguments."""
+COMMANDS = (grasp, release, reset)
+"""All but `move` and `squeeze`, which take negative numbers as arguments."""

@@ -1,75 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line of the orchestrator, which is `tactile-hand run` too.
 
-Only what the help needs is loaded here; `conduct` loads the rest.
+Only what the help needs is loaded here; `execute` loads the rest.
 """
 
 from __future__ import annotations
 
-import gc
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import typer
 
-from tactile_hand_ros.command_line import run_command, say
+from tactile_hand_ros.command_line import prepare_for_ros, run_command, say
 from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.request import Request
+from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.orchestrator.processes import Launcher
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command()
 @with_options
-def run(context: typer.Context, request: Request) -> None:
-    """Run a scenario: start the nodes, record them, command the poses, sum up.
+def run(context: typer.Context, options: RunOptions) -> None:
+    """Run a scenario: start the nodes, record them, command the poses, summarize.
 
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
     by SIGINT, SIGTERM.
     """
-    if request.scenario and request.named:
-        raise ConfigurationError(
-            f"the scenario is given twice, as '{request.scenario}' and as --scenario "
-            f"'{request.named}'; give one"
-        )
-    if request.open_report and not (request.record and request.report):
+    if options.open_report and not (options.record and options.report):
         raise ConfigurationError("--open shows the report: leave --no-record and --no-report out")
-    raise typer.Exit(_run(context, request))
-
-
-def _run(context: typer.Context, request: Request) -> int:
-    """Run what was asked for and return the exit code."""
-    signals: Signals
     signals, ros_arguments = context.obj or (_watching(), [])
-    gc.disable()  # nearly all that is loaded stays; the session enables it again
-    from tactile_hand_ros.orchestrator.processes import Launcher
-
-    launcher = Launcher()
-    try:
-        return _conduct(request, signals, ros_arguments, launcher)
-    except Interrupted as interruption:
-        say(str(context.find_root().info_name), f"{interruption}, before anything was started.")
-        return signals.exit_code
+    raise typer.Exit(_run(options, signals, ros_arguments, str(context.find_root().info_name)))
 
 
-def _conduct(
-    request: Request, signals: Signals, ros_arguments: Sequence[str], launcher: Launcher
-) -> int:
-    """Load what runs a scenario, and do so."""
-    from tactile_hand_ros.compiled import run_interpreted  # loads NumPy
+def _run(options: RunOptions, signals: Signals, ros_arguments: Sequence[str], program: str) -> int:
+    """Load what runs a scenario, do so and return the exit code."""
+    # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.
+    from tactile_hand_ros.compiled import run_interpreted
 
     run_interpreted()  # the few steps of the check do not justify loading Numba
-    # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.
-    from tactile_hand_ros.orchestrator.conduct import conduct
+    from tactile_hand_ros.orchestrator.execute import execute
 
-    return conduct(request, signals, ros_arguments, launcher)
+    try:
+        return execute(options, signals, ros_arguments)
+    except Interrupted as interruption:
+        say(program, f"{interruption}, before anything was started.")
+        return signals.exit_code
 
 
 def _watching() -> Signals:
@@ -84,6 +62,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: Command line with program name; None takes ``sys.argv``.
     """
+    prepare_for_ros()
     signals = _watching()
     line = list(sys.argv if args is None else args)
 

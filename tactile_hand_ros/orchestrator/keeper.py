@@ -50,7 +50,7 @@ def send(number: int, mark: str) -> bool:
 
 
 def sweep(mark: str, grace: float = GRACE) -> None:
-    """Interrupt all marked processes and kill those that are still there after the grace."""
+    """Interrupt all marked processes and kill those that are left after a grace period [s]."""
     end = time.monotonic() + grace
     send(signal.SIGINT, mark)
     while any(marked(mark)) and time.monotonic() < end:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes of a run: started as ``ros2 run`` does, each in a session of its own, and ended."""
+"""The processes of a run: started as ``ros2 run`` does, each in its own session, and ended."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ament_index_python.packages import get_package_prefix
+import rclpy
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator import keeper
 from tactile_hand_ros.ros.executables import PACKAGE, executable_path
 from tactile_hand_ros.ros.processes import ChildProcess, end_together
 
-_PROBE_SECONDS = 15.0
 _TAIL = 15  # lines of a log that are shown
 
 
@@ -27,57 +26,20 @@ class NodeDiedError(TactileHandError):
     """A process of the run ended by itself."""
 
 
-class Launcher:
-    """Says how an executable of this package is started here.
+def start_command(name: str) -> list[str]:
+    """Return program and first arguments for an executable of this package.
 
-    With ``ros2 run`` where that command exists and finds this package in the same place as the
-    ament index does; else with the file that ``ros2 run`` would start.
+    ``ros2 run`` where that command belongs to the ROS installation in use; else the file that it
+    would start.
+
+    Raises:
+        ExecutableError: If it does not exist.
     """
-
-    def __init__(self) -> None:
-        """Ask the ``ros2`` command, if there is one, without waiting for the answer."""
-        self._ros2 = shutil.which("ros2")
-        self._probe: subprocess.Popen[str] | None = None
-        if self._ros2 is not None:
-            self._probe = subprocess.Popen(
-                [self._ros2, "pkg", "prefix", PACKAGE],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                start_new_session=True,
-            )
-
-    @property
-    def uses_ros2(self) -> bool:
-        """Whether ``ros2 run`` is used."""
-        if self._probe is not None:
-            if not self._finds_the_package(self._probe):
-                self._ros2 = None
-            self._probe = None
-        return self._ros2 is not None
-
-    @staticmethod
-    def _finds_the_package(probe: subprocess.Popen[str]) -> bool:
-        try:
-            answer, _ = probe.communicate(timeout=_PROBE_SECONDS)
-        except subprocess.TimeoutExpired:
-            probe.kill()
-            probe.communicate()
-            return False
-        same = Path(answer.strip()) == Path(get_package_prefix(PACKAGE))
-        return probe.returncode == 0 and same
-
-    def command(self, name: str) -> list[str]:
-        """Return program and first arguments for an executable.
-
-        Raises:
-            ExecutableError: If it does not exist.
-        """
-        path = executable_path(name)
-        if self.uses_ros2:
-            return [str(self._ros2), "run", PACKAGE, name]
-        return [str(path)]
+    path = executable_path(name)
+    ros2 = shutil.which("ros2")
+    if ros2 is not None and Path(ros2).resolve().parents[1] in Path(rclpy.__file__).parents:
+        return [ros2, "run", PACKAGE, name]
+    return [str(path)]
 
 
 class NodeProcess(ChildProcess):
@@ -85,7 +47,7 @@ class NodeProcess(ChildProcess):
 
     Attributes:
         name: Name of the executable.
-        log: File with everything it says.
+        log: File with its output.
     """
 
     def __init__(self, name: str, command: Sequence[str], log: Path, mark: str) -> None:
@@ -95,13 +57,12 @@ class NodeProcess(ChildProcess):
             name: Name of the executable.
             command: Program and arguments.
             log: File to create.
-            mark: Mark by which the keeper knows it.
+            mark: Mark by which the keeper finds it.
         """
         self.name = name
         self.log = log
-        own = {keeper.MARK: mark}
         with log.open("wb") as output:
-            super().__init__(command, output, subprocess.STDOUT, env=own)
+            super().__init__(command, output, subprocess.STDOUT, env={keeper.MARK: mark})
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -120,8 +81,8 @@ class NodeProcess(ChildProcess):
         how = (
             f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         )
-        said = self.tail()
-        last = f", its last line was: {said[-1]}" if said else " without a word"
+        lines = self.tail()
+        last = f", its last line was: {lines[-1]}" if lines else " without any output"
         raise NodeDiedError(f"{self.name} {how}{last}")
 
 
@@ -130,20 +91,20 @@ class Processes:
 
     def __init__(
         self,
-        launcher: Launcher,
         in_a_hurry: Callable[[], bool] = lambda: False,
-        held: socket.socket | None = None,
+        lock: socket.socket | None = None,
+        command: Callable[[str], list[str]] = start_command,
     ) -> None:
         """Prepare.
 
         Args:
-            launcher: Says how to start an executable.
             in_a_hurry: Asked while waiting for an end: whether to be less patient.
-            held: A claim that the keeper shares, since it may outlive the orchestrator.
+            lock: The lock of the run. The keeper shares it, since it may outlive the orchestrator.
+            command: Returns program and first arguments for the name of an executable.
         """
-        self._launcher = launcher
+        self._command = command
         self._in_a_hurry = in_a_hurry
-        self._shared = () if held is None else (held.fileno(),)
+        self._shared = () if lock is None else (lock.fileno(),)
         self._mark = uuid.uuid4().hex
         self._started: dict[str, NodeProcess] = {}
         self._keeper: subprocess.Popen[bytes] | None = None
@@ -171,13 +132,13 @@ class Processes:
 
         Args:
             name: Its name.
-            log: File for what it says.
+            log: File for its output.
             *arguments: Its arguments.
 
         Raises:
             ExecutableError: If it does not exist.
         """
-        command = [*self._launcher.command(name), *arguments]
+        command = [*self._command(name), *arguments]
         self._started[name] = NodeProcess(name, command, log, self._mark)
 
     def check(self) -> None:

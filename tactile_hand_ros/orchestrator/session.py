@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
@@ -27,13 +26,13 @@ from tactile_hand_ros.names import (
     SENSOR,
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.orchestrator.graph import GraphReadiness, MissingEndpoint
 from tactile_hand_ros.orchestrator.monitor import Monitor
-from tactile_hand_ros.orchestrator.processes import Launcher, NodeDiedError, Processes
+from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
+from tactile_hand_ros.orchestrator.progress import Rate, View
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, pause, process_age
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
-from tactile_hand_ros.orchestrator.view import Rate, View
-from tactile_hand_ros.orchestrator.wiring import Gap, Wiring
 from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -44,11 +43,11 @@ STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RE
 STALL = 15.0
 """Time without an answered tick after which a run is given up [s]."""
 
-_LOOK = 0.02  # s between two looks at what the nodes have said
+_LOOK = 0.02  # s between two looks at the nodes' messages
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
-_LAST_WORDS = 0.3  # s, three heartbeats: the recorder asks for what got lost on the way to it
+_LAST_HEARTBEATS = 0.3  # s, three of them: the recorder asks for what got lost on the way to it
 _SHOWN = 6  # missing things that an error lists
 
 
@@ -133,7 +132,7 @@ class Session:
     Attributes:
         plan: What is to be run.
         directory: Where everything is written.
-        signals: Say when to stop.
+        signals: Whether to stop.
         outcome: What became of it.
     """
 
@@ -141,39 +140,38 @@ class Session:
         self,
         plan: Plan,
         directory: RunDirectory,
-        launcher: Launcher,
         signals: Signals,
-        held: socket.socket,
+        lock: socket.socket,
     ) -> None:
         """Prepare.
 
         Args:
             plan: What is to be run.
             directory: Where everything is written.
-            launcher: Says how executables are started.
-            signals: Say when to stop.
-            held: The claim, kept as long as a process of the run may be there.
+            signals: Whether to stop.
+            lock: Held as long as a process of the run may exist, and released after the run.
         """
         self.plan = plan
         self.directory = directory
         self.signals = signals
         self.outcome = RunOutcome()
         self.outcome.done("checked")
-        self._processes = Processes(launcher, lambda: signals.count > 1, held)
+        self._lock = lock
+        self._processes = Processes(lambda: signals.count > 1, lock)
 
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; nothing is left running.
 
         Args:
             joining: Provides the orchestrator's own node, in the namespace of the run. It is made
-                when the processes have been started, which is no reason for them to wait.
+                after the processes have been started, so that they do not wait for it.
             view: Shows the progress.
         """
         outcome = self.outcome
-        with self._processes, contextlib.ExitStack() as stack:
+        with self._lock, self._processes, contextlib.ExitStack() as stack:
             try:
                 self._start()
-                self._conduct(stack.enter_context(joining), view)
+                self._command_and_watch(stack.enter_context(joining), view)
             except Interrupted:
                 outcome.interrupted = True
             except TactileHandError as error:
@@ -187,7 +185,7 @@ class Session:
         """Start all processes, one right after the other: they load at the same time."""
         text = self.directory.write_scenario(self.plan.scenario)
         scheduling = self.plan.scheduling
-        # What a node says goes into its log here, not a second time below the home folder.
+        # The output of a node goes into its log here, not a second time below the home folder.
         common = ["--ros-args", "--disable-external-lib-logs"]
         if self.plan.namespace != "/":
             common += ["-r", f"__ns:={self.plan.namespace}"]
@@ -198,9 +196,6 @@ class Session:
             own = [] if name == RECORDER else list(scheduling.arguments)
             own += [RECORD] if name == COMPOSED and RECORDER in configs else []
             self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
-        # What is loaded stays; see the executable, which has disabled the collector until here.
-        gc.freeze()
-        gc.enable()
         self.outcome.done("processes_started")
 
     def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:
@@ -229,51 +224,43 @@ class Session:
             )
         return configs
 
-    def _conduct(self, node: Node, view: View) -> None:
+    def _command_and_watch(self, node: Node, view: View) -> None:
+        plan = self.plan
         steering = Steering(node, self._check)
-        asking = UserForces(self.plan.scenario.user_forces, steering.squeeze)
-        monitor = Monitor(node, closely=not self.plan.record or asking.is_due_later)
-        wiring = Wiring(node, self.plan.scenario, recorded=self.plan.record)
-        self._await_graph(lambda: _gaps(node, wiring, monitor, steering))
-        steering.command(self.plan.scenario.targets)
-        asking.step(0)
+        forces = UserForces(plan.scenario.user_forces, steering.grasp_force)
+        closely = not plan.record or forces.is_due_later
+        monitor = Monitor(node, plan.scenario.targets, closely=closely)
+        self._await_graph(node, monitor, steering)
+        steering.command(plan.scenario.targets)
+        forces.step(0)
         self.outcome.done("targets_sent")
         steering.run(True)
         try:
-            self._watch(monitor, view, asking)
+            self._watch(monitor, view, forces)
         finally:
             self._come_to_rest(steering, monitor)
 
-    def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
-        """Pause and wait for the answers to the last tick, so that it is whole in the bag."""
-        with contextlib.suppress(SteeringError):
-            steering.run(False, timeout=_REST, check=False)
-        end = time.monotonic() + _REST
-        with contextlib.suppress(NodeDiedError):  # it will not answer any more
-            while not monitor.is_at_rest and time.monotonic() < end:
-                self._processes.check()
-                pause(_LOOK)
-        pause(_LAST_WORDS)
-        self.outcome.plant = monitor.plant_facts()
-
-    def _check(self) -> None:
-        self.signals.check()
-        self._processes.check()
-
-    def _await_graph(self, missing: Callable[[], Iterator[Gap]]) -> None:
-        """Wait until all nodes are there and have met each other.
-
-        Args:
-            missing: Asked again and again; yields what is missing.
+    def _await_graph(self, node: Node, monitor: Monitor, steering: Steering) -> None:
+        """Wait until all nodes exist and have matched each other.
 
         Raises:
-            StartupError: With the names of those who are missing and what they last said.
+            StartupError: With the names of those who are missing and their last lines.
             NodeDiedError: If a process ended.
-            DuplicateNodeError: If a node of the run is there twice.
+            DuplicateNodeError: If a node of the run exists twice.
         """
-        end = time.monotonic() + self.plan.startup_timeout
-        # One thing that is missing is reason enough to wait: to look for all of them, again and
-        # again, takes a twentieth of a processor from those who are loading.
+        plan = self.plan
+        recorder = plan.record and plan.process(RECORDER) == RECORDER
+        readiness = GraphReadiness(node, plan.scenario, composed=plan.composed, recorder=recorder)
+
+        def missing() -> Iterator[MissingEndpoint]:
+            ours = {node.get_fully_qualified_name(): steering.facts}
+            yield from readiness.missing({**monitor.facts(), **ours})
+            if not steering.is_ready:
+                yield MissingEndpoint(PLANT, "the service of the plant does not answer yet")
+
+        end = time.monotonic() + plan.startup_timeout
+        # One thing that is missing is reason enough to wait: looking for all of them costs a
+        # twentieth of a processor while the nodes load.
         while next(missing(), None) is not None:
             self._processes.check()
             if time.monotonic() > end:
@@ -281,21 +268,21 @@ class Session:
             self.signals.wait(_GRAPH_LOOK)
         self.outcome.done("graph_matched")
 
-    def _absence(self, gaps: Sequence[Gap]) -> str:
-        """Say who is missing, which topics, and what the log says."""
-        shown = "; ".join(gap.text for gap in gaps[:_SHOWN])
-        more = f"; and {len(gaps) - _SHOWN} more" if len(gaps) > _SHOWN else ""
+    def _absence(self, missing: Sequence[MissingEndpoint]) -> str:
+        """Return who is missing, which topics, and what their logs contain."""
+        shown = "; ".join(each.text for each in missing[:_SHOWN])
+        more = f"; and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
         lines = [
             f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}{more}; "
             f"look at {self.directory.path / 'logs'}"
         ]
-        for name in dict.fromkeys(self.plan.process(gap.node) for gap in gaps):
+        for name in dict.fromkeys(self.plan.process(each.node) for each in missing):
             tail = self._processes.tail(name)
-            lines += [f"{name} | {line}" for line in tail] or [f"{name} has not said anything"]
+            lines += [f"{name} | {line}" for line in tail] or [f"{name} has not printed anything"]
         return "\n".join(lines)
 
-    def _watch(self, monitor: Monitor, view: View, asking: UserForces) -> None:
-        """Follow the run to its last tick, and ask for the squeezes that are due.
+    def _watch(self, monitor: Monitor, view: View, forces: UserForces) -> None:
+        """Follow the run to its last tick, and send the user forces that are due.
 
         Raises:
             Interrupted: After a signal.
@@ -305,12 +292,12 @@ class Session:
         outcome, end = self.outcome, self.plan.end
         rate = Rate(self.plan.scenario.plant.tick)
         progress = due = time.monotonic()
-        with view:
+        with view.shown():
             while end is None or outcome.last_tick < end:
                 self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
                 self._processes.check()
                 before, outcome.last_tick = outcome.last_tick, monitor.answered()
-                asking.step(outcome.last_tick)
+                forces.step(outcome.last_tick)
                 now = time.monotonic()
                 if before < 0 <= outcome.last_tick:
                     outcome.done("first_tick_answered")
@@ -321,8 +308,26 @@ class Session:
                 if now >= due:
                     due = now + view.period
                     faults = monitor.faults()
-                    view.show(monitor.look(), rate(outcome.last_tick), faults[0] if faults else "")
-            outcome.position_error = monitor.look().position_error
+                    first = faults[0] if faults else ""
+                    view.show(monitor.progress(), rate(outcome.last_tick), first)
+            outcome.position_error = monitor.progress().position_error
+
+    def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
+        """Pause and wait for the answers to the last tick, so that it is complete in the bag."""
+        with contextlib.suppress(SteeringError):
+            steering.run(False, timeout=_REST, check=False)
+        end = time.monotonic() + _REST
+        with contextlib.suppress(NodeDiedError):  # it will not answer any more
+            while not monitor.is_at_rest and time.monotonic() < end:
+                self._processes.check()
+                time.sleep(_LOOK)
+        if self.plan.record:
+            time.sleep(_LAST_HEARTBEATS)
+        self.outcome.plant = monitor.plant_facts()
+
+    def _check(self) -> None:
+        self.signals.check()
+        self._processes.check()
 
 
 def _recorded(namespace: str) -> list[str]:
@@ -330,13 +335,6 @@ def _recorded(namespace: str) -> list[str]:
     if namespace == "/":
         return [".*"]
     return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
-
-
-def _gaps(node: Node, wiring: Wiring, monitor: Monitor, steering: Steering) -> Iterator[Gap]:
-    """Yield what is missing for the run to begin."""
-    yield from wiring.missing({**monitor.facts(), node.get_fully_qualified_name(): steering.facts})
-    if not steering.is_ready:
-        yield Gap(PLANT, "the service of the plant does not answer yet")
 
 
 def _stall(monitor: Monitor) -> str:

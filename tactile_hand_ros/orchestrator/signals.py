@@ -7,7 +7,6 @@ import contextlib
 import os
 import queue
 import signal
-import threading
 from types import FrameType
 
 _WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -73,11 +72,6 @@ class Signals:
         with contextlib.suppress(queue.Empty):
             self._came.get(timeout=seconds)
         self.check()
-
-
-def pause(seconds: float) -> None:
-    """Wait without regard to signals."""
-    threading.Event().wait(seconds)
 
 
 def process_age() -> float:

@@ -1,36 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the orchestrator says to the graph: desired poses, squeezes, and go or pause."""
+"""Commands to a running hand: from the orchestrator, and from users in other terminals."""
 
 from __future__ import annotations
 
+import contextlib
+import math
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from numpy.typing import ArrayLike, NDArray
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS
-from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.rotations import (
+    quaternion_from_rotation,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
 
+Array = NDArray[np.float64]
+
 _SLICE = 0.02  # s
+_AGAIN = 1.0  # s without an answer after which a command is sent again
+_MODE_WAIT = 0.5  # s for the mode of the regulator, which only a hint needs
 
 
 class SteeringError(TactileHandError):
-    """The graph does not answer."""
+    """The hand is not there, does not answer, or refuses a command."""
 
 
 class Steering:
-    """Publisher of desired poses and squeezes, and client of the plant's ``~/run``."""
+    """The orchestrator's commands: targets, user grasp forces, and run or pause."""
 
     def __init__(self, node: Node, check: Callable[[], None]) -> None:
         """Create publishers and client.
@@ -41,11 +61,11 @@ class Steering:
         """
         self._check = check
         # A queue of one is full with each message, and only with a full queue does Fast DDS ask
-        # for the acknowledgement at once; otherwise it asks every 3 s.
-        qos = QoSProfile(depth=1)
-        self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, qos)
-        self._squeezes = node.create_publisher(Float64, names.USER_GRASP_FORCE, qos)
-        self._client = node.create_client(SetBool, "plant/run")
+        # for the acknowledgment immediately; otherwise it asks every 3 s.
+        profile = QoSProfile(depth=1)
+        self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, profile)
+        self._forces = node.create_publisher(Float64, names.USER_GRASP_FORCE, profile)
+        self._client = node.create_client(SetBool, f"{names.PLANT}/run")
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
 
@@ -56,30 +76,30 @@ class Steering:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Whom this process has met, as nodes say it in their diagnostics."""
-        ours = (self._poses, self._squeezes)
+        """How many subscribers each publisher has matched, as nodes report it."""
+        ours = (self._poses, self._forces)
         return {f"{PUBLICATIONS} {p.topic_name}": str(p.get_subscription_count()) for p in ours}
 
     def command(self, targets: Sequence[TargetConfig], timeout: float = 5.0) -> None:
-        """Send desired poses, each with the tick from which it holds, and wait until they arrived.
+        """Send desired poses, each with the tick from which it holds, and wait for their arrival.
 
         Raises:
-            SteeringError: If a listener does not acknowledge them.
+            SteeringError: If a subscriber does not acknowledge them.
         """
         for target in targets:
             pose = target.target()
-            turn = quaternion_from_rotation(pose.orientation)
-            self._poses.publish(PoseCodec().encode(pose.position, turn, target.stamp))
+            quaternion = quaternion_from_rotation(pose.orientation)
+            self._poses.publish(PoseCodec().encode(pose.position, quaternion, target.stamp))
             self._deliver(self._poses, f"the desired pose for t = {target.time} s", timeout)
 
-    def squeeze(self, request: UserForceConfig, timeout: float = 5.0) -> None:
-        """Send a squeeze that the user asks for and wait until it arrived.
+    def grasp_force(self, request: UserForceConfig, timeout: float = 5.0) -> None:
+        """Send a grasp force that the user asks for and wait for its arrival.
 
         Raises:
-            SteeringError: If a listener does not acknowledge it.
+            SteeringError: If a subscriber does not acknowledge it.
         """
-        self._squeezes.publish(Float64(data=float(request.force)))
-        self._deliver(self._squeezes, f"the squeeze for t = {request.time} s", timeout)
+        self._forces.publish(Float64(data=float(request.force)))
+        self._deliver(self._forces, f"the grasp force for t = {request.time} s", timeout)
 
     def _deliver(self, publisher: Publisher, what: str, timeout: float) -> None:
         end = time.monotonic() + timeout
@@ -97,7 +117,7 @@ class Steering:
         Args:
             on: Run or pause.
             timeout: Longest wait for the answer [s].
-            check: Whether to give up early when the constructor's `check` says so.
+            check: Whether to give up early when the constructor's `check` raises.
 
         Raises:
             SteeringError: If the plant refuses or does not answer.
@@ -116,16 +136,16 @@ class Steering:
 
 
 class UserForces:
-    """The squeezes of a scenario, each passed on when simulated time has come to it.
+    """The user grasp forces of a scenario, each sent when simulated time has reached it.
 
-    They carry no stamp, as nothing that a user does by hand: the tick at which one takes effect
-    follows from when it is sent and how long it travels, and may differ from run to run.
+    They carry no stamp, like everything that a user does by hand: the tick at which one takes
+    effect depends on how long it travels, and may differ from run to run.
     """
 
     def __init__(
         self, requests: Sequence[UserForceConfig], send: Callable[[UserForceConfig], None]
     ) -> None:
-        """Say what is asked for and how it is sent."""
+        """Take what is to be sent, and how."""
         self._waiting = sorted(requests, key=lambda request: request.time)
         self._send = send
 
@@ -142,7 +162,241 @@ class UserForces:
             self._send(due[-1])
 
 
-def how_to_steer(namespace: str) -> str:
-    """Return the command that moves the hand from a second terminal."""
+def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
+    """Return the command that moves the hand from a second terminal: to a target of its own."""
     where = "" if namespace == "/" else f" --namespace {namespace}"
-    return f"tactile-hand move 0.02 0.06 0.40{where}"
+    position = " ".join(f"{x:g}" for x in targets[-1].position) if targets else "X Y Z"
+    return f"tactile-hand move {position}{where}"
+
+
+@contextlib.contextmanager
+def user_node(context: Context, namespace: str) -> Iterator[Node]:
+    """Provide a node of this process; its name is its own, so that users do not collide."""
+    name = f"user_{os.getpid()}"
+    node = Node(name, namespace=namespace, context=context, start_parameter_services=False)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+
+
+class HandClient:
+    """Commands of a user to one hand; each returns when the hand has answered.
+
+    A command is sent when the node that acts on it has been found, and so is never lost.
+    """
+
+    def __init__(self, node: Node, timeout: float) -> None:
+        """Prepare.
+
+        Args:
+            node: A node in the namespace of the hand.
+            timeout: Longest wait for the hand to be found, and for its answer [s].
+        """
+        self._node, self._timeout = node, timeout
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+
+    def move(self, position: ArrayLike, turn: ArrayLike, *, absolute: bool) -> tuple[float, Array]:
+        """Ask for a pose of the grasp.
+
+        Args:
+            position: p_d of the contact centroid, palm frame, shape (3,), m.
+            turn: Rotation vector, palm axes, shape (3,), rad.
+            absolute: Whether the turn is the orientation itself, or counts from the present one.
+
+        Returns:
+            The simulated time from which the pose is the target [s], and its orientation as a
+            rotation vector in the palm frame, shape (3,), rad.
+
+        Raises:
+            ConfigurationError: If a number is not finite.
+            SteeringError: If there is no hand, or it refuses.
+        """
+        _check_finite([*np.ravel(position), *np.ravel(turn)])
+        publisher = self._node.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
+        now = np.eye(3) if absolute else self._orientation()
+        orientation = rotation_from_vector(turn) @ now
+        quaternion = quaternion_from_rotation(orientation)
+        data = PoseCodec().encode(np.asarray(position, dtype=np.float64), quaternion, 0)
+        wanted = deserialize_message(data, PoseStamped).pose
+        accepted = (PoseStamped, names.ACCEPTED_POSE, lambda message: message.pose == wanted)
+        since = self._send(publisher, data, names.CONTROLLER, names.DESIRED_POSE, accepted)
+        return since, vector_from_rotation(orientation)
+
+    def grasp_force(self, force: float) -> tuple[float, str]:
+        """Ask for a grasp force k_f [N].
+
+        Returns:
+            The simulated time at which it takes effect [s], and the mode of the regulator, empty
+            if it is not known.
+
+        Raises:
+            ConfigurationError: If the force is not finite.
+            SteeringError: If there is no hand, or it refuses.
+        """
+        _check_finite([force])
+        modes: list[str] = []
+        self._node.create_subscription(
+            ParameterEvent,
+            names.accepted_parameters(names.REGULATOR),
+            lambda event: modes.extend(_modes(event)),
+            qos.configuration_qos(),
+        )
+        publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
+        accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
+        message = Float64(data=force)
+        since = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
+        self._spin(lambda: bool(modes), _MODE_WAIT)
+        return since, modes[-1] if modes else ""
+
+    def grasp(self, close: bool) -> str:
+        """Close the fingers until all touch, or open them; return the hand's answer.
+
+        Raises:
+            SteeringError: If there is no hand, or it refuses.
+        """
+        return self._call(SetBool, f"{names.CONTROLLER}/grasp", SetBool.Request(data=close))
+
+    def reset(self) -> str:
+        """Start again: a simulation at its start, a real hand with its present grasp.
+
+        Whose joint states the hand follows decides which of the two it is.
+
+        Raises:
+            SteeringError: If there is no hand, or it refuses.
+        """
+        last = f"{names.CONTROLLER}/reset"
+        self._wait_for_service(self._node.create_client(Trigger, last))
+        senders: set[str] = set()
+
+        def is_known() -> bool:
+            topic = self._node.resolve_topic_name(names.JOINT_STATES)
+            found = self._node.get_publishers_info_by_topic(topic)
+            senders.update(each.node_name for each in found)
+            return bool(senders) and "_NODE_NAME_UNKNOWN_" not in senders
+
+        self._wait(is_known, "nothing publishes joint_states; is the driver of the hand running?")
+        if names.PLANT in senders:
+            self._call(Trigger, f"{names.PLANT}/reset", Trigger.Request())
+            return "time, hand and object are back at the start"
+        self._call(Trigger, f"{names.REGULATOR}/reset", Trigger.Request())
+        return self._call(Trigger, last, Trigger.Request())
+
+    def _orientation(self) -> Array:
+        """Return the present orientation of the grasp, shape (3, 3)."""
+        found: list[PoseStamped] = []
+        self._node.create_subscription(
+            PoseStamped, names.AUXILIARY_POSE, found.append, qos.tick_qos()
+        )
+        self._wait(
+            lambda: bool(found),
+            "the hand does not know the pose of its grasp now (nothing on auxiliary_pose within "
+            f"{self._timeout:g} s); is it running, and do all fingers touch?",
+            present=names.DESIRED_POSE,
+        )
+        return np.asarray(pose_from_ros(found[0]).rotation)
+
+    def _send(
+        self,
+        publisher: Any,
+        message: Any,
+        node: str,
+        topic: str,
+        accepted: tuple[Any, str, Callable[[Any], bool]],
+    ) -> float:
+        """Send a command to a node and return the time in its acceptance [s]."""
+        taken: list[Any] = []
+        refused: list[DiagnosticArray] = []
+        kind, name, is_ours = accepted
+        answers = [
+            self._node.create_subscription(
+                kind, name, lambda m: taken.append(m) if is_ours(m) else None, qos.user_qos()
+            ),
+            self._node.create_subscription(
+                DiagnosticArray, names.rejected(node), refused.append, qos.user_qos()
+            ),
+        ]
+        self._wait(
+            lambda: (
+                publisher.get_subscription_count() > 0
+                and all(each.get_publisher_count() > 0 for each in answers)
+            ),
+            self._absence(),
+        )
+        due = time.monotonic()
+
+        def answered() -> bool:
+            # Only the hand knows whether it has found our subscriptions: they may have missed the
+            # answer to the first message.
+            nonlocal due
+            if time.monotonic() >= due:
+                publisher.publish(message)
+                due = time.monotonic() + _AGAIN
+            return bool(taken or refused)
+
+        self._wait(answered, f"the hand has not answered within {self._timeout:g} s; is it paused?")
+        if not taken:
+            raise SteeringError(f"the hand refuses: {_reason(refused, topic)}")
+        return 1e-9 * stamp_to_ns(taken[0].header.stamp)
+
+    def _call(self, kind: Any, service: str, request: Any) -> str:
+        client = self._node.create_client(kind, service)
+        self._wait_for_service(client)
+        future = client.call_async(request)
+        self._wait(future.done, f"{service} has not answered within {self._timeout:g} s")
+        answer = future.result()
+        if not answer.success:
+            raise SteeringError(f"the hand refuses: {answer.message}")
+        return str(answer.message)
+
+    def _wait_for_service(self, client: Any) -> None:
+        self._wait(client.service_is_ready, self._absence())
+
+    def _wait(self, condition: Callable[[], bool], problem: str, present: str = "") -> None:
+        """Wait for a condition.
+
+        Args:
+            condition: What to wait for.
+            problem: What is wrong when it does not come.
+            present: A topic without which the hand is not there at all.
+
+        Raises:
+            SteeringError: If it does not come in time.
+        """
+        if not self._spin(condition, self._timeout):
+            gone = present and not self._node.count_subscribers(present)
+            raise SteeringError(self._absence() if gone else problem)
+
+    def _spin(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Return whether a condition comes true in time."""
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=_SLICE)
+        return True
+
+    def _absence(self) -> str:
+        domain, namespace = self._node.context.get_domain_id(), self._node.get_namespace()
+        return (
+            f"no hand is running in ROS domain {domain} and namespace '{namespace}'; start one with"
+            " `tactile-hand run --interactive`, or give its --namespace or ROS_DOMAIN_ID"
+        )
+
+
+def _check_finite(numbers: Sequence[float]) -> None:
+    wrong = [number for number in numbers if not math.isfinite(number)]
+    if wrong:
+        raise ConfigurationError(f"{wrong[0]} is not a finite number")
+
+
+def _modes(event: ParameterEvent) -> list[str]:
+    """Return the mode in a configuration, if it has one."""
+    return [p.value.string_value for p in event.changed_parameters if p.name == "mode"]
+
+
+def _reason(refused: list[DiagnosticArray], topic: str) -> str:
+    """Return why a command on a topic was refused."""
+    found = [p.value for m in refused for s in m.status for p in s.values if p.key == topic]
+    return found[0] if found else "it does not say why"

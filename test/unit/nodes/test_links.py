@@ -12,7 +12,7 @@ from rclpy.node import Node
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
 from tactile_hand_ros.nodes.composed import MEMBERS
-from tactile_hand_ros.orchestrator.topology import links
+from tactile_hand_ros.orchestrator.graph import expected_topics
 from tactile_hand_ros.ros.parameters import to_ros
 from tactile_hand_ros.ros.qos import tick_publisher_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -53,7 +53,7 @@ def test_each_node_has_the_ends_that_the_links_of_its_scenario_say(
         if publisher.topic_name not in EVERYWHERE
     }
     taken = {(each.topic_name[1:], node.get_name()) for node in nodes for each in _all_of(node)}
-    expected = links(wanted)
+    expected = expected_topics(wanted)
     assert taken == {(link.topic, name) for link in expected for name in link.subscribers}
     from_users = {*names.USER_COMMANDS}
     assert sent == {

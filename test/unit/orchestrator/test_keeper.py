@@ -80,31 +80,3 @@ def test_it_sweeps_when_its_input_ends_and_no_signal_ends_it_before(running: Exi
         process.stdin.close()
         assert ours.wait() == 7
         assert process.wait(20) == 0
-
-
-def test_it_reads_to_the_end_of_its_input_and_then_sweeps_its_mark(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    handlers, swept, input_ = dict[int, object](), list[str](), [b"a", b"bc", b""]
-    monkeypatch.setattr(keeper.signal, "signal", handlers.__setitem__)
-    monkeypatch.setattr(keeper.os, "read", lambda number, _: input_.pop(0) if not number else b"")
-    monkeypatch.setattr(keeper, "sweep", swept.append)
-    monkeypatch.setattr(keeper.sys, "argv", ["keeper", "mark-5"])
-    keeper.main()
-    assert input_ == [] and swept == ["mark-5"]
-    assert handlers == dict.fromkeys((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), signal.SIG_IGN)
-
-
-def test_a_process_that_has_just_ended_keeps_no_other_from_its_signal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    sent: list[tuple[int, int]] = []
-
-    def kill(process: int, number: int) -> None:
-        if process == 1:
-            raise ProcessLookupError
-        sent.append((process, number))
-
-    monkeypatch.setattr(keeper, "marked", lambda _: iter([1, 2]))
-    monkeypatch.setattr(keeper.os, "kill", kill)
-    assert keeper.send(signal.SIGINT, "x") and sent == [(2, signal.SIGINT)]

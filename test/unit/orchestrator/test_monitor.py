@@ -15,25 +15,25 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from support.messages import pose_message
 
-from tactile_hand_ros.orchestrator.monitor import Look, Monitor
+from tactile_hand_ros.orchestrator.monitor import Monitor, Progress
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.scenario.scenario import TargetConfig
 
 SECOND = 10**9
 STRAIGHT = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 class Hand:
-    """Says what the nodes of a hand would say."""
+    """Publishes what the nodes of a hand would publish."""
 
     def __init__(self, node: Node) -> None:
         self.node = node
         kinds = {
             "joint_command": JointState,
             "auxiliary_pose": PoseStamped,
-            "accepted/desired_pose": PoseStamped,
             "/diagnostics": DiagnosticArray,
         }
         self._publishers = {
@@ -74,17 +74,19 @@ def hand() -> Iterator[Hand]:
 
 
 def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: Hand) -> None:
-    monitor = Monitor(hand.node)
+    monitor = Monitor(hand.node, [], closely=False)
     hand.meets("/diagnostics")
     assert monitor.facts() == {} and monitor.faults() == [] and monitor.tick == -1
     assert monitor.answered() == -1 and not monitor.is_at_rest
-    blank = monitor.look()
+    blank = monitor.progress()
     assert blank.time == 0.0 and math.isnan(blank.position_error) and math.isnan(blank.grasp_force)
     hand.report("/left/plant", OK, "running", answered_ns=3 * SECOND, tick_ns=4 * SECOND, mode="a")
     hand.report("/left/slip_regulator", WARN, "at its limit", grasp_force_n=7.5)
-    hand.report("/left/manipulation_controller", ERROR, "no contact", position_error_m=0.25)
+    hand.report(
+        "/left/manipulation_controller", ERROR, "no contact", position_error_m=0.25, mode="drive"
+    )
     hand.report("/right/plant", STALE, "silent", answered_ns=9 * SECOND)
-    assert monitor.look() == Look(3.0, 0.25, 7.5)
+    assert monitor.progress() == Progress(3.0, 0.25, 7.5, "drive")
     assert monitor.tick == 3 * SECOND
     assert monitor.plant_facts()["mode"] == "a"
     assert monitor.faults() == [
@@ -93,7 +95,7 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: 
     ]
     hand.report("/left/manipulation_controller", OK)
     assert monitor.faults() == ["/left/slip_regulator: at its limit"]
-    assert math.isnan(monitor.look().position_error)
+    assert math.isnan(monitor.progress().position_error)
 
 
 @pytest.mark.parametrize(
@@ -109,51 +111,36 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: 
 def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(
     hand: Hand, mode: str, answered: int, rests: bool
 ) -> None:
-    monitor = Monitor(hand.node)
+    monitor = Monitor(hand.node, [], closely=False)
     hand.meets("/diagnostics")
     hand.report("/left/plant", OK, mode=mode, tick_ns=4, answered_ns=answered)
     assert monitor.is_at_rest == rests
 
 
 def test_from_close_by_the_error_is_that_from_the_target_of_the_tick(hand: Hand) -> None:
-    monitor = Monitor(hand.node, closely=True)
-    hand.meets("joint_command", "auxiliary_pose", "accepted/desired_pose", "/diagnostics")
-    assert monitor.answered() == -1 and math.isnan(monitor.look().position_error)
-
-    def error() -> float:
-        return monitor.look().position_error
-
-    hand.pose("auxiliary_pose", 1.0, 2 * SECOND)
-    assert math.isnan(error())  # there is no target
-    hand.pose("accepted/desired_pose", 5.0, 3 * SECOND)
-    assert math.isnan(error())  # none yet at this tick
-    hand.pose("auxiliary_pose", 1.5, 3 * SECOND)
-    assert error() == 3.5
-    hand.pose("accepted/desired_pose", 2.0, 4 * SECOND)
-    hand.pose("accepted/desired_pose", 9.0, 6 * SECOND)
-    assert error() == 3.5  # nothing new of the pose
-    hand.pose("auxiliary_pose", 1.5, 5 * SECOND)
-    assert error() == error() == 0.5
-    hand.pose("accepted/desired_pose", 4.0, 1 * SECOND)  # time was set back
-    assert error() == 2.5
-    hand.answer(2 * SECOND)
-    assert monitor.look().time == 2.0 and error() == 2.5
-    hand.answer(2 * SECOND)
-    assert monitor.answered() == 2 * SECOND and error() == 2.5
-    hand.answer(1 * SECOND)
-    assert monitor.answered() == 1 * SECOND
-    assert math.isnan(error())  # a reset forgets targets
-    hand.answer(3 * SECOND)
-    hand.answer(7 * SECOND)
-    assert monitor.answered() == 7 * SECOND
+    targets = [
+        TargetConfig(position=(5.0, 0.2, 0.3), time=3.0),
+        TargetConfig(position=(2.0, 0.2, 0.3), time=4.0),
+    ]
+    monitor = Monitor(hand.node, targets, closely=True)
+    hand.meets("joint_command", "auxiliary_pose", "/diagnostics")
+    assert monitor.answered() == -1 and math.isnan(monitor.progress().position_error)
+    for x, second, error in ((1.0, 2, math.nan), (1.5, 3, 3.5), (1.5, 5, 0.5)):
+        hand.pose("auxiliary_pose", x, second * SECOND)
+        for _ in range(2):  # also without a newer pose
+            found = monitor.progress().position_error
+            assert found == error or math.isnan(found) and math.isnan(error)
+    for second in (2, 2, 1, 7):
+        hand.answer(second * SECOND)
+        assert monitor.answered() == second * SECOND == monitor.tick
+        assert monitor.progress().time == second
 
 
 def test_from_afar_nothing_of_a_tick_is_subscribed_to(hand: Hand) -> None:
-    def listening() -> set[str]:
+    def topics() -> set[str]:
         return {each.topic_name for each in hand.node.subscriptions}
 
-    Monitor(hand.node)
-    assert listening() == {"/diagnostics"}
-    Monitor(hand.node, closely=True)
-    near = ("joint_command", "auxiliary_pose", "accepted/desired_pose")
-    assert listening() == {"/diagnostics", *(f"/left/{topic}" for topic in near)}
+    Monitor(hand.node, [], closely=False)
+    assert topics() == {"/diagnostics"}
+    Monitor(hand.node, [], closely=True)
+    assert topics() == {"/diagnostics", "/left/joint_command", "/left/auxiliary_pose"}

@@ -6,18 +6,21 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
+import rclpy
 
-from tactile_hand_ros.orchestrator import processes as module
 from tactile_hand_ros.orchestrator.keeper import MARK
-from tactile_hand_ros.orchestrator.processes import NodeDiedError, NodeProcess, Processes
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
+from tactile_hand_ros.orchestrator.processes import (
+    NodeDiedError,
+    NodeProcess,
+    Processes,
+    start_command,
+)
+from tactile_hand_ros.ros.executables import PACKAGE, executable_path
 from tactile_hand_ros.ros.processes import wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
@@ -26,16 +29,9 @@ POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; d
 PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0' INT; wait"
 
 
-class Shells:
-    """Stands in for the launcher: executables are shell programs."""
-
-    def __init__(self, **programs: str) -> None:
-        """Take the programs by name."""
-        self._programs = programs
-
-    def command(self, name: str) -> list[str]:
-        """Return the shell with a program; further arguments are ignored."""
-        return ["/bin/sh", "-c", self._programs[name], name]
+def shells(**programs: str) -> Processes:
+    """Return processes whose executables are shell programs."""
+    return Processes(command=lambda name: ["/bin/sh", "-c", programs[name], name])
 
 
 def started(processes: Processes, folder: Path, *names: str) -> None:
@@ -65,27 +61,27 @@ def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_groups_end_in_order(tmp_path: Path) -> None:
     note = f"trap 'echo $0 >> {tmp_path}/order; exit 0' INT; echo ready; "
     program = note + "while :; do tail -f /dev/null & wait; done"
-    with Processes(Shells(a=program, b=program, c=program)) as processes:
+    with shells(a=program, b=program, c=program) as processes:
         started(processes, tmp_path, "a", "b", "c")
         assert processes.stop([["c"], ["a"], ["b"]]) == []
         assert (tmp_path / "order").read_text().split() == ["c", "a", "b"]
 
 
 def test_stubborn_process_is_killed_sooner_in_a_hurry_and_is_named(tmp_path: Path) -> None:
-    with Processes(Shells(mule=STUBBORN), lambda: True) as processes:
+    with Processes(lambda: True, command=lambda name: ["/bin/sh", "-c", STUBBORN]) as processes:
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
         assert complaint.startswith(f"mule did not end well: code -{signal.SIGKILL}")
 
 
 def test_children_of_a_process_end_with_it(tmp_path: Path) -> None:
-    with Processes(Shells(parent=PARENT)) as processes:
+    with shells(parent=PARENT) as processes:
         started(processes, tmp_path, "parent")
         processes.stop([["parent"]])
 
 
 def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(KeyError), Processes(Shells(a=POLITE)) as processes:
+    with pytest.raises(KeyError), shells(a=POLITE) as processes:
         started(processes, tmp_path, "a")
         processes.start("b", tmp_path / "b.log")
 
@@ -94,8 +90,8 @@ def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
     ("program", "said"),
     [
         ("echo one; echo two >&2; exit 7", "x ended with code 7, its last line was: two"),
-        ("exit 7", "x ended with code 7 without a word"),
-        ("kill -KILL $$", "x was ended by SIGKILL without a word"),
+        ("exit 7", "x ended with code 7 without any output"),
+        ("kill -KILL $$", "x was ended by SIGKILL without any output"),
     ],
 )
 def test_death_is_described(program: str, said: str, tmp_path: Path) -> None:
@@ -113,47 +109,31 @@ def test_process_carries_its_mark_and_a_session_of_its_own(tmp_path: Path) -> No
     assert process.tail() == ["the mark"]
 
 
-def test_signals_are_counted_and_the_first_decides() -> None:
-    signals = Signals()
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        signals.install()
-        signals.check()
-        os.kill(os.getpid(), signal.SIGTERM)
-        os.kill(os.getpid(), signal.SIGINT)
-        wait_until(lambda: signals.count == 2)
-        with pytest.raises(Interrupted, match="SIGTERM"):
-            signals.wait(60.0)
-        assert signals.exit_code == 143
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def test_the_keeper_shares_the_lock_of_the_run(tmp_path: Path) -> None:
+    """The lock lasts as long as anything of the run, also when the orchestrator is killed."""
+    name = f"\0tactile_hand_ros/test/{os.getpid()}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    lock.bind(name)
+    other = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with Processes(lock=lock):
+        lock.close()
+        with pytest.raises(OSError, match="in use"):
+            other.bind(name)
+    other.bind(name)
+    other.close()
 
 
-def test_age_counts_from_the_start_of_the_process() -> None:
-    """Against psutil, whose idea of the boot time is rounded to a second."""
-    created = psutil.Process().create_time()
-    before = time.time() - created
-    age = process_age()
-    assert before - 1.0 <= age <= time.time() - created + 1.0
-
-
-def test_the_keeper_leads_a_session_of_its_own_and_shares_the_claim(tmp_path: Path) -> None:
-    """A Ctrl-C does not reach it, and the claim lasts as long as it does."""
-    with (
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as held,
-        Processes(Shells(), held=held) as processes,  # type: ignore[arg-type]
-    ):
-        keeper = processes._keeper
-        assert keeper is not None and os.getsid(keeper.pid) == keeper.pid
-        inode = os.fstat(held.fileno()).st_ino
-        shared = os.stat(f"/proc/{keeper.pid}/fd/{held.fileno()}").st_ino
-        assert shared == inode and keeper.poll() is None
-    assert keeper.returncode == 0
-
-
-def test_a_ros2_that_does_not_answer_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_PROBE_SECONDS", 0.05)
-    probe = subprocess.Popen(["/bin/sh", "-c", "exec sleep 60"], stdout=subprocess.PIPE, text=True)
-    assert not module.Launcher._finds_the_package(probe)
-    assert probe.returncode == -signal.SIGKILL
+@pytest.mark.parametrize("belongs", [True, False])
+def test_ros2_run_is_used_where_it_belongs_to_the_rclpy_in_use(
+    belongs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prefix, elsewhere = tmp_path / "ros", tmp_path / "elsewhere"
+    for folder in (prefix, elsewhere):
+        (folder / "bin").mkdir(parents=True)
+        (folder / "bin" / "ros2").write_text("#!/bin/sh\n")
+        (folder / "bin" / "ros2").chmod(0o755)
+    ros2 = (prefix if belongs else elsewhere) / "bin" / "ros2"
+    monkeypatch.setenv("PATH", str(ros2.parent), prepend=":")
+    monkeypatch.setattr(rclpy, "__file__", str(prefix / "lib" / "python" / "rclpy" / "x.py"))
+    expected = [str(ros2), "run", PACKAGE, "plant"] if belongs else [str(executable_path("plant"))]
+    assert start_command("plant") == expected

@@ -33,14 +33,6 @@ def test_shared_values_are_said_once() -> None:
     assert "seed" not in data["tactile_sensor"]
 
 
-def test_runs_of_one_second_get_different_folders_and_latest_follows(tmp_path: Path) -> None:
-    runs = [RunDirectory.create(tmp_path / "runs", "paper", NOON) for _ in range(3)]
-    names = [run.path.name for run in runs]
-    assert names == ["20300102-120000-paper", "20300102-120000-paper-2", "20300102-120000-paper-3"]
-    assert (tmp_path / "runs" / "latest").resolve() == runs[-1].path.resolve()
-    assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == sorted([*names, "latest"])
-
-
 def test_name_of_a_scenario_cannot_leave_the_root(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path, "../a b", NOON)
     assert run.path.parent == tmp_path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line of the orchestrator asks for: its options, declared once."""
+"""The options of `tactile-hand run` and of the orchestrator, declared once."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from tactile_hand_ros.errors import ConfigurationError
 
 _DEFAULT = "paper"
 
@@ -20,20 +22,20 @@ def _scenarios(incomplete: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Request:
-    """The options of `tactile-hand run`, which are those of the orchestrator too."""
+class RunOptions:
+    """The options of a run."""
 
     scenario: Annotated[
-        str,
+        str | None,
         typer.Argument(
             help="Scenario by name or YAML file, 'paper' by default.",
             autocompletion=_scenarios,
             show_default=False,
         ),
-    ] = ""
+    ] = None
     named: Annotated[
-        str, typer.Option("--scenario", help="The same as an option.", show_default=False)
-    ] = ""
+        str | None, typer.Option("--scenario", help="The same as an option.", show_default=False)
+    ] = None
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
     ] = False
@@ -82,5 +84,17 @@ class Request:
 
     @property
     def wanted(self) -> str:
-        """The scenario that was asked for, by name or file."""
-        return self.scenario or self.named or _DEFAULT
+        """The scenario to run, by name or file.
+
+        Raises:
+            ConfigurationError: If it is given twice, or empty.
+        """
+        given = [name for name in (self.scenario, self.named) if name is not None]
+        if len(given) > 1:
+            raise ConfigurationError(
+                f"the scenario is given twice, as '{given[0]}' and as --scenario '{given[1]}'; "
+                "give one"
+            )
+        if given == [""]:
+            raise ConfigurationError("the scenario is '', expected its name or a YAML file")
+        return given[0] if given else _DEFAULT

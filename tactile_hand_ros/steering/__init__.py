@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Steering a running hand from another process."""
