@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.joint_guard import GuardConfig, JointGuard, TorqueCommand
+from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
@@ -82,7 +82,7 @@ class GuardedLoop:
         """Build the loop of a scenario and the guard."""
         self.loop = ClosedLoop(scenario)
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
-        self.guard = JointGuard(config, hand, plant.tick)
+        self.guard = CommandGuard(config, hand, plant.tick)
         self.rate = plant.rate
         self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._waiting: deque[TorqueCommand] = deque()

@@ -12,8 +12,8 @@ the tick as stamp, since ROS has no message for numbers by finger:
 - `ground_truth/slip`, from the plant to tactile_sensor and recorder: `position` is the distance
   that the contact has slid since the start [m], `velocity` the sliding speed [m/s].
 - `grip_state`, from slip_regulator to force_optimizer and recorder: `position` is the learned
-  friction [1], `velocity` the evidence for slip [0 to 1], `effort` the `Grip`: 0 unknown, 1 stick,
-  2 slip.
+  friction [1], `velocity` the evidence for slip [0 to 1], `effort` the `ContactState`: 0 unknown,
+  1 stick, 2 slip.
 """
 
 from __future__ import annotations

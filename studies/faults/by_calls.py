@@ -22,9 +22,9 @@ from studies.faults.outcome import LET_GO, Outcome, distance
 from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
 from studies.faults.space import Run
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, Mode
-from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
@@ -97,7 +97,7 @@ class FaultyLoop:
         """Build the loop of a scenario for a run."""
         self.loop = ClosedLoop(chosen)
         plant = chosen.plant
-        self.guard = JointGuard(plant.guard, self.loop.plant.hand, plant.tick)
+        self.guard = CommandGuard(plant.guard, self.loop.plant.hand, plant.tick)
         self.tick_time = 1e-9 * plant.tick
         self.wires = Wires(run, self.tick_time)
         self._run, self._chance = run, random.Random(run.seed)
@@ -166,14 +166,14 @@ class FaultyLoop:
                 joints[0], joints[1], "inputs are missing", applied=joints[2]
             )
             self.drives = False
-            return held.torque if is_blind and not held.withheld else None
+            return held.torque if is_blind and not held.do_not_send else None
         self._command()
         theta, rates, applied = joints
         answer = loop.controller.step(
             stamp, theta, rates, contacts, shape, squeeze, forces, applied
         )
         self.drives = answer.mode is Mode.DRIVE
-        return None if answer.withheld else answer.torque
+        return None if answer.do_not_send else answer.torque
 
     def _command(self) -> None:
         """Let the user send what the fault of the run makes of it; refusals are as intended."""

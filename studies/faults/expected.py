@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from studies.faults.situations import SITUATIONS, scenario
 from studies.faults.space import SPREAD
 from studies.stalls import GuardedLoop
-from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.errors import DivergedError
 
 Array = NDArray[np.float64]

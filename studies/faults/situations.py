@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from studies.stalls import GuardedLoop, Outcome, Watch
-from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 RATES = {"calls": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}

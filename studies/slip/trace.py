@@ -15,7 +15,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import split
-from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -78,7 +78,7 @@ def trace_of(record: Record, scenario: Scenario) -> Trace:
 
 def _axes(contacts: Contacts, forces: Array, otherwise: Array) -> Array:
     try:
-        return split(contacts, forces).squeeze
+        return split(contacts, forces).internal
     except CollinearContactsError:
         return otherwise
 
@@ -86,7 +86,7 @@ def _axes(contacts: Contacts, forces: Array, otherwise: Array) -> Array:
 def replay(
     trace: Trace, config: SlipDetectorConfig, noise: float = 0.0, seed: int = 0
 ) -> NDArray[np.int_]:
-    """Return what detectors say of a trace, `Grip` of each contact, shape (n, k).
+    """Return what detectors say of a trace, `ContactState` of each contact, shape (n, k).
 
     Args:
         trace: Recorded forces.
@@ -106,7 +106,7 @@ def replay(
 
 def alarms(states: NDArray[np.int_]) -> int:
     """Count alarms that begin, over all contacts."""
-    slips = states == Grip.SLIP
+    slips = states == ContactState.SLIP
     return int((slips[1:] & ~slips[:-1]).sum() + slips[0].sum())
 
 
@@ -118,7 +118,7 @@ def delay(trace: Trace, states: NDArray[np.int_]) -> float:
     if math.isnan(onset(trace)):
         return math.nan
     slides, first = trace.sliding > SLIDING, int(onset(trace))
-    told = (states[first:, slides[first]] == Grip.SLIP).any(axis=1)
+    told = (states[first:, slides[first]] == ContactState.SLIP).any(axis=1)
     return float(told.argmax()) * trace.step if told.any() else math.inf
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.compiled import is_complete, mark_complete
-from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
-from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.contact import example_touch
+from tactile_hand_ros.control.margins import GraspMonitor, SlipMonitor
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -27,9 +27,9 @@ def run_every_block() -> None:
         loop.run(3)
     contacts, forces = example_touch(4)
     knows = np.ones(4), np.ones(4, dtype=np.int64), np.zeros(4)  # friction, grip, evidence
-    SlipWatch().note(0, contacts, forces, *knows)
+    SlipMonitor().note(0, contacts, forces, *knows)
     state = loop.plant.state
-    GraspWatch(loop.plant.hand).margins(state.theta, state.contacts)
+    GraspMonitor(loop.plant.hand).margins(state.theta, state.contacts)
     VirtualFrame().orientation(contacts.positions)  # of more than three contacts
     loop.plant.friction[:] = 0.0
     loop.plant.advance(np.full(loop.plant.hand.joints, 0.1))

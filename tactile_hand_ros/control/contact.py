@@ -16,6 +16,7 @@ from tactile_hand_ros.rotations import cross, rows_of_quaternions
 
 Array = NDArray[np.float64]
 
+
 # Below this length the projection of palm z on the face is no direction any more (palm x is used).
 _MIN_PROJECTION = 1e-3
 
@@ -206,3 +207,14 @@ def joint_torques(
             out[j] += x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]
             out[j] += p * angular[i, 0, j] + q * angular[i, 1, j] + r * angular[i, 2, j]
     return out
+
+
+_RADIUS = 0.05  # m
+
+
+def example_touch(fingers: int) -> tuple[Contacts, NDArray[np.float64]]:
+    """Return k contacts around a cylinder and the forces on it in contact frames, (k, 3), N."""
+    angles = 2.0 * np.pi * np.arange(fingers) / fingers
+    outward = np.stack([np.cos(angles), np.sin(angles), np.zeros(fingers)], axis=1)
+    frames = np.array([contact_frame(normal) for normal in -outward])
+    return Contacts(_RADIUS * outward, frames), np.tile([0.0, 1.0, 0.0], (fingers, 1))

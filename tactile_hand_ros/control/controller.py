@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite
-from tactile_hand_ros.control.effort import bearable_share
+from tactile_hand_ros.control.holds import PostureHold, PostureHoldConfig, bearable_fraction
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
@@ -21,16 +21,14 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     Target,
 )
-from tactile_hand_ros.control.plausibility.press import PressWatch
-from tactile_hand_ros.control.plausibility.touch import (
-    JointWatch,
+from tactile_hand_ros.control.plausibility import (
+    ForceTorqueCheck,
+    FrozenJointCheck,
     implausible_shape,
     implausible_touch,
 )
-from tactile_hand_ros.control.reference import SmoothReference
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
-from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
-from tactile_hand_ros.control.targets.queue import Grasp, TargetQueue
+from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.hand.kinematics import Fingertips
@@ -68,7 +66,7 @@ class ControllerConfig(Config):
         ge=0.0,
         le=60.0,
     )
-    hold: HoldConfig = HoldConfig()
+    hold: PostureHoldConfig = PostureHoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
     touch_tolerance: float = param(
         0.01,
@@ -120,15 +118,15 @@ class Command(NamedTuple):
         mode: Drive, hold, open or disabled.
         pose: What the hand believes of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
-        withheld: Whether it is better not sent: an input is missing or implausible, and the guard
-            of the joints, which needs none of them, holds better.
+        do_not_send: Whether to keep it back: an input is missing or implausible, and the guard of
+            the joints, which needs none of them, holds better.
     """
 
     torque: Array
     mode: Mode
     pose: AuxiliaryPose | None
     reason: str = ""
-    withheld: bool = False
+    do_not_send: bool = False
 
 
 class Controller:
@@ -159,9 +157,9 @@ class Controller:
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
-        self._press, self._joint_watch = PressWatch(), JointWatch()
+        self._press, self._joint_watch = ForceTorqueCheck(), FrozenJointCheck()
         self._reference = SmoothReference()
-        self._hold = SafeHold(config.hold)
+        self._hold = PostureHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
@@ -185,8 +183,8 @@ class Controller:
         self._joint_watch.reset()
         self._reference.reset()
         self._hold.release()
-        self._squeeze = self._carry = np.zeros(self.hand.joints)
-        self._is_new = True  # nothing has been squeezed
+        self._internal = self._load = np.zeros(self.hand.joints)
+        self._is_new = True  # nothing has been grasped
         self._grasp_force = self._more = 0.0
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
@@ -342,7 +340,7 @@ class Controller:
             parts, total = bearable, bearable.total
         self._hold.release()
         self._drove, self._is_new = True, False
-        self._squeeze, self._carry = parts.squeeze, parts.carry
+        self._internal, self._load = parts.internal, parts.load_compensation
         self._grasp_force, self._more = grasp_force, 0.0
         return _sum(self._for_middle_of_period(total), weight)
 
@@ -354,13 +352,13 @@ class Controller:
         grasp_force: float = 0.0,
         applied: Array | None = None,
     ) -> Command:
-        """Answer a tick that misses an input: keep posture and last good squeeze.
+        """Answer a tick that misses an input: keep posture and last good grasp force.
 
         Where a guard holds the joints, without delay and stiffer, it is not relieved by that: the
-        answer is withheld. The arguments are those of `_holding`.
+        answer is not to be sent. The arguments are those of `_holding`.
         """
         held = self._holding(theta, rates, reason, grasp_force, applied)
-        return held._replace(withheld=self.joints_held)
+        return held._replace(do_not_send=self.joints_held)
 
     def _holding(
         self,
@@ -370,16 +368,16 @@ class Controller:
         grasp_force: float = 0.0,
         applied: Array | None = None,
     ) -> Command:
-        """Keep posture and last good squeeze.
+        """Keep posture and last good grasp force.
 
-        A controller that has not squeezed yet keeps what acts on the joints: another may have died
+        A controller that has not grasped yet keeps what acts on the joints: another may have died
         with the object in the hand, and a guard may hold it.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             reason: Why the law cannot answer.
-            grasp_force: k_f where it is known, N. The held squeeze rises with it and never falls.
+            grasp_force: k_f where it is known, N. The held force rises with it and never falls.
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         self._last_torque = None
@@ -391,14 +389,14 @@ class Controller:
         self._reference.reset()
         if self._is_new and applied is not None and applied.any() and all_finite(applied):
             weight = self._weight(theta)
-            self._squeeze = applied if weight is None else applied - weight
+            self._internal = applied if weight is None else applied - weight
             self._is_new = False
-        self._hold.engage(theta, self._squeeze + self._carry)
+        self._hold.engage(theta, self._internal + self._load)
         if self._grasp_force > 0.0 and math.isfinite(grasp_force):
             self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
         held = self._with_gravity(self._held(theta, rates), theta)
-        more = self._more * self._squeeze
-        torque = held + bearable_share(more, held, self.hand.effort_limits) * more
+        more = self._more * self._internal
+        torque = held + bearable_fraction(more, held, self.hand.effort_limits) * more
         return Command(torque, Mode.HOLD, None, reason)
 
     def _seen(
@@ -445,7 +443,7 @@ class Controller:
             self._doubted = stamp
         is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
         held = self.hold(theta, rates, reason, applied=applied)
-        return held._replace(withheld=is_new or held.withheld)
+        return held._replace(do_not_send=is_new or held.do_not_send)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._trust()
@@ -455,7 +453,7 @@ class Controller:
         self._last_torque = None
         self._drove = self._is_new = False
         self._open_stamp = None
-        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._internal = self._load = np.zeros(self.hand.joints)
         torque = self._with_gravity(-self.config.law.damping * rates, theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
@@ -483,9 +481,9 @@ class Controller:
         self._open_stamp = stamp
         self._drove = self._is_new = False
         self._last_torque = None
-        self._squeeze = self._carry = np.zeros(self.hand.joints)
+        self._internal = self._load = np.zeros(self.hand.joints)
         self._hold.move(
-            self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._squeeze
+            self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._internal
         )
         torque = self._with_gravity(self._held(theta, rates), theta)
         return Command(torque, Mode.OPEN, None, "let go by the user")
@@ -508,7 +506,7 @@ class Controller:
             if not all_finite(forces):
                 return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
-            return f"grasp force k_f = {grasp_force} N is unusable; holding the last squeeze"
+            return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"
         return ""
 
     def _for_middle_of_period(self, torque: Array) -> Array:
@@ -519,11 +517,11 @@ class Controller:
         return torque + 0.5 * (torque - last)
 
     def _bearable(self, parts: LawTorque, weight: Array | None) -> LawTorque:
-        """Return the torques with as much of the squeeze as the joints can bear."""
+        """Return the torques with as much of the internal force as the joints can bear."""
         limits = self.hand.effort_limits
-        rest = _sum(parts.carry + parts.drive + parts.damping, weight)
-        share = bearable_share(parts.squeeze, rest, limits)
-        return parts if share == 1.0 else parts._replace(squeeze=share * parts.squeeze)
+        rest = _sum(parts.load_compensation + parts.drive + parts.damping, weight)
+        share = bearable_fraction(parts.internal, rest, limits)
+        return parts if share == 1.0 else parts._replace(internal=share * parts.internal)
 
     def _with_gravity(self, torque: Array, theta: Array) -> Array:
         """Return a torque that carries the links too, where that is wanted."""

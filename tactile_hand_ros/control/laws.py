@@ -15,7 +15,7 @@ from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import wrench_forces
-from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_wrench
+from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.kinematics import Fingertips
@@ -82,21 +82,21 @@ class LawTorque(NamedTuple):
     """Joint torques of a law by what they are for, each of shape (m,), N m.
 
     Attributes:
-        squeeze: Holds the object; does no work on a rigid grasp.
-        carry: Carries what weighs on the object: integral action and observed load.
+        internal: Of the internal force; does no work on a rigid grasp.
+        load_compensation: Carries what weighs on the object: integral action and observed load.
         drive: Moves the object towards its target.
         damping: -K_c theta'.
     """
 
-    squeeze: Array
-    carry: Array
+    internal: Array
+    load_compensation: Array
     drive: Array
     damping: Array
 
     @property
     def total(self) -> Array:
         """The torque of the law, shape (m,), N m."""
-        return self.squeeze + self.carry + self.drive + self.damping
+        return self.internal + self.load_compensation + self.drive + self.damping
 
 
 class LawInput(NamedTuple):
@@ -124,8 +124,8 @@ class Law(Protocol):
 
     seen: LawInput
 
-    def squeeze(self) -> Array:
-        """Return the squeezing torques, shape (m,), N m."""
+    def internal_torque(self) -> Array:
+        """Return the torques of the internal force, shape (m,), N m."""
 
     def drive(self, wrench: Array) -> Array:
         """Return the torques for a wrench about the contact centroid, shape (6,)."""
@@ -226,8 +226,8 @@ class ManipulationLaw:
         law = self._law
         law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
         carried = self._carried(contacts, forces, dt)
-        carry = np.zeros(len(rates)) if carried is None else law.drive(carried)
-        return LawTorque(law.squeeze(), carry, law.drive(wrench), -c.damping * rates)
+        load = np.zeros(len(rates)) if carried is None else law.drive(carried)
+        return LawTorque(law.internal_torque(), load, law.drive(wrench), -c.damping * rates)
 
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
         """Return what integral and observer carry, shape (6,), or None while both are off."""
@@ -256,7 +256,7 @@ def _integrate(integral: Array, error: Array, k_p: float, k_o: float, dt: float)
 
 
 class KawamuraLaw:
-    """Equation (8): squeeze towards the tips' centroid, turn the object by turning the tips."""
+    """Equation (8): press towards the tips' centroid, turn the object by turning the tips."""
 
     seen: LawInput
 
@@ -265,8 +265,8 @@ class KawamuraLaw:
         self._reach = radii.sum()
         self._attitude = config.k_st * np.array(config.r_ref)
 
-    def squeeze(self) -> Array:
-        """Return the squeezing torques, with the relative attitude term, shape (m,), N m."""
+    def internal_torque(self) -> Array:
+        """Return the internal torques, with the relative attitude term, shape (m,), N m."""
         tips = self.seen.tips
         middle = tips.positions.sum(axis=0) / len(tips.positions)
         pull = self.seen.grasp_force / self._reach * (middle - tips.positions)
@@ -281,21 +281,21 @@ class KawamuraLaw:
 
 
 class ContactLaw:
-    """Equation (10): squeeze towards the contacts' centroid, manipulate through the grasp map."""
+    """Equation (10): press towards the contacts' centroid, manipulate through the grasp map."""
 
     seen: LawInput
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
         """Build the law; it needs no gains of its own and no radii."""
 
-    def squeezing_forces(self) -> Array:
-        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+    def internal_forces(self) -> Array:
+        """Return the internal forces in palm axes, shape (k, 3), N."""
         contacts = self.seen.contacts
         return self.seen.grasp_force * (contacts.centroid - contacts.positions)
 
-    def squeeze(self) -> Array:
-        """Return the squeezing torques, shape (m,), N m."""
-        return self._pressing(self.squeezing_forces())
+    def internal_torque(self) -> Array:
+        """Return the torques of the internal force, shape (m,), N m."""
+        return self._pressing(self.internal_forces())
 
     def drive(self, wrench: Array) -> Array:
         """Return the torques for a wrench about the contact centroid, shape (6,)."""
@@ -306,10 +306,10 @@ class ContactLaw:
 
 
 class OptimalLaw(ContactLaw):
-    """Equation (14): as (10), but squeeze by the optimal forces of (13)."""
+    """Equation (14): as (10), but press by the optimal forces of (13)."""
 
-    def squeezing_forces(self) -> Array:
-        """Return the squeezing forces in palm axes, shape (k, 3), N."""
+    def internal_forces(self) -> Array:
+        """Return the internal forces in palm axes, shape (k, 3), N."""
         seen = self.seen
         return in_palm(seen.contacts.rotations, seen.optimal_forces, seen.grasp_force)
 

@@ -25,20 +25,21 @@ from tactile_hand_ros.errors import CollinearContactsError
 
 Array = NDArray[np.float64]
 
+
 _GRAZES = 1e-12  # fraction by which rounding may miss a double root, where nothing is tangential
 
 
 class Split(NamedTuple):
-    """Contact forces as load and squeeze, all in contact frames.
+    """Contact forces as load and internal force, all in contact frames.
 
     Attributes:
         load: Smallest forces with the measured net wrench, shape (k, 3), N.
-        squeeze: The rest, which is in balance with itself, shape (k, 3), N.
-        grasp_force: Sum of the normal squeezing forces, N.
+        internal: The rest, which balances itself, shape (k, 3), N.
+        grasp_force: Sum of the normal internal forces, N.
     """
 
     load: Array
-    squeeze: Array
+    internal: Array
     grasp_force: float
 
 
@@ -60,21 +61,21 @@ def split(contacts: Contacts, forces: Array) -> Split:
 
 def measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
     """Return the split, of no use on a line, and the collinearity margin."""
-    load, squeeze, total, margin = _split(contacts.positions, contacts.rotations, forces)
-    return Split(load, squeeze, total), margin
+    load, internal, total, margin = _split(contacts.positions, contacts.rotations, forces)
+    return Split(load, internal, total), margin
 
 
 @compiled
 def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
     spread, margin = spread_wrench(points, net_wrench(points, rotations, forces))
-    load, squeeze, total = np.empty_like(forces), np.empty_like(forces), 0.0
+    load, internal, total = np.empty_like(forces), np.empty_like(forces), 0.0
     for i in range(len(forces)):
         r, (x, y, z) = rotations[i], spread[i]
         for axis in range(3):
             load[i, axis] = r[0, axis] * x + r[1, axis] * y + r[2, axis] * z
-            squeeze[i, axis] = forces[i, axis] - load[i, axis]
-        total += squeeze[i, 1]
-    return load, squeeze, total, margin
+            internal[i, axis] = forces[i, axis] - load[i, axis]
+        total += internal[i, 1]
+    return load, internal, total, margin
 
 
 @compiled
@@ -168,3 +169,89 @@ def _radii(
 def shift(radius: float, friction: float) -> float:
     """Return by how much a cone is moved along its normal for a radius of loads, in N."""
     return radius * math.sqrt(1.0 + 1.0 / (friction * friction))
+
+
+class ObserverConfig(Config):
+    """Parameters of the load observer."""
+
+    time: float = param(
+        0.0, "time constant T of the observed load, 0 to switch it off", unit="s", live=True, ge=0.0
+    )
+    force_limit: float = param(20.0, "largest force it carries", unit="N", live=True, ge=0.0)
+    torque_limit: float = param(2.0, "largest torque it carries", unit="N m", live=True, ge=0.0)
+
+
+class LoadObserver:
+    """What weighs on the object, from the contact forces: the part that (14) leaves to an error.
+
+    The law (14) carries a load w_e only by an error e = -w_e / k_p: half a meter for 0.18 kg with
+    Table I's gains. But the net contact force is f = m_o a - w_e, so that
+
+        hat w = F(s) f,   F(s) = 1 / (T s + 1),   added to the manipulation wrench K_p e,
+
+    turns M a = K_p e + hat w - c v - f (M: the hand's inertia at the object) into
+
+        (M + (1 - F) m_o) a + c v + k_p x = k_p x_d + (1 - F) w_e.
+
+    The load is high-passed: a constant one leaves no error, and the hand meets a step after T. The
+    loop is positive feedback of force with gain m_o / (M + m_o) < 1. It costs damping: 1 - F takes
+    m_o T w^2 / (1 + w^2 T^2) at a frequency w, little for short T.
+    """
+
+    def __init__(self) -> None:
+        """Start without a load."""
+        self.wrench = np.zeros(6)
+
+    def reset(self) -> None:
+        """Forget the load."""
+        self.wrench = np.zeros(6)
+
+    def step(self, config: ObserverConfig, contacts: Contacts, forces: Array, dt: float) -> Array:
+        """Return the wrench to carry, about the contact centroid, shape (6,), N and N m.
+
+        Args:
+            config: Time constant and limits.
+            contacts: Contact points and frames.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            dt: Time since the last tick, s.
+        """
+        if config.time == 0.0:
+            return np.zeros(6)
+        share = 1.0 - math.exp(-dt / config.time)
+        touch = contacts.positions, contacts.rotations, forces
+        self.wrench = _followed(self.wrench, *touch, share, config.force_limit, config.torque_limit)
+        return self.wrench
+
+
+@compiled
+def _followed(
+    before: Array,
+    points: Array,
+    rotations: Array,
+    forces: Array,
+    share: float,
+    force_limit: float,
+    torque_limit: float,
+) -> Array:
+    """Return an observed wrench a share of the way to that of the contacts, where it is finite."""
+    measured, out = net_wrench(points, rotations, forces), before.copy()
+    if np.isfinite(measured).all():
+        out += share * (measured - out)
+        limit_wrench(out, force_limit, torque_limit)
+    return out
+
+
+@compiled
+def limit_wrench(wrench: Array, force_limit: float, torque_limit: float) -> None:
+    """Shorten force and torque of a wrench, shape (6,), in place to at most their limits."""
+    limit_length(wrench[:3], force_limit)
+    limit_length(wrench[3:], torque_limit)
+
+
+@compiled
+def limit_length(vector: Array, limit: float) -> None:
+    """Shorten a vector of shape (3,) in place to at most a length."""
+    x, y, z = vector
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > limit:
+        vector *= limit / length

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 
 if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
     from tactile_hand_ros.hand.hand import Hand
@@ -81,7 +81,7 @@ UNKNOWN_MARGINS = GraspMargins(np.nan, np.nan, np.nan, 0.0)
 """Without contacts: nothing is known, and three contacts off a line (A7) are not there."""
 
 
-class GraspWatch:
+class GraspMonitor:
     """Computes the margins of a grasp, and remembers where its contacts began."""
 
     def __init__(self, hand: Hand) -> None:
@@ -116,7 +116,7 @@ class GraspWatch:
         )
 
 
-class SlipWatch:
+class SlipMonitor:
     """Worst margins of force and slip since they were last asked for, over every tick.
 
     Attributes:
@@ -156,7 +156,7 @@ class SlipWatch:
             contacts: Contacts by touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
             learned_friction: mu as the regulator has learned it, shape (k,).
-            grip: `Grip` of each contact, shape (k,).
+            grip: `ContactState` of each contact, shape (k,).
             likelihood: Evidence for slip, 0 to 1, shape (k,).
         """
         worst = self.load, self.evidence, self.cone
@@ -189,9 +189,9 @@ def _noted(
     x, y, z = net_wrench(positions, rotations, forces)[:3]
     load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
     for i in range(len(grip)):
-        if grip[i] == Grip.UNKNOWN:
+        if grip[i] == ContactState.UNKNOWN:
             continue
-        slip = grip[i] == Grip.SLIP
+        slip = grip[i] == ContactState.SLIP
         slips = slips or slip
         evidence = np.fmin(evidence, 0.0 if slip else 1.0 - likelihood[i])
         tangential = math.sqrt(forces[i, 0] ** 2 + forces[i, 2] ** 2)

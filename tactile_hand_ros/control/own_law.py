@@ -86,8 +86,11 @@ def _check_signatures(config: LawConfig, factory: Any) -> None:
     ]
     if inspect.isclass(factory):  # what a function makes is only known when it is called
         expected += [
-            ("squeeze", getattr(factory, "squeeze", None), "squeeze(self)", (None,)),
-            ("drive", getattr(factory, "drive", None), "drive(self, wrench)", (None, wrench)),
+            (name, getattr(factory, name, None), f"{name}({parameters})", arguments)
+            for name, parameters, arguments in (
+                ("internal_torque", "self", (None,)),
+                ("drive", "self, wrench", (None, wrench)),
+            )
         ]
     for name, method, signature, arguments in expected:
         if method is None:

@@ -29,7 +29,7 @@ from tactile_hand_ros.control.margins import (
     cone_distances,
     local_normals,
 )
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
@@ -177,16 +177,17 @@ def _unloaded(record: Record) -> Assumption:
 
 
 def _no_slip(record: Record) -> Assumption:
-    left = 1.0 - np.where(record.grip == Grip.UNKNOWN, 0.0, record.slip_evidence).max(axis=1)
-    left[(record.grip == Grip.SLIP).any(axis=1)] = 0.0
-    left[(record.grip == Grip.UNKNOWN).all(axis=1)] = np.nan
+    evidence = np.where(record.grip == ContactState.UNKNOWN, 0.0, record.slip_evidence)
+    left = 1.0 - evidence.max(axis=1)
+    left[(record.grip == ContactState.SLIP).any(axis=1)] = 0.0
+    left[(record.grip == ContactState.UNKNOWN).all(axis=1)] = np.nan
     return _line("A4", "no contact slips", "evidence left before an alarm, 1", record, left, 0.0)
 
 
 def _in_cones(record: Record) -> Assumption:
     """How near a contact came to the cone of the friction that the hand took it for."""
     distances = cone_distances(record.forces, record.friction)
-    distances[record.grip == Grip.UNKNOWN] = np.nan
+    distances[record.grip == ContactState.UNKNOWN] = np.nan
     known = ~np.isnan(distances).all(axis=1)
     least = np.full(len(record), np.nan)
     least[known] = np.nanmin(distances[known], axis=1)
@@ -208,7 +209,7 @@ def _regular(record: Record, hand: Hand) -> Assumption:
 
 
 def _fast_enough(record: Record) -> Assumption:
-    slips = record.grip == Grip.SLIP
+    slips = record.grip == ContactState.SLIP
     lasted = np.zeros(len(record))
     steps = np.diff(record.times, prepend=record.times[:1])
     for i in range(1, len(record)):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.run.derived import gaps, silent
 from tactile_hand_ros.run.reading import Series, in_last_run
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -155,7 +155,7 @@ def slip_count(record: Record) -> int:
 
 def alarm_count(record: Record) -> int:
     """Return how often the hand detected that a contact slips."""
-    return sum(len(_starts(record, column == Grip.SLIP)) for column in record.grip.T)
+    return sum(len(_starts(record, column == ContactState.SLIP)) for column in record.grip.T)
 
 
 def _commands(record: Record) -> list[Event]:
@@ -193,7 +193,7 @@ def _of_fingers(record: Record) -> list[Event]:
     for i, finger in enumerate(record.finger_names):
         name = finger.replace("_", " ")
         sliding = record.true_sliding[:, i] > SLIDING
-        alarm = record.grip[:, i] == Grip.SLIP
+        alarm = record.grip[:, i] == ContactState.SLIP
         lost, made = _edges(_held_through(missing[:, i], unknown))
         seen: list[tuple[Kind, list[int], str]] = [
             ("slip", _starts(record, sliding), f"{name} begins to slide"),
@@ -240,7 +240,7 @@ def _starts(record: Record, flags: Flags) -> list[int]:
 def _reactions(record: Record) -> list[Event]:
     """Return when the squeeze had risen after each alarm of a grasp without one."""
     found: list[Event] = []
-    for row in _starts(record, (record.grip == Grip.SLIP).any(axis=1)):
+    for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
         start = record.grasp_force[max(0, row - 1)]
         soon = record.times[row:] <= record.times[row] + _REACTION
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + _RISE) * start)

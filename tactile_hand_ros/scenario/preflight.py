@@ -61,7 +61,10 @@ def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:
     try:
         law = law_of(config)(config, hand.radii)
         law.seen = seen
-        answers = {"squeeze()": law.squeeze(), "drive(wrench)": law.drive(np.full(6, 0.1))}
+        answers = {
+            "internal_torque()": law.internal_torque(),
+            "drive(wrench)": law.drive(np.full(6, 0.1)),
+        }
     except TactileHandError:
         raise
     except Exception as error:

@@ -12,9 +12,9 @@ from pydantic import field_validator, model_validator
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import parse_yaml, yaml_text
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.controller import ControllerConfig
-from tactile_hand_ros.control.joint_guard import GuardConfig
-from tactile_hand_ros.control.joint_hold import JointHoldConfig
+from tactile_hand_ros.control.holds import GuardHoldConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
@@ -209,7 +209,7 @@ def _limit_hold(data: dict[str, Any]) -> None:
         data: A scenario before validation; what is not a mapping is left to the validation.
     """
     place: Any = data
-    for name, model in (("plant", PlantConfig), ("guard", GuardConfig), ("hold", JointHoldConfig)):
+    for name, model in (("plant", PlantConfig), ("guard", GuardConfig), ("hold", GuardHoldConfig)):
         section = place.get(name, {})
         if isinstance(section, model):
             section = {key: getattr(section, key) for key in section.model_fields_set}

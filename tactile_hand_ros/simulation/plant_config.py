@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param
-from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron

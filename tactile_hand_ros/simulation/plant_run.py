@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.joint_guard import JointGuard, TorqueCommand
+from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -30,7 +30,7 @@ class PlantRun:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self.guard = JointGuard(config.guard, self.plant.known, config.tick)
+        self.guard = CommandGuard(config.guard, self.plant.known, config.tick)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self._load_compiled_code()

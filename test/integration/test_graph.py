@@ -22,7 +22,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
@@ -190,7 +190,7 @@ def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
         recorded = Run(record(graph, tmp_path / "bag")).record
     expected = ClosedLoop(scenario).run()
     assert_same(recorded, expected)
-    assert (expected.grip == Grip.SLIP).any(axis=0).all()
+    assert (expected.grip == ContactState.SLIP).any(axis=0).all()
     assert (expected.true_slid[-1] > 1e-5).all() and (expected.friction[-1] < 0.39).all()
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 

@@ -24,7 +24,7 @@ from support.messages import contacts_message, force_message, pose_message
 from support.spinning import spinning
 
 from tactile_hand_ros import names
-from tactile_hand_ros.control.targets.queue import MOST_WAITING
+from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
 from tactile_hand_ros.nodes.plant.node import PlantNode

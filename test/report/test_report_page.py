@@ -16,7 +16,7 @@ from support.recorded import random_record, write_record
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.page import write_comparison, write_report
 from tactile_hand_ros.run.run import Run
@@ -48,7 +48,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     scenario = load_scenario("pull", changes)
     record = ClosedLoop(scenario).run()
     record.true_sliding[310:330, 2] = 0.01
-    record.grip[315:330, 2] = Grip.SLIP
+    record.grip[315:330, 2] = ContactState.SLIP
     return save(tmp_path_factory.mktemp("pull"), record, scenario)
 
 

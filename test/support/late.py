@@ -7,7 +7,7 @@ import numpy as np
 
 from studies.stalls import GuardedLoop
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
 

@@ -4,7 +4,7 @@
 import pytest
 
 from studies.stalls import LAST_TORQUE, GuardedLoop, Watch
-from tactile_hand_ros.control.joint_guard import GuardConfig
+from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 

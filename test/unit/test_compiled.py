@@ -118,7 +118,7 @@ def test_it_is_complete_after_a_warm_up_of_these_sources(control: Path) -> None:
 
 REGULATED = """
 import numpy as np
-from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 
 contacts, normal = example_touch(4)

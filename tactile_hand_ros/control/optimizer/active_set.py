@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.optimizer.equalities import least_cost
+from tactile_hand_ros.control.optimizer.exact import least_cost
 
 Array = NDArray[np.float64]
 

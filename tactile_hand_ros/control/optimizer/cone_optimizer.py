@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.optimizer.cone_active_set import Problem, solve_problem, violation
 from tactile_hand_ros.control.optimizer.cones import DIRECTIONS, INSIDE, SIDES, Cones
+from tactile_hand_ros.control.optimizer.exact import Problem, solve_problem, violation
 from tactile_hand_ros.control.optimizer.warm_solver import WarmSolver
 
 Array = NDArray[np.float64]

@@ -23,8 +23,13 @@ from tactile_hand_ros.control.grasp import (
 from tactile_hand_ros.control.loads import LoadMarginConfig
 from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import Cones, ConeTracker, cone_margin
-from tactile_hand_ros.control.optimizer.steady import followed, imbalance
+from tactile_hand_ros.control.optimizer.cones import (
+    Cones,
+    ConeTracker,
+    cone_margin,
+    followed,
+    imbalance,
+)
 from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, WarmSolver
 from tactile_hand_ros.errors import ConfigurationError
 

@@ -62,7 +62,7 @@ class SlipDetectorConfig(Config):
     )
 
 
-class Grip(enum.IntEnum):
+class ContactState(enum.IntEnum):
     """What is known of a contact; unknown is not the same as no slip."""
 
     UNKNOWN = 0
@@ -72,7 +72,7 @@ class Grip(enum.IntEnum):
 
 _MEMORY = np.dtype(
     [
-        ("state", np.int64),  # Grip
+        ("state", np.int64),  # ContactState
         ("evidence", np.float64),
         ("likelihood", np.float64),
         ("agrees", np.bool_),
@@ -135,7 +135,7 @@ class SlipDetector:
 
     @property
     def state(self) -> NDArray[np.int64]:
-        """What is known of each contact, `Grip`, shape (k,)."""
+        """What is known of each contact, `ContactState`, shape (k,)."""
         return self._memory["state"].copy()
 
     @property
@@ -215,7 +215,7 @@ def _detect(
     if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
         m["touched_for"] = m["evidence"] = 0.0
         m["rate"][0] = m["rate"][1] = m["rate"][2] = 0.0
-        m["state"] = Grip.UNKNOWN
+        m["state"] = ContactState.UNKNOWN
         m["fresh"] = False
         return
     known = min(dt, _LONGEST)
@@ -233,13 +233,13 @@ def _detect(
         if m["fresh"]:
             _learn(m, c, power / (1.0 + share))
         m["evidence"] = 0.0
-        m["state"] = Grip.UNKNOWN
+        m["state"] = ContactState.UNKNOWN
         return
     if m["fresh"]:
         brink = math.sqrt(x * x + z * z) > _BRINK * learned_friction * n
         _collect(m, c, power / variance, 1.0 / 3.0 if brink else 0.25)
     _decide(m, c, known)
-    if m["fresh"] and (m["state"] == Grip.STICK or m["slipped_for"] > c["patience"]):
+    if m["fresh"] and (m["state"] == ContactState.STICK or m["slipped_for"] > c["patience"]):
         _learn(m, c, power / (1.0 + share))
 
 
@@ -295,10 +295,10 @@ def _collect(m: Row, c: Row, power: float, most: float) -> None:
 
 @compiled
 def _decide(m: Row, c: Row, dt: float) -> None:
-    share = 0.75 if m["state"] == Grip.SLIP else 1.0
+    share = 0.75 if m["state"] == ContactState.SLIP else 1.0
     slips = m["evidence"] > share * c["threshold"]
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
-    m["state"] = Grip.SLIP if slips else Grip.STICK
+    m["state"] = ContactState.SLIP if slips else ContactState.STICK
 
 
 @compiled

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 
 Array = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ class FrictionEstimator:
         Args:
             forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
                 none.
-            state: What the detector says of the contacts, `Grip`, shape (k,).
+            state: What the detector says of the contacts, `ContactState`, shape (k,).
             evidence: Its evidence for slip; zero: nothing slips; shape (k,).
             dt: Time since the last tick, s.
             agrees: Whether the newest samples show slip; one of a contact that the squeeze has
@@ -170,12 +170,12 @@ def _learn(
     c = config[0]
     for i in range(len(memory)):
         m, force = memory[i], forces[i]
-        if state[i] == Grip.UNKNOWN or not math.isfinite(force[0] + force[1] + force[2]):
+        if state[i] == ContactState.UNKNOWN or not math.isfinite(force[0] + force[1] + force[2]):
             _forget_forces(m)
             continue
         _follow(m, force, evidence[i], agrees[i] and fresh[i])
         m["since"] += dt
-        if state[i] == Grip.SLIP:
+        if state[i] == ContactState.SLIP:
             _slip(m, c["trust"])
         else:
             _stick(m, c, min(dt, _LONGEST))

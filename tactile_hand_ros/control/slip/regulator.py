@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,45 @@ from tactile_hand_ros.compiled import Rows
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import Split, split
-from tactile_hand_ros.control.slip.checkpoints import Checkpoints
-from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
-from tactile_hand_ros.control.slip.need import Need
-from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
+from tactile_hand_ros.control.slip.grasp_force import (
+    RequiredGraspForce,
+    SlipResponse,
+    SlipResponseConfig,
+)
 from tactile_hand_ros.errors import CollinearContactsError, MessageError
 
 Array = NDArray[np.float64]
+
+
+Known = TypeVar("Known")
+
+AGE = 20_000_000
+"""What is gone back to is at least so old, where there is something, and at most twice [ns]."""
+
+
+class RollbackBuffer(Generic[Known]):
+    """Keeps two states of something that learns, `AGE` apart."""
+
+    def __init__(self) -> None:
+        """Start without a past."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the past: time or grasp are new."""
+        self._kept: list[tuple[int, Known]] = []
+
+    def pass_by(self, stamp: int, known: Callable[[], Known]) -> None:
+        """Keep what is known at a tick [ns], when the newest state is old enough."""
+        if not self._kept or stamp - self._kept[-1][0] >= AGE:
+            self._kept = [*self._kept[-1:], (stamp, known())]
+
+    @property
+    def before(self) -> Known | None:
+        """What was known shortly before; None without a past."""
+        return self._kept[0][1] if self._kept else None
+
 
 _MEMORY = 4  # newest changes of the squeeze that may still show in the forces
 _RESERVED = 0.8  # share of the limit up to which a reserve is kept; the rest is for real loads
@@ -50,7 +82,7 @@ class SlipRegulatorConfig(Config):
     )
     detector: SlipDetectorConfig = SlipDetectorConfig()
     friction: FrictionConfig = FrictionConfig()
-    reflex: ReflexConfig = ReflexConfig()
+    reflex: SlipResponseConfig = SlipResponseConfig()
 
     @model_validator(mode="after")
     def _limits_are_ordered(self) -> SlipRegulatorConfig:
@@ -86,7 +118,7 @@ class SlipRegulator:
         needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
             shape can hold, NaN while unknown or not looked at (mode user).
         ready: The same with a reserve for loads that may come, N.
-        state: `Grip` of each contact, shape (k,).
+        state: `ContactState` of each contact, shape (k,).
         learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
 
@@ -95,10 +127,10 @@ class SlipRegulator:
         self.config = config
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        self._need = Need(config.reflex.need, fingers)
+        self._need = RequiredGraspForce(config.reflex.need, fingers)
         self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
-        self._reflex = Reflex(config.reflex, config.grasp_force)
-        self._checkpoints: Checkpoints[_Known] = Checkpoints()
+        self._reflex = SlipResponse(config.reflex, config.grasp_force)
+        self._checkpoints: RollbackBuffer[_Known] = RollbackBuffer()
         self._doubted = False
         self.reset()
 
@@ -143,7 +175,7 @@ class SlipRegulator:
 
     @property
     def state(self) -> NDArray[np.int64]:
-        """`Grip` of each contact, shape (k,)."""
+        """`ContactState` of each contact, shape (k,)."""
         return self._detector.state
 
     @property
@@ -216,11 +248,12 @@ class SlipRegulator:
             self._watch(stamp, contacts, forces, self._normals, dt)
             return
         parts = self._split(contacts, forces)
-        axes = self._normals if parts is None else parts.squeeze
+        axes = self._normals if parts is None else parts.internal
         grips = self._watch(stamp, contacts, forces, axes, dt)
         self.needed, self.ready = self._needed(parts, dt)
-        slips = Grip.SLIP in grips
-        slides = (Grip.SLIP, True) in zip(grips, self._detector.agrees.tolist(), strict=True)
+        slips = ContactState.SLIP in grips
+        agrees = self._detector.agrees.tolist()
+        slides = (ContactState.SLIP, True) in zip(grips, agrees, strict=True)
         limit, touching = self.config.maximum, contacts.touching
         if not contacts.all_touching:
             slides = slides or self._strained(touching, forces)
@@ -239,7 +272,7 @@ class SlipRegulator:
     def _watch(
         self, stamp: int, contacts: Contacts, forces: Array, axes: Array, dt: float
     ) -> list[int]:
-        """Update detectors and friction; return the `Grip` of each contact."""
+        """Update detectors and friction; return the `ContactState` of each contact."""
         felt = forces
         if not contacts.all_touching:
             felt = np.where(contacts.touching[:, None], forces, np.nan)
@@ -247,7 +280,7 @@ class SlipRegulator:
         state = detector.step(felt, axes, self._own_change(stamp), dt, estimator.estimate)
         estimator.step(felt, state, detector.evidence, dt, detector.agrees, detector.fresh)
         grips: list[int] = state.tolist()
-        if Grip.SLIP in grips:
+        if ContactState.SLIP in grips:
             estimator.share()
         return grips
 

@@ -23,12 +23,11 @@ from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
 )
-from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.ros import qos

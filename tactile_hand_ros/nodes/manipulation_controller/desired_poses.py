@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.targets.queue import MOST_WAITING
+from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import read_message

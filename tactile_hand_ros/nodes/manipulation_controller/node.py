@@ -25,11 +25,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
-from tactile_hand_ros.control.margins import GraspWatch
+from tactile_hand_ros.control.margins import GraspMonitor
 from tactile_hand_ros.control.own_law import take_law
-from tactile_hand_ros.control.rehearsal import example_touch
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.nodes.accepted import Accepted
 from tactile_hand_ros.nodes.manipulation_controller.desired_poses import DesiredPoses
@@ -134,7 +133,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         on_tips = hand.tip_positions(still) + hand.radii[:, None] * contacts.normals
         contacts = Contacts(on_tips, contacts.rotations)
         self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
-        GraspWatch(hand).margins(still, contacts)
+        GraspMonitor(hand).margins(still, contacts)
         self._controller.reset()
 
     def check_config(self, config: ControllerConfig) -> None:
@@ -189,7 +188,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
         self._publish_doubt()
-        self._is_withheld = command.withheld and not self._time_waits
+        self._is_withheld = command.do_not_send and not self._time_waits
         if self._is_withheld:
             self._sent = self._encoded(stamp, command)
         else:
@@ -207,7 +206,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""
         command = self._controller.hold(joints.theta, joints.rates, reason, applied=joints.applied)
-        if not command.withheld:
+        if not command.do_not_send:
             self._answer(stamp, command)
         self._report.note(command)
 
@@ -218,7 +217,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self.on_blind_tick(stamp, joints, reason)
 
     def on_repeat(self) -> None:
-        """Give the last answer again, or that which was withheld: in lockstep time waits for it."""
+        """Give the last answer again, or the one kept back: in lockstep time waits for it."""
         self._time_waits = self._is_withheld
         self._command_publisher.publish(self._sent)
 

@@ -12,7 +12,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspWatch
+from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.ros.diagnostics import WARN
@@ -27,7 +27,7 @@ class ControllerReport:
     def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
         """Report with the diagnostics of a node on the grasp of a hand."""
         self._node = node
-        self._watch = GraspWatch(hand)
+        self._watch = GraspMonitor(hand)
         self._modes = ModeLog(node.get_logger().info)
         self._theta: Array | None = None
         self._last: Command | None = None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: the simulated hand and object.
 
-Safe state: a `JointGuard` stands in front of the joints, as in the driver of a real hand. In real
+Safe state: a `CommandGuard` stands in front of the joints, as in the driver of a real hand. In real
 time it holds them when the newest command is more than `guard.age_limit` ticks old, and in
 lockstep, where time waits for the command, after `command_timeout` of silence; time then follows
 the wall clock. It also holds them while two senders of `joint_command` answer the same ticks

@@ -27,8 +27,7 @@ from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
 from tactile_hand_ros.nodes.accepted import Accepted
@@ -59,11 +58,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
-    0 to 1, `Grip`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
-    id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
-    0 to 1). With the stamp of the first tick that they change: `accepted/user_grasp_force`
-    (geometry_msgs/WrenchStamped, an accepted squeeze in force.y, N) and what `Accepted` lists. Once
-    a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
+    0 to 1, `ContactState`). Every 20 ms of simulated time: `haptic_feedback`
+    (sensor_msgs/JoyFeedbackArray: id 0 grip as a fraction of the maximum, id 1 the strongest
+    evidence for slip since the last one, both 0 to 1). With the stamp of the first tick that they
+    change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N)
+    and what `Accepted` lists. Once a second: `/diagnostics` with mode, k_f, the one that it needs,
     friction, grip and number of slips of each finger, and the worst margins of that second: A3
     (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
     end a slip).

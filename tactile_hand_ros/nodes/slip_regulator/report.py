@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.margins import SlipWatch
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.margins import SlipMonitor
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 
@@ -42,7 +42,7 @@ class RegulatorReport:
         self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._limited, self._hopeless, self._most_needed = Mostly(), Mostly(), 0.0
-        self._watch = SlipWatch()
+        self._watch = SlipMonitor()
 
     def note(
         self,
@@ -56,7 +56,7 @@ class RegulatorReport:
         grip = state.grip
         self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
         before, self._grip = self._grip, grip
-        self._slips += (grip == Grip.SLIP) & (before != Grip.SLIP)
+        self._slips += (grip == ContactState.SLIP) & (before != ContactState.SLIP)
         reflex_is_on = regulator.config.mode != "user"
         # At the limit because of a slip that is over, nothing is missing.
         self._limited.note(reflex_is_on and regulator.config.maximum < regulator.needed < math.inf)
@@ -81,7 +81,7 @@ class RegulatorReport:
         )
         for name, friction, grip, evidence, slips in facts:
             put(f"friction {name}", float(friction))
-            put(f"grip {name}", Grip(int(grip)).name.lower())
+            put(f"grip {name}", ContactState(int(grip)).name.lower())
             put(f"slip_evidence {name}", float(evidence))
             put(f"slips {name}", int(slips))
         watch = self._watch

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.control.rehearsal import example_touch
+from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.nodes.readings import ReadingPublisher
 from tactile_hand_ros.ros.messages.conversions import ContactPoses
 from tactile_hand_ros.ros.node import TactileNode

@@ -272,7 +272,7 @@ class SlipCodec(JointCodec):
 
 
 class GripCodec(JointCodec):
-    """JointState with what is known of each finger's grip: friction, evidence for slip, `Grip`."""
+    """JointState with each finger's friction, evidence for slip and `ContactState`."""
 
     def __init__(self, fingers: Sequence[str]) -> None:
         """Fix the fingers."""

@@ -25,7 +25,7 @@ from studies.slip.study import Study
 from studies.slip.survival import least_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import Grip, SlipDetectorConfig
+from tactile_hand_ros.control.slip.detector import ContactState, SlipDetectorConfig
 
 CASE = SlipCase(
     index=0,
@@ -86,8 +86,8 @@ def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Recor
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
     record.true_slid[150:, 1] = 3e-4
-    record.grip[152:160, 0] = Grip.SLIP  # of another contact
-    record.grip[157:170, 1] = Grip.SLIP
+    record.grip[152:160, 0] = ContactState.SLIP  # of another contact
+    record.grip[157:170, 1] = ContactState.SLIP
     record.grasp_force[159:] = 6.0
     outcome = measured(record)
     assert outcome.onset == pytest.approx(0.150)
@@ -119,7 +119,7 @@ def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
     for start in (60, 160, 190):
-        record.grip[start : start + 5, 1] = Grip.SLIP
+        record.grip[start : start + 5, 1] = ContactState.SLIP
     assert study_outcomes.false_alarms(record) == 1
 
 
@@ -191,7 +191,7 @@ def test_the_papers_manipulation_gives_no_false_alarm() -> None:
     scenario = slip_roc.paper_scenario(15.0, noise=True)
     record = ClosedLoop(scenario).run()
     assert not (record.true_sliding > study_outcomes.SLIDING).any()
-    assert (record.grip[100:] == Grip.STICK).all()
+    assert (record.grip[100:] == ContactState.STICK).all()
     trace = slip_trace.trace_of(record, scenario)
     # The test would not mean much if nothing could ever raise an alarm here.
     assert slip_trace.alarms(slip_trace.replay(trace, SlipDetectorConfig(threshold=1.5))) > 0

@@ -6,14 +6,14 @@ import pytest
 
 from tactile_hand_ros.closed_loop import warm_up
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.margins import GraspWatch, SlipWatch
+from tactile_hand_ros.control.margins import GraspMonitor, SlipMonitor
 from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.simulation.plant import Plant
 
 WATCHED = {
     ClosedLoop: "run",
-    SlipWatch: "note",
-    GraspWatch: "margins",
+    SlipMonitor: "note",
+    GraspMonitor: "margins",
     VirtualFrame: "orientation",
     Plant: "advance",
 }

@@ -10,7 +10,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING, Grasp, TargetQueue
+from tactile_hand_ros.control.targets import MOST_CHECKED, MOST_WAITING, Grasp, TargetQueue
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -616,20 +616,20 @@ def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
     bench = Bench()
     bench.step()
     bench.controller.joints_held = held
-    assert bench.controller.hold(bench.theta, REST, "silence").withheld == held
-    assert not bench.step(contacts=bench.without_finger(1)).withheld
+    assert bench.controller.hold(bench.theta, REST, "silence").do_not_send == held
+    assert not bench.step(contacts=bench.without_finger(1)).do_not_send
 
 
 def test_inputs_that_do_not_fit_are_doubted_until_they_do():
     bench = Bench(input_timeout=0.1)
-    assert not bench.step().withheld and not bench.controller.touch_rejected
+    assert not bench.step().do_not_send and not bench.controller.touch_rejected
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
-    assert bench.step(**wrong).withheld and bench.controller.touch_rejected
-    assert not bench.step(100, **wrong).withheld and bench.controller.touch_rejected
+    assert bench.step(**wrong).do_not_send and bench.controller.touch_rejected
+    assert not bench.step(100, **wrong).do_not_send and bench.controller.touch_rejected
     bench.controller.joints_held = True
-    assert bench.step(**wrong).withheld
+    assert bench.step(**wrong).do_not_send
     assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
-    assert bench.step(optimal_forces=2.0 * bench.optimal).withheld
+    assert bench.step(optimal_forces=2.0 * bench.optimal).do_not_send
     assert not bench.controller.touch_rejected  # touch may be right all the same
 
 
@@ -647,7 +647,7 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
     assert bench.step(**wrong).mode is Mode(end) and not bench.controller.touch_rejected
     bench.controller.reset()
     bench.controller.enabled = True
-    assert bench.step(**wrong).withheld  # a doubt that is new
+    assert bench.step(**wrong).do_not_send  # a doubt that is new
 
 
 def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():

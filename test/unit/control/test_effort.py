@@ -6,22 +6,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.control.effort import bearable_share
+from tactile_hand_ros.control.holds import bearable_fraction
 
 TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
 
 
 def test_the_joint_with_the_least_room_decides():
     squeeze, rest = np.array([10.0, -30.0, 0.0]), np.array([5.0, -5.0, 3.0])
-    assert bearable_share(squeeze, rest, np.full(3, 20.0)) == pytest.approx(0.5)
-    assert bearable_share(squeeze, 0.0 * rest, np.full(3, 40.0)) == 1.0
+    assert bearable_fraction(squeeze, rest, np.full(3, 20.0)) == pytest.approx(0.5)
+    assert bearable_fraction(squeeze, 0.0 * rest, np.full(3, 40.0)) == 1.0
 
 
 @given(TORQUES, TORQUES)
 def test_it_is_the_largest_share_within_the_limits_where_the_rest_is(squeeze, rest):
     limits = np.full(9, 20.0)
     rest = np.clip(rest, -19.0, 19.0)
-    share = bearable_share(squeeze, rest, limits)
+    share = bearable_fraction(squeeze, rest, limits)
     assert (np.abs(share * squeeze + rest) <= limits * (1.0 + 1e-12)).all()
     if share < 1.0:
         assert (np.abs((share + 1e-6) * squeeze + rest) > limits).any()
@@ -41,4 +41,4 @@ def test_it_is_the_largest_share_within_the_limits_where_the_rest_is(squeeze, re
 )
 def test_a_joint_gives_what_its_limit_leaves(squeeze, rest, share):
     others = np.array([1.0, squeeze, -1.0]), np.array([0.0, rest, 0.0])
-    assert bearable_share(*others, np.array([5.0, 20.0, 5.0])) == pytest.approx(share)
+    assert bearable_fraction(*others, np.array([5.0, 20.0, 5.0])) == pytest.approx(share)

@@ -144,8 +144,8 @@ def test_other_gains_of_law_8_act_at_once(grip):
     law = ManipulationLaw(LawConfig(name="kawamura", k_st=0.1), RADII)
     grip.torque("kawamura", law=law)
     law.configure(LawConfig(name="kawamura", **GAINS))
-    expected = grip.torque("kawamura").squeeze
-    np.testing.assert_array_equal(grip.torque("kawamura", law=law).squeeze, expected)
+    expected = grip.torque("kawamura").internal
+    np.testing.assert_array_equal(grip.torque("kawamura", law=law).internal, expected)
 
 
 def rigid_rates(grip, twist):
@@ -158,7 +158,7 @@ def rigid_rates(grip, twist):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_squeeze_does_no_work_when_the_grasp_moves_as_one(name, seed):
     grip = Grip(seed)
-    squeeze = grip.torque(name).squeeze
+    squeeze = grip.torque(name).internal
     for twist in np.eye(6):
         rates = rigid_rates(grip, twist)
         assert squeeze @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
@@ -198,7 +198,7 @@ def test_at_its_target_and_at_rest_only_the_squeeze_remains(grip, name):
     parts = grip.torque(name, Target(pose.position, pose.orientation), law)
     np.testing.assert_allclose(parts.drive, 0.0, atol=1e-13)
     np.testing.assert_array_equal(parts.damping, 0.0)
-    np.testing.assert_allclose(parts.total, parts.squeeze, atol=1e-13)
+    np.testing.assert_allclose(parts.total, parts.internal, atol=1e-13)
 
 
 def integral_law(**integral):
@@ -217,7 +217,7 @@ def test_integral_action_is_the_gain_times_the_integral_of_the_error(grip):
         parts = grip.torque("optimal", target, law)
     expected = [2.0 * 0.2 * 0.01, 0.0, -2.0 * 0.2 * 0.02, 0.0, 0.4 * 0.2 * 2 * np.sin(0.1), 0.0]
     np.testing.assert_allclose(law.integral_wrench, expected, atol=1e-12)
-    np.testing.assert_allclose(parts.carry, grip.carrying(expected), atol=1e-10)
+    np.testing.assert_allclose(parts.load_compensation, grip.carrying(expected), atol=1e-10)
 
 
 def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):
@@ -266,7 +266,9 @@ def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
     expected[part] = 0.0
     np.testing.assert_array_equal(law.integral_wrench, expected)
     np.testing.assert_allclose(
-        grip.torque("optimal", target, law).carry, grip.carrying(7.0 / 6.0 * expected), atol=1e-12
+        grip.torque("optimal", target, law).load_compensation,
+        grip.carrying(7.0 / 6.0 * expected),
+        atol=1e-12,
     )
 
 
@@ -275,12 +277,12 @@ def test_integral_and_observed_load_are_carried_together(grip):
     law = ManipulationLaw(LawConfig(integral={"k_p": 2.0}, observer={"time": 0.02}), RADII)
     target = offset(law, grip, (0.01, 0.0, -0.02))
     for _ in range(10):
-        carry = grip.torque("optimal", target, law, forces=FORCES).carry
+        carry = grip.torque("optimal", target, law, forces=FORCES).load_compensation
     told = law.integral_wrench
     integral = np.array([2.0 * 10 * DT * 0.01, 0.0, -2.0 * 10 * DT * 0.02, 0.0, 0.0, 0.0])
     load = (1.0 - np.exp(-10 * DT / 0.02)) * grip.net(FORCES)
     np.testing.assert_allclose(carry, grip.carrying(integral + load), atol=1e-11)
-    blind = grip.torque("optimal", target, law).carry
+    blind = grip.torque("optimal", target, law).load_compensation
     np.testing.assert_allclose(blind, grip.carrying(1.1 * integral), atol=1e-11)
     np.testing.assert_allclose(told, integral, atol=1e-12)  # what was told does not change
 
@@ -289,10 +291,10 @@ def test_the_observed_load_is_carried_without_integral_action(grip):
     law = ManipulationLaw(LawConfig(observer={"time": 0.02}), RADII)
     parts = grip.torque("optimal", law=law, forces=FORCES)
     load = (1.0 - np.exp(-DT / 0.02)) * grip.net(FORCES)
-    np.testing.assert_allclose(parts.carry, grip.carrying(load), atol=1e-12)
+    np.testing.assert_allclose(parts.load_compensation, grip.carrying(load), atol=1e-12)
     off = grip.torque("optimal", law=ManipulationLaw(LawConfig(), RADII), forces=FORCES)
-    np.testing.assert_array_equal(off.carry, 0.0)
-    np.testing.assert_allclose(parts.total, off.total + parts.carry, atol=1e-12)
+    np.testing.assert_array_equal(off.load_compensation, 0.0)
+    np.testing.assert_allclose(parts.total, off.total + parts.load_compensation, atol=1e-12)
 
 
 def test_a_load_observer_that_is_switched_off_forgets(grip):
@@ -303,8 +305,8 @@ def test_a_load_observer_that_is_switched_off_forgets(grip):
         grip.torque("optimal", law=law, forces=FORCES)
     law.configure(LawConfig())
     law.configure(on)
-    again = grip.torque("optimal", law=law, forces=FORCES).carry
-    expected = grip.torque("optimal", law=fresh, forces=FORCES).carry
+    again = grip.torque("optimal", law=law, forces=FORCES).load_compensation
+    expected = grip.torque("optimal", law=fresh, forces=FORCES).load_compensation
     np.testing.assert_array_equal(again, expected)
 
 

@@ -11,7 +11,7 @@ from support.equations import grasp_map
 from support.grasps import contacts_at
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.load_observer import LoadObserver, ObserverConfig, limit_length
+from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_length
 
 DT, TIME = 0.002, 0.05
 GRIP = contacts_at(

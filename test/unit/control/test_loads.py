@@ -49,9 +49,9 @@ def test_the_load_is_the_smallest_with_the_net_wrench_and_the_squeeze_balances(c
     balance = balance_in_frames(contacts)
     expected = np.linalg.pinv(balance) @ balance @ forces.ravel()
     np.testing.assert_allclose(parts.load.ravel(), expected, atol=1e-9)
-    np.testing.assert_allclose(parts.load + parts.squeeze, forces, atol=1e-12)
-    np.testing.assert_allclose(balance @ parts.squeeze.ravel(), np.zeros(6), atol=1e-9)
-    assert parts.grasp_force == pytest.approx(parts.squeeze[:, 1].sum())
+    np.testing.assert_allclose(parts.load + parts.internal, forces, atol=1e-12)
+    np.testing.assert_allclose(balance @ parts.internal.ravel(), np.zeros(6), atol=1e-9)
+    assert parts.grasp_force == pytest.approx(parts.internal[:, 1].sum())
 
 
 def test_contacts_closer_to_a_line_than_a_thousandth_have_no_load():

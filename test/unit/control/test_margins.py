@@ -10,19 +10,20 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.margins import (
     REACTION,
-    GraspWatch,
-    SlipWatch,
+    GraspMonitor,
+    SlipMonitor,
     angles_between,
     cone_distances,
     local_normals,
 )
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 
 MS = 1_000_000
 HOLDS = np.array([[0.2, 1.0, 0.1], [0.0, 2.0, 0.4], [0.3, 1.0, 0.0]])
-STICK, LOOSE = np.full(3, int(Grip.STICK)), np.full(3, int(Grip.UNKNOWN))
+STICK, LOOSE = np.full(3, int(ContactState.STICK)), np.full(3, int(ContactState.UNKNOWN))
+SLIP = int(ContactState.SLIP)
 MU = np.array([0.5, 0.35, 0.8])
 INSIDE = np.array([0.5 - np.hypot(0.2, 0.1), 0.3, 0.5])  # mu f_n - |f_t| of them
 POSTURE = np.array([1.2, 0.1, 1.3, 0.9, -0.2, 1.6, 1.0, 0.3, 1.1])
@@ -62,7 +63,7 @@ def leaning(hand, theta, angles):
 def test_the_papers_grasp_is_far_from_every_edge(grasp):
     theta, contacts = grasp
     hand = Hand.load("paper")
-    margins = GraspWatch(hand).margins(theta, contacts)
+    margins = GraspMonitor(hand).margins(theta, contacts)
     # The last links point 30 degrees above the horizontal.
     assert margins.hemisphere == pytest.approx(np.radians(60.0), abs=2e-3)
     assert margins.face_travel == 0.0
@@ -82,9 +83,9 @@ def test_normals_in_the_frames_of_their_tips_for_any_number_of_postures(hand):
 @pytest.mark.parametrize("worst", range(3))
 def test_the_contact_nearest_to_the_rim_of_its_tip_counts(hand, worst):
     angles = np.roll([1.3, 0.8, 0.4], worst)
-    margins = GraspWatch(hand).margins(POSTURE, leaning(hand, POSTURE, angles))
+    margins = GraspMonitor(hand).margins(POSTURE, leaning(hand, POSTURE, angles))
     assert margins.hemisphere == pytest.approx(0.5 * np.pi - 1.3)
-    beyond = GraspWatch(hand).margins(POSTURE, leaning(hand, POSTURE, angles + 0.4))
+    beyond = GraspMonitor(hand).margins(POSTURE, leaning(hand, POSTURE, angles + 0.4))
     assert beyond.hemisphere == pytest.approx(0.5 * np.pi - 1.7)
 
 
@@ -94,7 +95,7 @@ def test_the_contact_nearest_to_the_rim_of_its_tip_counts(hand, worst):
 )
 def test_the_longest_way_over_a_tip_counts_whatever_the_posture(hand, moved, travel):
     """An arc of its own radius for each tip; a contact that turns with its finger goes nowhere."""
-    angles, watch = np.array([0.6, 0.3, 0.9]), GraspWatch(hand)
+    angles, watch = np.array([0.6, 0.3, 0.9]), GraspMonitor(hand)
     bent = POSTURE + [0.1, -0.3, 0.2, 0.0, 0.2, -0.1, 0.3, 0.1, -0.2]
     watch.margins(POSTURE, leaning(hand, POSTURE, angles))
     still = watch.margins(bent, leaning(hand, bent, angles)).face_travel
@@ -107,7 +108,7 @@ def test_the_longest_way_over_a_tip_counts_whatever_the_posture(hand, moved, tra
 
 def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
     theta, contacts = grasp
-    watch = GraspWatch(Hand.load("paper"))
+    watch = GraspMonitor(Hand.load("paper"))
     watch.margins(theta, contacts)
     bent = theta.copy()
     bent[2] += 0.1  # turns the fingertip under its contact by 0.1 rad: 6 mm of 60
@@ -130,7 +131,7 @@ def test_distance_to_the_cones():
 
 
 def test_the_worst_of_an_interval_is_told_and_a_new_one_begins(grasp):
-    contacts, watch = grasp[1], SlipWatch()
+    contacts, watch = grasp[1], SlipMonitor()
     note(watch, 0, contacts)
     note(watch, MS, contacts, evidence=[0.1, 0.7, 0.2], forces=0.5 * HOLDS)
     note(watch, 2 * MS, contacts)
@@ -144,7 +145,7 @@ def test_the_worst_of_an_interval_is_told_and_a_new_one_begins(grasp):
 def test_the_load_is_the_largest_net_force(hand):
     """Squeezes cancel only where each force is turned out of its own contact frame."""
     contacts = leaning(hand, POSTURE, np.array([0.6, 0.3, 0.9]))
-    watch, net = SlipWatch(), sum(r @ f for r, f in zip(contacts.rotations, HOLDS, strict=True))
+    watch, net = SlipMonitor(), sum(r @ f for r, f in zip(contacts.rotations, HOLDS, strict=True))
     for scale in (0.5, 1.0, 0.7):
         note(watch, 0, contacts, forces=scale * HOLDS)
     assert watch.load == pytest.approx(np.linalg.norm(net))
@@ -160,19 +161,19 @@ def test_the_load_is_the_largest_net_force(hand):
 def test_each_contact_is_judged_by_its_own_friction_and_evidence(grasp, finger):
     """The two others are unknown."""
     known = np.where(np.arange(3) == finger, STICK, LOOSE)
-    watch, evidence = SlipWatch(), np.array([0.2, 0.5, 0.9])
+    watch, evidence = SlipMonitor(), np.array([0.2, 0.5, 0.9])
     note(watch, 0, grasp[1], grip=known, evidence=evidence)
     assert watch.cone == pytest.approx(INSIDE[finger])
     assert watch.evidence == pytest.approx(1.0 - evidence[finger])
-    note(watch, MS, grasp[1], grip=np.where(known == Grip.STICK, int(Grip.SLIP), known))
+    note(watch, MS, grasp[1], grip=np.where(known == ContactState.STICK, SLIP, known))
     assert watch.evidence == 0.0 and watch.cone == pytest.approx(INSIDE[finger])
-    note(watch, 11 * MS, grasp[1], grip=np.where(known == Grip.STICK, int(Grip.SLIP), known))
+    note(watch, 11 * MS, grasp[1], grip=np.where(known == ContactState.STICK, SLIP, known))
     assert watch.time_left == pytest.approx(REACTION - 0.010)
 
 
 def test_a_slip_uses_up_the_time_to_react_even_across_intervals(grasp):
-    contacts, watch = grasp[1], SlipWatch()
-    slips = np.array([int(Grip.STICK), int(Grip.SLIP), int(Grip.STICK)])
+    contacts, watch = grasp[1], SlipMonitor()
+    slips = np.array([int(ContactState.STICK), SLIP, int(ContactState.STICK)])
     for tick in range(31):
         if tick == 10:
             watch.clear()
@@ -192,7 +193,7 @@ def test_a_slip_uses_up_the_time_to_react_even_across_intervals(grasp):
 
 
 def test_unknown_is_not_well(grasp):
-    watch = SlipWatch()
+    watch = SlipMonitor()
     note(watch, 0, grasp[1], grip=LOOSE)
     assert np.isnan(watch.evidence) and np.isnan(watch.cone)
 

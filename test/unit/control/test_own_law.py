@@ -23,8 +23,8 @@ from tactile_hand_ros.control.laws import OptimalLaw
 class MyLaw(OptimalLaw):
     gain = 1.0
 
-    def squeeze(self):
-        return self.gain * super().squeeze()
+    def internal_torque(self):
+        return self.gain * super().internal_torque()
 """
 
 
@@ -97,7 +97,7 @@ def test_a_recorded_configuration_imports_nothing(tmp_path: Path) -> None:
         ("my_law:MyLaw", "class MyLaw:\n  pass", "its constructor does not fit"),
         (
             "my_law:MyLaw",
-            "class MyLaw:\n  def __init__(self, c, r): pass\n  def squeeze(self): pass",
+            "class MyLaw:\n  def __init__(self, c, r): pass\n  def internal_torque(self): pass",
             r"it has no drive; expected drive\(self, wrench\)",
         ),
         (
@@ -117,15 +117,15 @@ def test_what_is_no_law_is_refused(tmp_path: Path, name: str, law: str, message:
     ("body", "message"),
     [
         ("return 3.0", r"returns 3.0 from squeeze\(\); expected an array of 9 finite torques"),
-        ("return super().squeeze()[:2]", "array of 9 finite torques"),
-        ("return super().squeeze() * float('nan')", "array of 9 finite torques"),
+        ("return super().internal_torque()[:2]", "array of 9 finite torques"),
+        ("return super().internal_torque() * float('nan')", "array of 9 finite torques"),
         ("return self.lost", "fails at the first tick with AttributeError: .*lost"),
     ],
 )
 def test_a_law_without_torques_is_refused_before_it_holds_anything(
     tmp_path: Path, body: str, message: str
 ) -> None:
-    law = LAW.replace("return self.gain * super().squeeze()", body)
+    law = LAW.replace("return self.gain * super().internal_torque()", body)
     scenario = load_scenario(write(tmp_path / "a", law))
     with pytest.raises(ConfigurationError, match=message):
         check_scenario(scenario)

@@ -61,7 +61,7 @@ def checks(monkeypatch):
         judged.append(target)
         check_reach(hand, theta, contacts, pose, target)
 
-    monkeypatch.setattr("tactile_hand_ros.control.targets.queue.check_reach", counted)
+    monkeypatch.setattr("tactile_hand_ros.control.targets.check_reach", counted)
     return judged
 
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.control.reference import SmoothReference
+from tactile_hand_ros.control.targets import SmoothReference
 
 TIME, DT = 0.1, 0.002
 START, END = np.array([0.1, -0.2, 0.4]), np.array([0.15, 0.1, 0.3])

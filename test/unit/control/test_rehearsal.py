@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
+from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.control.rehearsal import example_touch
 
 
 @pytest.mark.parametrize("fingers", [3, 4, 5])

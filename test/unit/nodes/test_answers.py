@@ -189,22 +189,22 @@ def test_an_answer_that_is_withheld_is_given_once_time_waits_for_it(
 ) -> None:
     hand = Controller(make)
     step = hand.node._controller.step
-    withheld = [True, True, False, True]
+    do_not_send = [True, True, False, True]
 
     def doubtful(*inputs: Any) -> Command:
         command: Command = step(*inputs)
-        return command._replace(withheld=withheld.pop(0))
+        return command._replace(do_not_send=do_not_send.pop(0))
 
     hand.node._controller.step = doubtful
     hand.tick(0)
     assert hand.commands == [] and hand.requests == []
     hand.node.on_repeat()
     assert hand.torque()[0] == 0
-    hand.tick(TICK)  # withheld no more: in lockstep time waits
+    hand.tick(TICK)  # do_not_send no more: in lockstep time waits
     assert hand.torque()[0] == TICK and len(hand.requests) == 1
     hand.tick(2 * TICK)
     hand.node.on_repeat()
-    hand.tick(3 * TICK)  # an answer that was sent again was none that was withheld
+    hand.tick(3 * TICK)  # an answer that was sent again was none that was do_not_send
     assert hand.torque()[0] == 2 * TICK
 
 

@@ -79,7 +79,7 @@ class Optimizer:
         (ForceOptimizerNode, "force_optimizer.node.ForceOptimizer", "solve", 1),
         (TactileSensorNode, "tactile_sensor.node.TactileSensor", "step", 1),
         (ManipulationControllerNode, "manipulation_controller.node.Controller", "step", 1),
-        (ManipulationControllerNode, "manipulation_controller.node.GraspWatch", "margins", 0),
+        (ManipulationControllerNode, "manipulation_controller.node.GraspMonitor", "margins", 0),
     ],
 )
 def test_a_tick_is_rehearsed_and_forgotten_before_the_first_one(

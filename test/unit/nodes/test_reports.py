@@ -21,7 +21,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
     OptimalForces,
     Status,
 )
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
 from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
@@ -110,14 +110,14 @@ def noted(report: RegulatorReport, regulator: Regulator, *grips: tuple[int, int,
         report.note(regulator, 2_000_000 * number, CONTACTS, np.ones((3, 3)), state)  # type: ignore[arg-type]
 
 
-STUCK = (Grip.STICK, Grip.STICK, Grip.STICK)
+STUCK = (ContactState.STICK, ContactState.STICK, ContactState.STICK)
 
 
 def test_slips_are_counted_by_finger_and_facts_are_those_of_the_last_tick() -> None:
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode="auto"))
-    slip = int(Grip.SLIP)
+    slip = int(ContactState.SLIP)
     noted(report, regulator, STUCK, (slip, 1, 1), (slip, 1, slip), (1, 1, 1), (slip, 1, 0))
     report.report(regulator)  # type: ignore[arg-type]
     shown = values(diagnostics)

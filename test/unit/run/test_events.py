@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.run.events import (
     Asked,
     Event,
@@ -27,7 +27,7 @@ def record() -> Record:
     for array in (out.contact_positions, out.forces, out.true_sliding, out.desired_position):
         array[:] = 0.0
     out.desired_quaternion[:] = [0.0, 0.0, 0.0, 1.0]
-    out.grip[:] = Grip.STICK
+    out.grip[:] = ContactState.STICK
     out.grasp_force[:] = 10.0
     return out
 
@@ -42,7 +42,7 @@ def test_a_quiet_run_has_its_first_command_only(record: Record) -> None:
 
 def test_slip_its_detection_and_the_reaction(record: Record) -> None:
     record.true_sliding[30:40, 0] = 0.002
-    record.grip[33:38, 0] = Grip.SLIP
+    record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[35:] = 12.0
     assert told(record, "slip") == [(pytest.approx(0.30), "thumb")]
     assert told(record, "detection") == [(pytest.approx(0.33), "thumb")]
@@ -51,14 +51,14 @@ def test_slip_its_detection_and_the_reaction(record: Record) -> None:
 
 def test_creep_is_no_slip_and_an_alarm_without_answer_no_reaction(record: Record) -> None:
     record.true_sliding[30:, 0] = 0.0009
-    record.grip[33:38, 0] = Grip.SLIP
+    record.grip[33:38, 0] = ContactState.SLIP
     assert told(record, "slip") == []
     assert told(record, "reaction") == []
 
 
 def test_a_flickering_alarm_is_one(record: Record) -> None:
-    record.grip[[20, 22, 24], 1] = Grip.SLIP
-    record.grip[60, 1] = Grip.SLIP
+    record.grip[[20, 22, 24], 1] = ContactState.SLIP
+    record.grip[60, 1] = ContactState.SLIP
     assert [time for time, _ in told(record, "detection")] == pytest.approx([0.2, 0.6])
 
 
@@ -107,20 +107,20 @@ def test_slip_is_faster_than_a_millimetre_a_second(record: Record) -> None:
 @pytest.mark.parametrize(("pause", "count"), [(1, 1), (2, 1), (3, 2)])
 def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, count: int) -> None:
     record.stamps[:] = 2**23 * np.arange(101)  # 8.4 ms, so that 20 ms lie between ticks
-    record.grip[20:25, 1] = record.grip[25 + pause : 40, 1] = Grip.SLIP
+    record.grip[20:25, 1] = record.grip[25 + pause : 40, 1] = ContactState.SLIP
     assert len(told(record, "detection")) == alarm_count(record) == count
 
 
 def test_a_pause_of_just_20_ms_does_not_part_an_alarm(record: Record) -> None:
     assert record.times[4] - record.times[2] == 0.02
-    record.grip[1, 0] = record.grip[4, 0] = Grip.SLIP
+    record.grip[1, 0] = record.grip[4, 0] = ContactState.SLIP
     assert alarm_count(record) == 1
 
 
 def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
-    record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = Grip.SLIP
+    record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = ContactState.SLIP
     assert alarm_count(record) == 3
-    record.grip[0, 1] = Grip.SLIP  # what is there at the first tick did not begin
+    record.grip[0, 1] = ContactState.SLIP  # what is there at the first tick did not begin
     assert alarm_count(record) == 3
 
 
@@ -128,7 +128,7 @@ def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
 def test_a_reaction_is_a_rise_by_more_than_two_percent(
     record: Record, squeeze: float, count: int
 ) -> None:
-    record.grip[33:38, 0] = Grip.SLIP
+    record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[40:] = squeeze
     assert len(told(record, "reaction")) == count
 
@@ -138,7 +138,7 @@ def test_a_reaction_comes_within_a_quarter_of_a_second(
     record: Record, row: int, count: int
 ) -> None:
     """It is measured against the squeeze before the alarm."""
-    record.grip[33:38, 0] = Grip.SLIP
+    record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = 12.0
     found = [each for each in events(record) if each.kind == "reaction"]
     assert [each.time for each in found] == [pytest.approx(0.01 * row)] * count
@@ -146,7 +146,7 @@ def test_a_reaction_comes_within_a_quarter_of_a_second(
 
 
 def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Record) -> None:
-    record.grip[1:5, 0] = Grip.SLIP
+    record.grip[1:5, 0] = ContactState.SLIP
     record.grasp_force[1:] = 12.0
     assert [time for time, _ in told(record, "reaction")] == [pytest.approx(0.01)]
 

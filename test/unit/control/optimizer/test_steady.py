@@ -6,17 +6,19 @@ import pytest
 from support.grasps import contacts_at, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, reaches
-from tactile_hand_ros.control.optimizer.force_optimizer import (
-    ForceOptimizer,
-    ForceOptimizerConfig,
-    scaled_balance,
-)
-from tactile_hand_ros.control.optimizer.steady import (
+from tactile_hand_ros.control.optimizer.cones import (
+    INSIDE,
+    Cones,
     _way_into_cones,
     balanced,
     followed,
     imbalance,
+    reaches,
+)
+from tactile_hand_ros.control.optimizer.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    scaled_balance,
 )
 
 GRASP = three_faces()

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 
 DT = 0.001
@@ -37,12 +37,12 @@ def feel(
 
 def slip(estimator, ratio, **how):
     """Let a contact slide for 12 ms, of which the first 5 are only suspected."""
-    feel(estimator, [ratio] * 5, Grip.STICK, 10.0, **how)
-    return feel(estimator, [ratio] * 7, Grip.SLIP, 22.0, **how)
+    feel(estimator, [ratio] * 5, ContactState.STICK, 10.0, **how)
+    return feel(estimator, [ratio] * 7, ContactState.SLIP, 22.0, **how)
 
 
 def quiet(estimator, seconds, ratio=0.1, **how):
-    return feel(estimator, [ratio] * round(seconds / DT), Grip.STICK, 0.0, **how)
+    return feel(estimator, [ratio] * round(seconds / DT), ContactState.STICK, 0.0, **how)
 
 
 def still(contacts=1, **values):
@@ -67,7 +67,7 @@ def test_what_was_felt_before_the_slip_does_not_count():
 def test_what_is_felt_once_the_squeeze_has_caught_it_does_not_count():
     estimator = still()
     slip(estimator, 0.5)
-    after = feel(estimator, np.linspace(0.4, 0.05, 20), Grip.SLIP, 20.0)
+    after = feel(estimator, np.linspace(0.4, 0.05, 20), ContactState.SLIP, 20.0)
     assert after == pytest.approx(0.5, abs=0.05)
 
 
@@ -97,7 +97,7 @@ def test_alarms_that_follow_at_once_are_the_same_slip():
     first = slip(estimator, 0.35)
     for _ in range(5):
         quiet(estimator, 0.01)
-        feel(estimator, [0.05] * 6, Grip.SLIP, 22.0)
+        feel(estimator, [0.05] * 6, ContactState.SLIP, 22.0)
     assert estimator.estimate == pytest.approx(first, abs=0.02)
 
 
@@ -149,7 +149,7 @@ def test_a_guess_grows_no_faster_than_a_lower_one_that_is_known():
 
 def test_without_contact_nothing_is_learned():
     estimator = still()
-    for state, ratio in ((Grip.UNKNOWN, 1.0), (Grip.STICK, np.nan)):
+    for state, ratio in ((ContactState.UNKNOWN, 1.0), (ContactState.STICK, np.nan)):
         feel(estimator, [ratio] * 200, state, 0.0)
     assert estimator.estimate == 0.4
 
@@ -157,11 +157,11 @@ def test_without_contact_nothing_is_learned():
 def test_what_sticks_again_says_nothing_of_friction():
     """The squeeze catches it for a while in the middle; the detector still says slip."""
     plain, caught = still(), still()
-    feel(plain, [0.3] * 6, Grip.SLIP, 22.0, noise=0.0)
-    feel(caught, [0.3] * 3, Grip.SLIP, 22.0, noise=0.0)
-    feel(caught, [0.05] * 10, Grip.SLIP, 22.0, noise=0.0, agrees=False)
+    feel(plain, [0.3] * 6, ContactState.SLIP, 22.0, noise=0.0)
+    feel(caught, [0.3] * 3, ContactState.SLIP, 22.0, noise=0.0)
+    feel(caught, [0.05] * 10, ContactState.SLIP, 22.0, noise=0.0, agrees=False)
     assert caught.estimate == 0.4 and caught.confidence == 0.0  # three samples are too few
-    feel(caught, [0.3] * 3, Grip.SLIP, 22.0, noise=0.0)
+    feel(caught, [0.3] * 3, ContactState.SLIP, 22.0, noise=0.0)
     assert caught.estimate == plain.estimate < 0.35 and caught.confidence == plain.confidence > 0.5
 
 
@@ -193,7 +193,7 @@ def test_each_contact_learns_only_while_its_own_samples_tell_of_slip():
     for _ in range(6):
         hand.step(
             forces,
-            np.full(3, Grip.SLIP),
+            np.full(3, ContactState.SLIP),
             np.full(3, 22.0),
             DT,
             np.array([False, True, False]),

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from tactile_hand_ros.control.slip.detector import Grip
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 
+UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 PRIOR, TRUST = 0.4, 0.05
 BRIEF = 1.0 / 1024.0  # s, and all its multiples are exact
 SLIDE = np.array([[1.1, 4.9, 0.5]])  # some force that slides
@@ -19,7 +20,7 @@ def still(contacts=1, **values):
     return FrictionEstimator(FrictionConfig(explore=0.0, forget=0.0, **values), contacts)
 
 
-def step(estimator, force, state=Grip.SLIP, evidence=22.0, dt=BRIEF, agrees=True, fresh=True):
+def step(estimator, force, state=SLIP, evidence=22.0, dt=BRIEF, agrees=True, fresh=True):
     """Let every contact feel a force; return what is known of the first: friction, confidence."""
     k = len(estimator.estimate)
     told = np.full(k, state), np.full(k, evidence), dt, np.full(k, agrees), np.full(k, fresh)
@@ -35,7 +36,7 @@ def slide(estimator, forces, **how):
 
 def quiet(estimator, ticks, force=(0.0, 5.0, 0.0), dt=BRIEF, **how):
     for _ in range(ticks):
-        found = step(estimator, force, Grip.STICK, 0.0, dt, **how)
+        found = step(estimator, force, STICK, 0.0, dt, **how)
     return found
 
 
@@ -127,7 +128,7 @@ def test_a_contact_that_was_lost_begins_a_slip_of_its_own():
     estimator = still()
     slide(estimator, np.repeat(SLIDE, 6, axis=0))
     estimate, sure = estimator.estimate[0], estimator.confidence[0]
-    step(estimator, np.full(3, np.nan), Grip.STICK, 0.0)
+    step(estimator, np.full(3, np.nan), STICK, 0.0)
     assert (estimator.estimate[0], estimator.confidence[0]) == (estimate, sure)
     assert slide(estimator, [[0.0, 5.0, 1.0]] * 3, evidence=22.0)[0] == estimate
     known = sure / (1.0 - sure)
@@ -140,7 +141,7 @@ def test_forces_from_before_a_loss_do_not_count(lost):
     estimator = still()
     slide(estimator, np.repeat(SLIDE, 3, axis=0))
     nothing = [np.nan, 5.0, 0.0] if lost == "the force" else SLIDE[0]
-    step(estimator, nothing, Grip.STICK if lost == "the force" else Grip.UNKNOWN)
+    step(estimator, nothing, STICK if lost == "the force" else UNKNOWN)
     assert slide(estimator, np.repeat(SLIDE, 3, axis=0)) == (PRIOR, 0.0)
     assert step(estimator, SLIDE[0])[1] == pytest.approx(6.25 / 7.25)
 
@@ -148,7 +149,7 @@ def test_forces_from_before_a_loss_do_not_count(lost):
 def test_suspicion_counts_as_soon_as_the_alarm_confirms_it_and_is_dropped_otherwise():
     plain, suspected, dropped = still(), still(), still()
     for estimator in (suspected, dropped):
-        slide(estimator, np.repeat(SLIDE, 6, axis=0), state=Grip.STICK, evidence=5.0)
+        slide(estimator, np.repeat(SLIDE, 6, axis=0), state=STICK, evidence=5.0)
         assert estimator.confidence[0] == 0.0
     assert step(suspected, SLIDE[0]) == slide(plain, np.repeat(SLIDE, 7, axis=0))
     quiet(dropped, 1)
@@ -170,12 +171,12 @@ def test_a_neighbour_that_is_as_low_tells_nothing():
     hand = FrictionEstimator(FrictionConfig(prior=0.5, explore=0.3, forget=0.0), 2)
     both = np.array([[2.5, 5.0, 0.0], [np.nan] * 3])
     for _ in range(6):
-        told = np.full(2, Grip.SLIP), np.full(2, 22.0), BRIEF, np.full(2, True), np.full(2, True)
+        told = np.full(2, SLIP), np.full(2, 22.0), BRIEF, np.full(2, True), np.full(2, True)
         hand.step(both, *told)
     assert (hand.estimate == 0.5).all() and hand.confidence[0] > 0.9
     hand.share()
     assert hand.confidence[1] == 0.0
-    told = np.full(2, Grip.STICK), np.zeros(2), BRIEF, np.full(2, True), np.full(2, True)
+    told = np.full(2, STICK), np.zeros(2), BRIEF, np.full(2, True), np.full(2, True)
     hand.step(both[::-1], *told)
     assert hand.estimate[1] == pytest.approx(0.5 * (1.0 + 0.3 * BRIEF), rel=1e-12)
 

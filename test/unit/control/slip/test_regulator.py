@@ -6,10 +6,11 @@ import pytest
 from support.grasps import three_faces
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.slip.detector import Grip, SlipDetector, SlipDetectorConfig
+from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
 
+UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
 NO_RESERVE = {"need": {"reserve": {"floor": 0.0, "share": 0.0}}}
 
@@ -157,10 +158,10 @@ def test_a_regulator_that_was_reset_cannot_be_told_from_a_new_one(slides):
     feel(used, 150, seed=1)
     feel(used, 15, slides=(0, 2), seed=2)
     assert (used.learned_friction != fresh.learned_friction).all() and used.grasp_force > 8.0
-    assert Grip.SLIP in used.state and used.slip_likelihood.max() == 1.0
+    assert SLIP in used.state and used.slip_likelihood.max() == 1.0
     used.reset()
     np.testing.assert_array_equal(used.learned_friction, [0.4, 0.4, 0.4])
-    assert (used.state == Grip.UNKNOWN).all() and not used.slip_likelihood.any()
+    assert (used.state == UNKNOWN).all() and not used.slip_likelihood.any()
     assert np.isnan(used.needed) and used.grasp_force == 8.0
     np.testing.assert_array_equal(feel(used, 150, slides), feel(fresh, 150, slides))
 
@@ -174,7 +175,7 @@ def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode
     feel(slip, 200, contacts=Contacts(positions, three_faces().rotations))
     known = np.hypot(FELT[:, 0], FELT[:, 2]) / FELT[:, 1] > 0.45
     for finger in range(3):
-        assert slip.state[finger] == (Grip.UNKNOWN if finger == lost else Grip.STICK)
+        assert slip.state[finger] == (UNKNOWN if finger == lost else STICK)
         assert (slip.learned_friction[finger] > 0.45) == (known[finger] and finger != lost)
     assert slip.learned_friction[lost] == 0.4
     assert np.isnan(slip.needed)
@@ -266,7 +267,7 @@ def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():
     for i in range(100):
         jerk = random.standard_normal() if i > 50 else 0.0
         slip.step(i * TICK, three_faces(), (10.0 + jerk) * shape)
-    assert (slip.state == Grip.STICK).all() and not slip.slip_likelihood.any()
+    assert (slip.state == STICK).all() and not slip.slip_likelihood.any()
 
 
 def test_a_reserve_is_kept_up_to_four_fifths_of_the_limit_and_a_need_to_all_of_it():
@@ -306,7 +307,7 @@ def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(lat
     misled.reject_touch(True)
     for i in range(300 + late, 550):
         misled.step(i * TICK, three_faces(), wrong)
-    assert (misled.state == Grip.UNKNOWN).all() and misled.grasp_force <= held * 1.001
+    assert (misled.state == UNKNOWN).all() and misled.grasp_force <= held * 1.001
     misled.reject_touch(False)
     for i in range(550, 700):
         felt = misled.step(i * TICK, three_faces(), FELT), blind.step(i * TICK, three_faces(), FELT)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tactile_hand_ros.control.joint_hold import (
-    JointHold,
-    JointHoldConfig,
+from tactile_hand_ros.control.holds import (
+    GuardHold,
+    GuardHoldConfig,
     JointTerms,
     joint_torque,
     split_forces,
@@ -24,8 +24,8 @@ SQUEEZE = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
 PRESSED = joint_torque(TIPS, SQUEEZE)
 
 
-def hold(tick=0.002, **changes) -> JointHold:
-    return JointHold(JointHoldConfig().changed(changes), HAND, tick)
+def hold(tick=0.002, **changes) -> GuardHold:
+    return GuardHold(GuardHoldConfig().changed(changes), HAND, tick)
 
 
 def terms(theta, rates) -> JointTerms:

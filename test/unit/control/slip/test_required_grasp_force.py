@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.control.loads import LoadMarginConfig, Split
-from tactile_hand_ros.control.slip.need import Need, NeedConfig
+from tactile_hand_ros.control.slip.grasp_force import RequiredGraspForce, RequiredGraspForceConfig
 
 MU = np.array([0.5, 0.5, 0.5])
 OWN = np.array([0.4, 0.9, 0.6])
@@ -22,7 +22,11 @@ def felt(load, squeeze):
 
 
 def fresh():
-    return Need(NeedConfig(reserve=NO_RESERVE), len(MU))
+    return RequiredGraspForce(RequiredGraspForceConfig(reserve=NO_RESERVE), len(MU))
+
+
+def required(reserve, time=0.05):
+    return RequiredGraspForce(RequiredGraspForceConfig(reserve=reserve, reserve_time=time), 3)
 
 
 def follow(need, load, ticks, squeeze=6.0, noise=0.0, seed=0):
@@ -101,7 +105,7 @@ def test_a_shape_is_followed_slowly_and_a_load_fast():
     for ticks in (1, 10):
         need = fresh()
         need.step(felt(0.0 * load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
-        need.configure(NeedConfig(least_trend=1e9, reserve=NO_RESERVE))
+        need.configure(RequiredGraspForceConfig(least_trend=1e9, reserve=NO_RESERVE))
         for _ in range(ticks):
             needed, _ = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
         assert needed == pytest.approx((1.0 - np.exp(-ticks / 5.0)) / (0.4 * 0.5))
@@ -130,7 +134,7 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
 
 def at_once(floor, share=0.0):
     """Return a need whose reserve is there from the first sample on."""
-    return Need(NeedConfig(reserve=LoadMarginConfig(floor=floor, share=share), reserve_time=0.0), 3)
+    return required(LoadMarginConfig(floor=floor, share=share), 0.0)
 
 
 def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
@@ -147,7 +151,7 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
 
 
 def test_the_reserve_follows_the_largest_load_of_the_recent_past():
-    need = Need(NeedConfig(reserve=LoadMarginConfig(floor=0.0, share=0.3, memory=2.0)), 3)
+    need = required(LoadMarginConfig(floor=0.0, share=0.3, memory=2.0))
     for _ in range(100):
         need.step(felt(5.0 * WEIGHT, 6.0 * SHAPE), MU, DT)
     soon = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.2))
@@ -179,7 +183,7 @@ def reserves(need, ticks, load=CARRIED, first=0):
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
     """In even steps, from nothing to all of it, and the need is there at once."""
-    need = Need(NeedConfig(reserve=LoadMarginConfig(floor=3.0, share=0.0), reserve_time=0.08), 3)
+    need = required(LoadMarginConfig(floor=3.0, share=0.0), 0.08)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
     np.testing.assert_array_equal(needed, reserves(fresh(), 200)[:, 0])
@@ -193,7 +197,7 @@ def test_the_reserve_of_a_new_grasp_rises_over_its_time():
 @pytest.mark.parametrize("ticks", [1, 20, 49])
 def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_comes_later(ticks):
     """The need of each tick is that without any reserve."""
-    need, bare = Need(NeedConfig(), 3), fresh()
+    need, bare = RequiredGraspForce(RequiredGraspForceConfig(), 3), fresh()
     for each in (need, bare):
         reserves(each, ticks)
     step = reserves(need, 30, 3.0 * CARRIED, first=ticks)
@@ -203,7 +207,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
     """After its time another load, and another radius, count at once."""
-    need, at = Need(NeedConfig(), 3), at_once(floor=3.0, share=0.2)
+    need, at = RequiredGraspForce(RequiredGraspForceConfig(), 3), at_once(floor=3.0, share=0.2)
     for each in (need, at):
         reserves(each, 101)
     first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from support.grasps import contacts_at, grasps, three_faces
 
-from tactile_hand_ros.control.optimizer.cone_active_set import (
+from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
+from tactile_hand_ros.control.optimizer.cones import Cones
+from tactile_hand_ros.control.optimizer.exact import (
     Problem,
     _direction,
+    least_cost,
     solve_problem,
     violation,
 )
-from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import Cones
-from tactile_hand_ros.control.optimizer.equalities import least_cost
 from tactile_hand_ros.control.optimizer.force_optimizer import scaled_balance
 
 WEIGHTS = (10.0, 1.0, 10.0)

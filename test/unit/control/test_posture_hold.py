@@ -6,8 +6,8 @@ import pytest
 
 from studies.faults.situations import SITUATIONS, scenario
 from studies.stalls import GuardedLoop, Watch
-from tactile_hand_ros.control.joint_guard import GuardConfig
-from tactile_hand_ros.control.safe_hold import HoldConfig, SafeHold
+from tactile_hand_ros.control.command_guard import GuardConfig
+from tactile_hand_ros.control.holds import PostureHold, PostureHoldConfig
 
 POSTURE = np.array([0.1, 0.2, 0.3])
 SQUEEZE = np.array([1.0, -1.0, 0.5])
@@ -15,13 +15,13 @@ INERTIA = np.array([[0.04, 0.01, 0.0], [0.01, 0.03, 0.002], [0.0, 0.002, 0.008]]
 
 
 def test_keeps_the_squeeze_where_it_was_engaged():
-    hold = SafeHold(HoldConfig(bandwidth=20.0))
+    hold = PostureHold(PostureHoldConfig(bandwidth=20.0))
     hold.engage(POSTURE, SQUEEZE)
     np.testing.assert_array_equal(hold.torque(POSTURE, np.zeros(3), INERTIA), SQUEEZE)
 
 
 def test_springs_back_and_damps():
-    hold = SafeHold(HoldConfig(bandwidth=20.0))
+    hold = PostureHold(PostureHoldConfig(bandwidth=20.0))
     hold.engage(POSTURE, SQUEEZE)
     rates = np.array([0.0, 0.5, 0.0])
     torque = hold.torque(POSTURE + [0.1, 0.0, 0.0], rates, INERTIA)
@@ -30,7 +30,7 @@ def test_springs_back_and_damps():
 
 
 def test_whatever_is_read_the_torque_is_finite():
-    hold = SafeHold(HoldConfig(bandwidth=20.0))
+    hold = PostureHold(PostureHoldConfig(bandwidth=20.0))
     hold.engage(POSTURE, SQUEEZE)
     for theta, rates in ((POSTURE, [1e308, -1e308, 0.0]), (POSTURE - 1e308, np.zeros(3))):
         assert np.isfinite(hold.torque(theta, np.array(rates), INERTIA)).all()
@@ -41,7 +41,7 @@ def test_whatever_is_read_the_torque_is_finite():
 
 
 def test_engaging_twice_keeps_the_first_and_releasing_forgets():
-    hold = SafeHold(HoldConfig())
+    hold = PostureHold(PostureHoldConfig())
     assert not hold.active
     hold.engage(POSTURE, SQUEEZE)
     hold.engage(POSTURE + 1.0, SQUEEZE + 1.0)
@@ -53,7 +53,7 @@ def test_engaging_twice_keeps_the_first_and_releasing_forgets():
 
 
 def test_does_not_follow_arrays_that_change_later():
-    hold, posture, squeeze = SafeHold(HoldConfig()), POSTURE.copy(), SQUEEZE.copy()
+    hold, posture, squeeze = PostureHold(PostureHoldConfig()), POSTURE.copy(), SQUEEZE.copy()
     hold.engage(posture, squeeze)
     posture += 1.0
     squeeze += 1.0

@@ -8,8 +8,8 @@ from support.plants import plant
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.control.plausibility.touch import (
-    JointWatch,
+from tactile_hand_ros.control.plausibility import (
+    FrozenJointCheck,
     implausible_shape,
     implausible_touch,
 )
@@ -56,7 +56,7 @@ def test_what_fits_within_the_tolerance_drives():
 
 
 def test_joints_that_repeat_while_the_contacts_move_are_doubted():
-    watch = JointWatch()
+    watch = FrozenJointCheck()
     assert watch.step(STATE.theta, STATE.contacts, 0.002) == ""
     assert watch.step(STATE.theta.copy(), shifted(0.001, 0.0, 0.0), 0.002) == ""
     assert "do not change" in watch.step(STATE.theta.copy(), shifted(0.003, 0.0, 0.0), 0.002)
@@ -90,7 +90,7 @@ def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
 
 def test_contacts_may_creep_no_farther_than_the_tolerance_from_where_the_joints_stopped():
     for sign in (1.0, -1.0):
-        watch = JointWatch()
+        watch = FrozenJointCheck()
         creep = [watch.step(STATE.theta, shifted(0, 0, sign * 1e-3 * i), 2.5e-3) for i in range(4)]
         assert [bool(doubt) for doubt in creep] == [False, False, False, True]
         watch.reset()

@@ -6,7 +6,7 @@ import pytest
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.plausibility.press import PressWatch, _noticeable
+from tactile_hand_ros.control.plausibility import ForceTorqueCheck, _noticeable
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -25,7 +25,7 @@ def torque(forces):
 
 def first_doubt(felt, applied, ticks=100, latency=0.0):
     """Return the tick at which forces and torques, functions of the tick, are first doubted."""
-    watch = PressWatch()
+    watch = ForceTorqueCheck()
     for tick in range(ticks):
         seen = felt(tick), torque(applied(tick))
         if watch.step(tick * TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3, latency):
@@ -123,7 +123,7 @@ def test_a_small_load_is_enough_for_a_skin_that_has_shown_finer_steps(step, foun
 
 
 def test_a_new_grasp_starts_without_a_past():
-    watch = PressWatch()
+    watch = ForceTorqueCheck()
     seen = FORCES, torque(0.2 * FORCES)
     assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, 0.3) == ""
     assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, 0.3)
@@ -133,7 +133,7 @@ def test_a_new_grasp_starts_without_a_past():
 
 def verdicts(seen, tolerance=0.3, watch=None):
     """Return what a watch says of ticks: stamp in ms, rates, model, forces and torque of each."""
-    watch = watch or PressWatch()
+    watch = watch or ForceTorqueCheck()
     return [
         watch.step(round(1e6 * stamp), rates, terms, CONTACTS, forces, applied, tolerance)
         for stamp, rates, terms, forces, applied in seen

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tactile_hand_ros.control.slip.reflex import Reflex, ReflexConfig
+from tactile_hand_ros.control.slip.grasp_force import SlipResponse, SlipResponseConfig
 
 DT, LIMIT, START = 0.001, 60.0, 6.0
 ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False] * 3))
@@ -14,7 +14,7 @@ ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False]
 
 def held(**values):
     """Return a reflex that has held with the squeeze of the start for a while."""
-    reflex = Reflex(ReflexConfig(**values), START)
+    reflex = SlipResponse(SlipResponseConfig(**values), START)
     run(reflex, 200, needed=START)
     return reflex
 
@@ -66,7 +66,7 @@ def test_a_contact_that_comes_and_goes_does_not_wind_it_up():
 
 
 def test_fingers_that_have_not_yet_held_anything_lose_nothing():
-    assert run(Reflex(ReflexConfig(), START), 100, touching=TWO).max() == START
+    assert run(SlipResponse(SlipResponseConfig(), START), 100, touching=TWO).max() == START
 
 
 def test_without_any_contact_it_comes_back():
@@ -83,7 +83,7 @@ def step(reflex, needed=math.nan, slips=False, slides=False, touching=ALL, dt=0.
 
 
 def fresh(**values):
-    return Reflex(ReflexConfig(rise_rate=1e6, **values), START)
+    return SlipResponse(SlipResponseConfig(rise_rate=1e6, **values), START)
 
 
 @pytest.mark.parametrize(("needed", "fall"), [(5.9, 1.0), (5.5, 1.0), (5.4, 1.2), (1.0, 10.0)])

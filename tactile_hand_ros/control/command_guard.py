@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.joint_hold import (
-    LEAST_SQUEEZE,
-    JointHold,
-    JointHoldConfig,
+from tactile_hand_ros.control.holds import (
+    MIN_INTERNAL_FORCE,
+    GuardHold,
+    GuardHoldConfig,
     JointTerms,
     split_forces,
     tip_forces,
@@ -39,7 +39,7 @@ UNSTEADY = "commands have failed again and again; waiting until they are steady"
 
 _STUCK_MOTION = 0.002  # rad that a joint may move while all torques stay the same to the bit
 _JUMP = 0.02  # N m, change of a torque within a tick
-_PULL = 0.2  # share of the squeeze with which a command may pull the fingers apart
+_PULL = 0.2  # fraction of the internal force with which a command may pull the fingers apart
 _CALM_TIME = 0.5  # s of good commands after which earlier holds are forgotten
 _FIRST_PATIENCE = 0.02  # s, doubled at each further hold
 _CALM = 0.8  # share of the speed limit below which a joint counts as slow again
@@ -67,7 +67,7 @@ class GuardConfig(Config):
         ge=0.0,
         le=10.0,
     )
-    hold: JointHoldConfig = JointHoldConfig()
+    hold: GuardHoldConfig = GuardHoldConfig()
 
 
 class TorqueCommand(NamedTuple):
@@ -85,12 +85,12 @@ class _Sample(NamedTuple):
     torque: Array
 
 
-class JointGuard:
+class CommandGuard:
     """Decides at each tick what torque reaches the joints.
 
     Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
     finite, of the wrong shape, stuck or refused, and joints that are too fast, begin a hold; see
-    `JointHold`. Good commands take over again within `blend_time`: at once after a single hold, and
+    `GuardHold`. Good commands take over again within `blend_time`: at once after a single hold, and
     where holds follow each other, as on a computer that is too busy, after a time that doubles with
     each up to `patience`. The hand then stands still instead of being passed to and fro.
 
@@ -110,7 +110,7 @@ class JointGuard:
             tick: Length of a tick, ns.
         """
         self._config, self._hand, self._tick = config, hand, tick
-        self._hold = JointHold(config.hold, hand, 1e-9 * tick)
+        self._hold = GuardHold(config.hold, hand, 1e-9 * tick)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
         self._change = 1e-9 * tick * config.torque_rate or np.inf
         self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
@@ -218,7 +218,7 @@ class JointGuard:
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
 
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
-        """Return whether a command turns the squeeze around.
+        """Return whether a command turns the internal force around.
 
         To let go, fingers cease to press and open. Only a wrong command pulls them off with a force
         like that with which they press. It is a jump; only after one the tips are looked at.
@@ -227,7 +227,7 @@ class JointGuard:
             return False
         terms = JointTerms(*self._hand.dynamics(theta, rates))
         _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
-        if np.linalg.norm(presses, axis=1).sum() < LEAST_SQUEEZE:
+        if np.linalg.norm(presses, axis=1).sum() < MIN_INTERNAL_FORCE:
             return False
         _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
         return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.control import joint_guard
-from tactile_hand_ros.control.joint_guard import GuardConfig, JointGuard, TorqueCommand
-from tactile_hand_ros.control.joint_hold import (
-    JointHold,
+from tactile_hand_ros.control import command_guard
+from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
+from tactile_hand_ros.control.holds import (
+    GuardHold,
     JointTerms,
     joint_torque,
     split_forces,
@@ -22,8 +22,8 @@ STILL = np.zeros(9)
 TORQUE = HAND.gravity_torque(THETA) + np.linspace(-0.2, 0.2, 9)
 
 
-def guard(**changes) -> JointGuard:
-    return JointGuard(GuardConfig().changed(changes), HAND, TICK)
+def guard(**changes) -> CommandGuard:
+    return CommandGuard(GuardConfig().changed(changes), HAND, TICK)
 
 
 def step(made, tick, command=None, *, answers=None, theta=THETA, rates=STILL, refused=""):
@@ -53,18 +53,18 @@ def test_commands_act_until_they_are_older_than_the_limit():
         np.testing.assert_array_equal(step(made, last + late, TORQUE, answers=last), TORQUE)
         assert not made.reason and made.age == late
     step(made, last + 4, TORQUE, answers=last)
-    assert made.reason == joint_guard.LATE and made.holds == {joint_guard.LATE: 1}
+    assert made.reason == command_guard.LATE and made.holds == {command_guard.LATE: 1}
 
 
 @pytest.mark.parametrize(
     ("command", "changes", "reason"),
     [
-        (TORQUE, {"answers": 7}, joint_guard.AHEAD),
-        (TORQUE[:8], {}, joint_guard.WRONG_SHAPE),
-        (np.where(np.arange(9) == 4, np.nan, TORQUE), {}, joint_guard.NOT_FINITE),
-        (np.full(9, np.inf), {}, joint_guard.NOT_FINITE),
-        (TORQUE, {"rates": np.full(9, 21.0)}, joint_guard.TOO_FAST),
-        (None, {}, joint_guard.NO_COMMAND),
+        (TORQUE, {"answers": 7}, command_guard.AHEAD),
+        (TORQUE[:8], {}, command_guard.WRONG_SHAPE),
+        (np.where(np.arange(9) == 4, np.nan, TORQUE), {}, command_guard.NOT_FINITE),
+        (np.full(9, np.inf), {}, command_guard.NOT_FINITE),
+        (TORQUE, {"rates": np.full(9, 21.0)}, command_guard.TOO_FAST),
+        (None, {}, command_guard.NO_COMMAND),
         (TORQUE, {"refused": "a second sender"}, "a second sender"),
     ],
 )
@@ -76,7 +76,7 @@ def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
 
 def test_a_command_that_turns_the_squeeze_around_begins_a_hold_and_one_that_lets_go_does_not():
     weight = HAND.gravity_torque(THETA)
-    for pull, reason in ((-1.0, joint_guard.PULLS), (-0.1, ""), (0.0, "")):
+    for pull, reason in ((-1.0, command_guard.PULLS), (-0.1, ""), (0.0, "")):
         made = guard(**{"hold.reserve": 0.0})
         answer = step(made, follow(made), weight + pull * (TORQUE - weight))
         assert made.reason == reason
@@ -90,7 +90,7 @@ def test_joint_states_that_are_not_finite_repeat_the_last_torque():
     last = follow(made)
     other = step(made, last, TORQUE + 0.01)
     np.testing.assert_array_equal(step(made, last + 1, TORQUE, theta=np.full(9, np.nan)), other)
-    assert made.reason == joint_guard.BLIND
+    assert made.reason == command_guard.BLIND
 
 
 def test_torques_stay_inside_the_limits_of_the_urdf():
@@ -111,7 +111,7 @@ def test_a_fast_joint_is_held_until_it_is_clearly_slower():
     fast = np.where(np.arange(9) == 3, 1.1, 0.0)
     step(made, 0, TORQUE, rates=fast)
     step(made, 1, TORQUE, rates=0.8 * fast)
-    assert made.reason == joint_guard.TOO_FAST
+    assert made.reason == command_guard.TOO_FAST
     step(made, 2, TORQUE, rates=0.7 * fast)
     assert not made.reason
 
@@ -159,7 +159,7 @@ def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     step(made, tick + 1, TORQUE)
     again = step(made, tick + 2, TORQUE, answers=0)
     np.testing.assert_allclose(again, held, atol=1e-9)
-    assert made.holds == {joint_guard.LATE: 2}
+    assert made.holds == {command_guard.LATE: 2}
 
 
 def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
@@ -171,7 +171,7 @@ def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
         assert not made.reason
     step(made, tick + 4, TORQUE, theta=THETA + 0.0024)
     step(made, tick + 5, TORQUE, theta=THETA + 0.0024)
-    assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
+    assert made.reason == command_guard.STUCK and made.holds == {command_guard.STUCK: 1}
     step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.0024)
     assert not made.reason
 
@@ -202,7 +202,7 @@ def test_holds_that_follow_each_other_last_longer_and_longer():
         held.append(held_after(made, tick, 60))
         tick += 61
     assert held == [0, 10, 20, 40, 50, 50]  # ticks of 2 ms
-    assert made.holds == {joint_guard.LATE: 6}
+    assert made.holds == {command_guard.LATE: 6}
     for _ in range(260):
         step(made, tick, TORQUE)
         tick += 1
@@ -215,7 +215,7 @@ def test_commands_that_are_never_good_for_long_do_not_take_over_any_more():
     for _ in range(8):
         held_after(made, tick, 20)
         tick += 21
-    assert held_after(made, tick, 20) == 20 and made.reason == joint_guard.UNSTEADY
+    assert held_after(made, tick, 20) == 20 and made.reason == command_guard.UNSTEADY
 
 
 def test_reset_forgets_everything():
@@ -241,7 +241,7 @@ def test_what_the_contacts_press_with_follows_from_the_last_ticks():
         step(made, tick, torques[tick], rates=rates[tick])
     tips, inertia, bias = HAND.dynamics(THETA, rates[6])
     pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - bias
-    hold, terms = JointHold(made._config.hold, HAND, 0.002), JointTerms(tips, inertia, bias)
+    hold, terms = GuardHold(made._config.hold, HAND, 0.002), JointTerms(tips, inertia, bias)
     hold.engage(THETA, rates[6], pressed)
     held = step(made, 6, rates=rates[6])
     np.testing.assert_allclose(held, hold.step(THETA, rates[6], terms, pressed), rtol=1e-12)
@@ -276,16 +276,16 @@ def test_a_joint_is_too_fast_above_its_limit_and_slow_again_at_four_fifths_of_it
     step(made, 0, TORQUE, rates=-joint)
     assert not made.reason
     step(made, 1, TORQUE, rates=-np.nextafter(1.0, 2.0) * joint)
-    assert made.reason == joint_guard.TOO_FAST
+    assert made.reason == command_guard.TOO_FAST
     step(made, 2, TORQUE, rates=-np.nextafter(0.8, 1.0) * joint)
-    assert made.reason == joint_guard.TOO_FAST
+    assert made.reason == command_guard.TOO_FAST
     step(made, 3, TORQUE, rates=-0.8 * joint)
     assert not made.reason
     limits = guard()
     step(limits, 0, TORQUE, rates=HAND.velocity_limits)
     assert not limits.reason
     step(limits, 1, TORQUE, rates=np.nextafter(HAND.velocity_limits, np.inf))
-    assert limits.reason == joint_guard.TOO_FAST
+    assert limits.reason == command_guard.TOO_FAST
 
 
 def test_a_hold_keeps_inside_the_limits_of_the_joints():
@@ -313,14 +313,14 @@ def test_holds_are_counted_by_reason_when_they_begin_and_ticks_always():
         step(made, tick + more, TORQUE, refused="another sender")
     assert made.holds == {"another sender": 1} and made.held == 3
     step(made, tick + 3)
-    assert made.holds == {"another sender": 1, joint_guard.NO_COMMAND: 1} and made.held == 4
-    assert made.reason == joint_guard.NO_COMMAND
+    assert made.holds == {"another sender": 1, command_guard.NO_COMMAND: 1} and made.held == 4
+    assert made.reason == command_guard.NO_COMMAND
 
 
 def test_before_anything_was_seen_blind_joints_get_no_torque():
     made = guard()
     np.testing.assert_array_equal(step(made, 0, TORQUE, rates=np.full(9, np.inf)), np.zeros(9))
-    assert made.reason == joint_guard.BLIND and made.held == 1
+    assert made.reason == command_guard.BLIND and made.held == 1
 
 
 def test_a_reset_forgets_the_past_the_torque_before_and_a_torque_that_stood_still():
@@ -373,9 +373,9 @@ def test_a_command_that_comes_again_is_judged_by_its_age_alone_unless_it_was_stu
     made = guard()
     last = follow(made)
     step(made, last, TORQUE, theta=moved)
-    assert made.reason == joint_guard.STUCK
+    assert made.reason == command_guard.STUCK
     step(made, last + 1, TORQUE, answers=last, theta=moved)
-    assert made.reason == joint_guard.STUCK and made.holds == {joint_guard.STUCK: 1}
+    assert made.reason == command_guard.STUCK and made.holds == {command_guard.STUCK: 1}
 
 
 @pytest.mark.parametrize(("turned", "stuck"), [(0.00199, False), (0.00201, True)])
@@ -384,10 +384,10 @@ def test_a_joint_may_move_two_milliradians_under_the_same_torque(turned, stuck, 
     made = guard()
     moved = THETA + sign * turned * (np.arange(9) == 7)
     step(made, follow(made), TORQUE, theta=moved)
-    assert (made.reason == joint_guard.STUCK) == stuck
+    assert (made.reason == command_guard.STUCK) == stuck
 
 
-@pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, joint_guard.PULLS)])
+@pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, command_guard.PULLS)])
 def test_a_command_may_pull_with_a_fifth_of_the_squeeze(pull, reason):
     """Under weight and bias, which are no squeeze; a load on all tips alike is none either."""
     weight, load = HAND.gravity_torque(THETA), np.tile([0.3, -2.0, 1.0], (3, 1))
@@ -410,7 +410,7 @@ def test_to_let_go_step_by_step_is_no_jump():
 
 
 def test_fingers_that_hardly_press_may_be_pulled_anywhere():
-    for squeeze, reason in ((0.049, ""), (0.051, joint_guard.PULLS)):
+    for squeeze, reason in ((0.049, ""), (0.051, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
         share = squeeze / np.linalg.norm(presses, axis=1).sum()
@@ -445,11 +445,11 @@ def test_while_commands_take_over_their_drive_is_no_load():
     ("late", "age", "reason"),
     [
         (1 - TICK, 0, ""),
-        (-TICK, -1, joint_guard.AHEAD),
+        (-TICK, -1, command_guard.AHEAD),
         (0, 0, ""),
         (1, 1, ""),
         (3 * TICK, 3, ""),
-        (3 * TICK + 1, 4, joint_guard.LATE),
+        (3 * TICK + 1, 4, command_guard.LATE),
     ],
 )
 def test_age_is_counted_in_ticks_that_have_begun(late, age, reason):
@@ -461,7 +461,7 @@ def test_age_is_counted_in_ticks_that_have_begun(late, age, reason):
 
 @pytest.mark.parametrize("limit", [0, 1, 5])
 def test_a_command_may_be_as_old_as_the_configuration_says(limit):
-    for late, reason in ((limit, ""), (limit + 1, joint_guard.LATE)):
+    for late, reason in ((limit, ""), (limit + 1, command_guard.LATE)):
         made = guard(age_limit=limit)
         last = follow(made) - 1
         for tick in range(1, late + 1):

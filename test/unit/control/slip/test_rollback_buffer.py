@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was known shortly before is between one and two ages old."""
 
-from tactile_hand_ros.control.slip.checkpoints import AGE, Checkpoints
+from tactile_hand_ros.control.slip.regulator import AGE, RollbackBuffer
 
 TICK = 3_000_000
 
 
 def test_what_was_known_is_between_one_and_two_ages_old():
-    kept: Checkpoints[int] = Checkpoints()
+    kept: RollbackBuffer[int] = RollbackBuffer()
     assert kept.before is None
     for now in range(0, 20 * AGE, TICK):
         kept.pass_by(now, lambda known=now: known)
@@ -18,7 +18,7 @@ def test_what_was_known_is_between_one_and_two_ages_old():
 
 
 def test_a_new_grasp_has_no_past():
-    kept: Checkpoints[str] = Checkpoints()
+    kept: RollbackBuffer[str] = RollbackBuffer()
     kept.pass_by(0, lambda: "old")
     kept.forget()
     assert kept.before is None

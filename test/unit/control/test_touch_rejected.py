@@ -7,7 +7,7 @@ from support.controllers import REST, TICK, Bench
 
 from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
-from tactile_hand_ros.control.targets.queue import MOST_CHECKED, MOST_WAITING
+from tactile_hand_ros.control.targets import MOST_CHECKED, MOST_WAITING
 from tactile_hand_ros.errors import PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -39,7 +39,7 @@ def doubting(**values):
 def test_forces_are_compared_with_torques_where_they_decide_what_the_hand_does():
     bench = Bench(**FEELS)
     drive = bench.step(5, **felt(bench))
-    assert drive.mode is Mode.DRIVE and not drive.withheld
+    assert drive.mode is Mode.DRIVE and not drive.do_not_send
     held = bench.step(2, **felt(bench, 0.0))
     assert held.mode is Mode.HOLD and DO_NOT_FIT in held.reason and held.pose is None
     for bench in (Bench(), Bench(**FEELS, force_tolerance=0.0)):
@@ -60,28 +60,28 @@ def test_the_tolerance_of_the_forces_is_the_configured_one():
 def test_a_doubtful_input_is_answered_by_the_guard_at_first_and_after_half_a_second_from_here():
     bench = doubting()
     doubted = bench.stamp - TICK
-    for late, withheld in ((0.002, True), (0.498, True), (0.5, False), (7.0, False)):
+    for late, do_not_send in ((0.002, True), (0.498, True), (0.5, False), (7.0, False)):
         bench.stamp = doubted + round(1e9 * late)
         held = bench.step(**felt(bench, 0.0))
-        assert held.mode is Mode.HOLD and held.withheld == withheld
+        assert held.mode is Mode.HOLD and held.do_not_send == do_not_send
     bench.controller.joints_held = True
-    assert bench.step(**felt(bench, 0.0)).withheld
+    assert bench.step(**felt(bench, 0.0)).do_not_send
     bench.controller.joints_held = False
-    assert not bench.step(**felt(bench, 0.0)).withheld
+    assert not bench.step(**felt(bench, 0.0)).do_not_send
 
 
 @pytest.mark.parametrize("end", ["a good tick", "forget"])
 def test_the_time_of_a_doubt_begins_again_after_its_end(end):
     bench = Bench(grasp_force_limit=12.0, input_timeout=0.1)
     bench.step()
-    assert bench.step(grasp_force=13.0).withheld
+    assert bench.step(grasp_force=13.0).do_not_send
     bench.stamp += 50 * TICK
-    assert not bench.step(grasp_force=13.0).withheld
+    assert not bench.step(grasp_force=13.0).do_not_send
     if end == "forget":
         bench.controller.forget()
     else:
         assert bench.step().mode is Mode.DRIVE
-    assert bench.step(grasp_force=13.0).withheld
+    assert bench.step(grasp_force=13.0).do_not_send
 
 
 def lose(bench):
@@ -115,7 +115,7 @@ def test_a_grasp_force_is_believed_up_to_its_limit():
     drive = bench.step(grasp_force=12.0)
     assert drive.mode is Mode.DRIVE
     held = bench.step(grasp_force=np.nextafter(12.0, 13.0))
-    assert held.mode is Mode.HOLD and held.withheld
+    assert held.mode is Mode.HOLD and held.do_not_send
     assert held.reason == "k_f = 12 N is above grasp_force_limit = 12 N; holding until it is not"
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-12)  # and not raised by it
     assert Bench().step(grasp_force=1e6).mode is Mode.DRIVE
