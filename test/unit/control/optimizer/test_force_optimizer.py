@@ -231,9 +231,7 @@ def test_thin_plates_that_balance_with_large_forces_are_solved():
 def test_an_answer_counts_by_its_residuals_where_osqp_stops_at_its_limit():
     """No step of OSQP is enough, but what the exact method finds has no residual."""
     solver = optimizer(solver="osqp")
-    native, settings = solver._solver._native, solver._solver._settings
-    settings.max_iter = 1
-    native.update_settings(settings)
+    with_settings(solver._solver, max_iter=1)
     found = solver.solve(three_faces())
     assert found.ok and found.residual < 1e-12
     np.testing.assert_allclose(found.forces, THREE_FACES, atol=1e-10)
