@@ -105,6 +105,13 @@ ifneq ($(shell cat '$(VENV)/.created' 2>/dev/null),$(PREFIX))
 $(VENV)/.created: FORCE
 endif
 
+# Named on the command line or in the environment: not the one that .venv was made with?
+ifneq ($(origin PYTHON),file)
+ifneq ($(shell cat '$(VENV)/.python' 2>/dev/null),$(PYTHON))
+$(VENV)/.created: FORCE
+endif
+endif
+
 $(VENV)/.created:
 	@command -v '$(PYTHON)' >/dev/null || { \
 	echo "set-up: there is no '$(PYTHON)': install Python 3.10 or newer, or name one: make ... PYTHON=python3.12" >&2; \
@@ -113,6 +120,7 @@ $(VENV)/.created:
 	@echo 'set-up 1/3: virtual environment $(VENV)'
 	@rm -rf "$$VENV_PREFIX"
 	@$(PYTHON) -m venv "$$VENV_PREFIX"
+	@echo '$(PYTHON)' > '$(VENV)/.python'
 	@echo "$$VENV_PREFIX" > '$@'
 
 $(VENV)/.run: requirements/locked/run.txt $(VENV)/.created

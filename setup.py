@@ -65,7 +65,7 @@ setup(
         "pyyaml>=6.0,<7",
     ],
     extras_require={
-        "cli": ["typer>=0.12,<1", "rich>=13,<15", "psutil>=5.9,<8"],
+        "cli": ["typer>=0.12.4,<1", "rich>=13,<15", "psutil>=5.9,<8"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "fast": ["numba>=0.60"],
         "study": ["joblib>=1.3,<2", "pyarrow>=14", "dask>=2024.1", "distributed>=2024.1"],

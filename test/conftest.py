@@ -25,6 +25,14 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture
+def hangups_count() -> Iterator[None]:
+    """Let SIGHUP end a process, also below nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _no_shared_memory() -> Iterator[None]:
     """Insist on sockets: processes that tests kill would leave traps in shared memory."""

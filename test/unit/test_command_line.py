@@ -105,6 +105,7 @@ def test_a_wrong_option_has_the_code_of_its_error(
     assert capsys.readouterr().err == sentence
 
 
+@pytest.mark.usefixtures("hangups_count")
 @pytest.mark.parametrize(
     ("number", "usual", "sentence"),
     [
@@ -286,6 +287,7 @@ def test_a_sentence_has_nowhere_to_go_without_a_terminal(
     assert (tmp_path / "file").read_text() == ""
 
 
+@pytest.mark.usefixtures("hangups_count")
 def test_a_signal_gives_its_code_also_where_what_was_printed_cannot_be_written() -> None:
     """Python itself would end with 120."""
     program = """

@@ -25,7 +25,8 @@ def tree(tmp_path: Path) -> Path:
     (tree / "requirements" / "locked").mkdir(parents=True)
     for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
         (tree / name).touch()
-    (tree / "requirements" / "locked" / "run.txt").touch()
+    for name in ("run.txt", "studies.txt", "bench.txt"):
+        (tree / "requirements" / "locked" / name).touch()
     (tree / ".venv" / ".created").write_text(f"{tree}/.venv\n")
     (tree / ".venv" / ".run").touch()
     (tree / ".venv" / ".sources").write_text("setup.py setup.cfg package.xml pyproject.toml \n")
@@ -53,6 +54,21 @@ def test_any_name_of_a_scenario_arrives_whole(tree: Path, name: str) -> None:
 def test_demo_is_the_paper(tree: Path) -> None:
     done = make(tree, "demo", "ARGS=--quiet")
     assert done.stdout == "<run><paper><--quiet>", done.stderr
+
+
+def test_a_python_that_is_named_later_makes_the_environment_again(tree: Path) -> None:
+    (tree / ".venv" / ".python").write_text("python3\n")
+    assert make(tree, "demo", "PYTHON=python3").stdout == "<run><paper>"
+    done = make(tree, "demo", "PYTHON=no-such-python")
+    assert done.returncode == 2 and "there is no 'no-such-python'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "command"), [(["bench"], "bench --help"), (["study", "NAME=slip"], "slip --help")]
+)
+def test_tools_run_beside_the_package(tree: Path, words: list[str], command: str) -> None:
+    done = make(tree, "--dry-run", *words, "ARGS=--help")
+    assert command in done.stdout, done.stderr
 
 
 def test_set_up_shows_what_pip_does() -> None:
