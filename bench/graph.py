@@ -1,113 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the ROS graph is: real runs of the orchestrator, judged by their bags."""
+"""How fast the ROS graph is, how long it takes to start, and what it misses in real time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+import subprocess
+import sys
+from typing import Any
 
-import numpy as np
-import psutil
-
-from bench.results import Goal, Result
-from bench.runs import GraphRun, run_graph
+from bench.bare_loop import missed_by_bare_loop
+from bench.result import Result
+from bench.runs import run_graph
 from bench.wire import rate
 from bench.workload import Workload
 from bench.written import written_calls
-from tactile_hand_ros.ros.domains import isolated_domain
-from tactile_hand_ros.ros.node import CALM_AFTER
-from tactile_hand_ros.ros.processes import start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES
 
-_IDLE_SECONDS = 10.0
-_TIMEOUT = 600.0  # s
+PRIORITY = 50
+_TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIORITY}))"
+_FINEST = 1000.0  # Hz: beyond this rate a tick is shorter than the ordinary step of the plant
+_BARE_FACTOR, _FEW = 2.0, 0.1  # of what a bare loop misses, and %: what may be missed
 
 
-def measure_graph(work: Workload) -> list[Result]:
-    """Run the scenario in lockstep in six processes and in one, and their limits, turn by turn.
+def measure_lockstep(work: Workload) -> list[Result]:
+    """Run the scenario in lockstep, recorded, composed and in six processes, and their limits.
 
-    The limit of processes is that of their messages, the limit of one process is the loop by
-    function calls that writes the same bag.
+    The limit of composed nodes is the in-process loop that writes the same bag; that of six
+    processes is what their messages allow without computation. All four take turns.
     """
     seconds, ticks = float(work.record.times[-1]), len(work.record)
-    six, single, speeds = [], [], []
-    shares: list[float] = []
-    calls: list[float] = []
+    one, six, written, wire = [], [], [], []
     for _ in range(work.repeats):
-        six.append(run_graph(seconds, load=True))
-        speeds.append(six[-1].summary["recording"]["messages"] / six[-1].load_time)
-        single.append(run_graph(seconds, "--composed"))
-        limit = rate(NODES, ticks, recorded=True)
-        shares.append(_ticks_per_second(six[-1]) / limit)
-        calls.append(_ticks_per_second(single[-1]) / written_calls(work.scenario, ticks))
-    separate = _results(six, "six processes", start=Goal("median", at_most=2.0))
-    many = Goal("median", at_least=2500.0)
-    composed = _results(single, "composed", many, start=Goal("median", at_most=1.2))
-    pairs = zip(composed, separate, strict=True)
+        written.append(written_calls(work.scenario, ticks))
+        one.append(run_graph(seconds, "--composed"))
+        wire.append(rate(NODES, ticks, recorded=True))
+        six.append(run_graph(seconds, "--processes"))
+    composed, apart = _speeds(one), _speeds(six)
     return [
-        *separate,
-        *(one.against(other) if other.median else one for one, other in pairs),
-        Result.of(
-            "six processes, share of the wire's limit", "", shares, Goal("median", at_least=0.8)
+        Result("in-process, writing the same bag", "ticks/s", written),
+        Result("composed, lockstep, recording", "ticks/s", composed),
+        Result(
+            "  of the loop that writes the same bag", "", _over(composed, written), at_least=0.75
         ),
-        Result.of(
-            "composed, share of function calls that write the same bag",
-            "",
-            calls,
-            Goal("median", at_least=0.6),
-        ),
-        Result.of("bag loading, to arrays", "messages/s", speeds),
+        Result("messages of six processes alone, recorded", "ticks/s", wire),
+        Result("six processes, lockstep, recording", "ticks/s", apart),
+        Result("  of the wire's limit", "", _over(apart, wire), at_least=0.6),
+        Result("start to first tick, composed", "s", _starts(one), at_most=2.0),
+        Result("start to first tick, six processes", "s", _starts(six), at_most=3.0),
     ]
 
 
-def measure_idle(work: Workload) -> list[Result]:
-    """Let the nodes wait for the first tick."""
-    with isolated_domain(), ExitStack() as stack:
-        nodes = []
-        for name in NODES:
-            extra = ("-p", "autostart:=false") if name == "plant" else ()
-            process = start_executable(name, "--ros-args", *extra)
-            nodes.append(psutil.Process(stack.enter_context(process).pid))
-        # Loaded is who has used little of a core for a while.
-        wait_until(
-            lambda: max(node.cpu_percent(0.5) for node in nodes) < 5.0, _TIMEOUT, "idle nodes"
-        )
-        psutil.cpu_percent(2.0 * CALM_AFTER)  # only now they look at the graph less often
-        before = [sum(node.cpu_times()[:2]) for node in nodes]
-        psutil.cpu_percent(_IDLE_SECONDS)
-        used = [sum(node.cpu_times()[:2]) - b for node, b in zip(nodes, before, strict=True)]
-        memory = [node.memory_info().rss / 2**20 for node in nodes]
-        private = [node.memory_full_info().uss / 2**20 for node in nodes]
-    shares = [100.0 * seconds / _IDLE_SECONDS for seconds in used]
-    return [
-        Result.of("idle node, share of a core", "%", shares, Goal("largest", at_most=1.0)),
-        *(
-            Result.of(f"resident memory, {name}", "MiB", [all_of_it])
-            for name, all_of_it in zip(NODES, memory, strict=True)
-        ),
-        Result.of("memory that no other process shares, all nodes", "MiB", [sum(private)]),
-    ]
+def _speeds(runs: list[dict[str, Any]]) -> list[float]:
+    return [float(run["recording"]["ticks_per_second"]) for run in runs]
 
 
-def _ticks_per_second(run: GraphRun) -> float:
-    return float(run.summary["recording"]["ticks_per_second"])
+def _starts(runs: list[dict[str, Any]]) -> list[float]:
+    return [float(run["startup_s"]["first_tick_answered"]) for run in runs]
 
 
-def _results(runs: Sequence[GraphRun], where: str, *many: Goal, start: Goal) -> list[Result]:
-    def over(place: str, key: str) -> list[float]:
-        return [run.summary[place][key] for run in runs]
+def _over(values: list[float], limits: list[float]) -> list[float]:
+    return [value / limit for value, limit in zip(values, limits, strict=True)]
 
-    record = "recording"
-    none = Goal("largest", at_most=0.0)
-    ages = 1e6 * np.concatenate([run.ages for run in runs])
-    return [
-        Result.of(f"lockstep, {where}", "ticks/s", over(record, "ticks_per_second"), *many),
-        Result.of(f"tick to command, {where}", "us", ages),
-        Result.of(
-            f"start to first tick, {where}",
-            "s",
-            over("startup_s", "first_tick_answered"),
-            start,
-        ),
-        Result.of(f"messages lost, {where}", "", over(record, "lost_messages"), none),
-    ]
+
+def measure_short_run(work: Workload) -> list[Result]:
+    """Take the time of a run that does next to nothing, from the command to its end."""
+    options = ("--composed", "--no-record")
+    walls = [float(run_graph(0.05, *options)["wall_s"]) for _ in range(work.repeats)]
+    return [Result("run paper --duration 0.05 --composed --no-record", "s", walls, at_most=3.0)]
+
+
+def measure_real_time(work: Workload) -> list[Result]:
+    """Count missed deadlines composed, recording, beside a bare loop, at each rate.
+
+    Also under SCHED_FIFO where this machine permits it.
+    """
+    found = []
+    for priority in (0, PRIORITY) if may_use_fifo() else (0,):
+        for hertz in work.rates:
+            bare, missed = [], []
+            for _ in range(work.repeats):
+                bare.append(100.0 * missed_by_bare_loop(hertz, 0.25 * work.seconds, priority))
+                run = run_graph(work.seconds, *real_time_options(hertz, priority))
+                missed.append(100.0 * float(run["real_time"]["missed_share"]))
+            where = f"{hertz:g} Hz{', SCHED_FIFO' if priority else ''}"
+            loop = Result(f"bare loop, {where}: missed", "%", bare)
+            allowed = max(_FEW, _BARE_FACTOR * loop.marks[0])
+            found += [loop, Result(f"composed, {where}: missed", "%", missed, at_most=allowed)]
+    return found
+
+
+def real_time_options(hertz: float, priority: int) -> list[str]:
+    """Return the orchestrator's options for a rate, with plant steps that are short enough."""
+    words = ["--composed", "--pacing", "realtime", "--set", f"plant.rate={hertz:g}"]
+    if hertz > _FINEST:
+        words += ["--set", f"plant.time_step={1.0 / hertz:.12g}"]
+    return words + (["--priority", str(priority)] if priority else [])
+
+
+def may_use_fifo() -> bool:
+    """Return whether processes may use SCHED_FIFO here."""
+    return subprocess.run([sys.executable, "-c", _TRY], capture_output=True).returncode == 0

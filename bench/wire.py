@@ -4,8 +4,8 @@
 The same processes, topics, readers and loop as in a run, but each node only counts what it receives
 and sends bytes on as soon as it has heard all of a tick: no numbers, no parameters, no diagnostics.
 
-``python -m bench.wire ROLES READERS TICKS`` is one process of it, with one or
-several roles joined by commas.
+As a script with ``ROLES READERS TICKS`` it is one process, with one or several roles joined by
+commas.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from bench.results import Result
-from bench.workload import SCENARIO, Workload
+from bench.workload import SCENARIO
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.graph import ExpectedTopic, expected_topics
 from tactile_hand_ros.ros import qos
@@ -42,19 +41,6 @@ _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s
 _PATIENCE = 60.0  # s
-
-
-def measure_wire(work: Workload) -> list[Result]:
-    """Pass ticks round, in processes of their own and in one, with the recorder and without."""
-    ticks = min(2000, 4 * len(work.record))
-    apart, together = tuple(NODES), (",".join(NODES),)
-    rates: dict[str, list[float]] = {}
-    for _ in range(work.repeats):
-        for where, processes in (("six processes", apart), ("one process", together)):
-            for recorded in (True, False):
-                name = f"messages alone, {where}, {'with' if recorded else 'without'} recorder"
-                rates.setdefault(name, []).append(rate(processes, ticks, recorded=recorded))
-    return [Result.of(name, "ticks/s", samples) for name, samples in rates.items()]
 
 
 def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:

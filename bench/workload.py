@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, changed, load_scenario
 
 SCENARIO = "paper"
 
@@ -21,22 +21,28 @@ class Workload:
         scenario: The scenario.
         record: A run of it, from which inputs are taken.
         repeats: How often whole runs are repeated.
+        seconds: Length of each run in real time [s].
+        rates: Rates in real time [Hz].
     """
 
     scenario: Scenario
     record: Record
     repeats: int
+    seconds: float
+    rates: tuple[float, ...]
 
     @classmethod
-    def prepare(cls, ticks: int | None = None, repeats: int = 3) -> Workload:
-        """Run the scenario once.
-
-        Args:
-            ticks: Number of ticks, that of the scenario by default.
-            repeats: How often whole runs are repeated.
-        """
+    def prepare(
+        cls, ticks: int | None, repeats: int, seconds: float, rates: tuple[float, ...]
+    ) -> Workload:
+        """Run the scenario once, over some ticks or all of its own."""
         scenario = load_scenario(SCENARIO)
-        return cls(scenario, ClosedLoop(scenario).run(ticks), repeats)
+        return cls(scenario, ClosedLoop(scenario).run(ticks), repeats, seconds, rates)
+
+    @property
+    def single(self) -> Scenario:
+        """The scenario with one plant step a tick."""
+        return changed(self.scenario, {"plant.rate": 1.0 / self.scenario.plant.time_step})
 
     @property
     def grasps(self) -> list[Contacts]:

@@ -168,10 +168,10 @@ def fuzz(
     ] = None,
 ) -> None:
     """Feed hostile bytes, requests and files to readers and nodes; count deaths, hangs, growth."""
-    from bench.fuzz.fuzz import fuzz as run_fuzz
-    from bench.fuzz.fuzz import replay
-    from bench.fuzz.live import fuzz_nodes
-    from bench.fuzz.targets import reading_targets
+    from studies.fuzz.fuzz import fuzz as run_fuzz
+    from studies.fuzz.fuzz import replay
+    from studies.fuzz.live import fuzz_nodes
+    from studies.fuzz.targets import reading_targets
 
     with reading_targets() as targets:
         if again is not None:
@@ -210,13 +210,29 @@ def robustness(
     print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 
+def soak(
+    seconds: Annotated[float, typer.Option(help="Length of each run [s].", min=5.0)] = 60.0,
+    priority: Annotated[
+        int, typer.Option(help="Priority under SCHED_FIFO; 0 for none.", min=0, max=99)
+    ] = 0,
+) -> None:
+    """Run for a long time at 500 Hz composed, then at 250 Hz in processes: what grows?"""
+    from studies import soak as s
+
+    for where, rate, composed in (("composed", 500.0, True), ("processes", 250.0, False)):
+        with Progress(f"soak, {where}", 2 * round(seconds)) as advance:
+            scenario = s.soak_scenario(rate)
+            seen = s.soak(scenario, seconds, composed=composed, priority=priority, progress=advance)
+        print(where, json.dumps(s.summary(seen), indent=2))
+
+
 app = typer.Typer(
     help="Many runs on all cores, ending in figures and a table.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, loads, faults, fuzz, robustness):
+for _command in (slip, loads, faults, fuzz, robustness, soak):
     app.command()(_command)
 
 

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64
 from support.graph import Graph
 from support.messages import force_message, pose_message
 
-from bench.fuzz.raw_writer import RawWriter, request_topic
+from studies.fuzz.raw_writer import RawWriter, request_topic
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from support.messages import pose as make_pose
 
-from bench.fuzz.targets import message_readers
+from studies.fuzz.targets import message_readers
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.messages import conversions as c
 

@@ -1,17 +1,147 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hands to test with: those of the benchmarks, any number of fingers and of joints a finger."""
+"""Hands of any size, written as URDF and YAML, and objects that fit them."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import yaml
 from numpy.typing import NDArray
 
-from bench.hands import LINK, posture_for, prism_grasp, write_hand
+from tactile_hand_ros.control.reach import inverse_kinematics
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.hand.hand import Hand
 
-__all__ = ["LINK", "posture_for", "prism_grasp", "tip_rotations", "write_hand"]
+Array = NDArray[np.float64]
+
+_BENT = (1.0, 0.0, 1.2, 0.6, 0.1, 0.1)  # angles of a finger's joints that bend it inwards, rad
+LINK = 0.3  # half the length of all links of a finger together, m
+_NEAR = 1e-4  # how exactly a fingertip must reach its place, m
+
+
+class HandSizeError(TactileHandError):
+    """A hand whose fingers do not reach what they are to hold."""
+
+
+def _link(name: str, length: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="0.2"/>'
+        '<inertia ixx="0.001" iyy="0.002" izz="0.0025" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    )
+
+
+def _joint(name: str, kind: str, parent: str, child: str, xyz: str, rest: str = "") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f"<origin {xyz}/>{rest}</joint>"
+    )
+
+
+def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
+    """Write a finger that stands at `bearing` on a circle and bends about changing axes."""
+    place = f'xyz="{radius * math.cos(bearing)} {radius * math.sin(bearing)} 0" rpy="0 0 {bearing}"'
+    parts = [
+        f'<link name="{name}_base"/>',
+        _joint(f"{name}_mount", "fixed", "palm", f"{name}_base", place),
+    ]
+    parent, origin = f"{name}_base", 'xyz="0 0 0"'
+    axes: tuple[str, ...] = ("0 -1 0", "0 0 1", "0 -1 0", "0 -1 0", "1 0 0", "0 -1 0")
+    # The first two joints share a place; the others divide the finger's length.
+    lengths = [0.0] + [2.0 * LINK / max(1, joints - 1)] * (joints - 1)
+    if joints == 2:  # bends in its plane only
+        axes, lengths = ("0 -1 0", "0 -1 0"), [LINK, LINK]
+    for j in range(joints):
+        child = f"{name}_link_{j + 1}"
+        rest = f'<axis xyz="{axes[j]}"/><limit lower="-3" upper="3" effort="30" velocity="20"/>'
+        parts += [
+            _joint(f"{name}_joint_{j + 1}", "revolute", parent, child, origin, rest),
+            _link(child, lengths[j] or 0.05),
+        ]
+        parent, origin = child, f'xyz="{lengths[j]} 0 0"'
+    parts += [
+        f'<link name="{name}_tip"/>',
+        _joint(f"{name}_tip_mount", "fixed", parent, f"{name}_tip", origin),
+    ]
+    return "".join(parts)
+
+
+def write_hand(
+    folder: Path, joints: Sequence[int], bearings: Sequence[float] = (), radius: float = LINK
+) -> Path:
+    """Write a hand with the given number of joints of each finger; return its YAML file.
+
+    Args:
+        folder: Where to write.
+        joints: Number of joints of each finger, 2 to 6.
+        bearings: Directions in which the fingers stand, rad; evenly spread by default.
+        radius: Distance of the fingers' bases from the palm's z axis, m.
+    """
+    k = len(joints)
+    bearings = bearings or [2.0 * math.pi * i / k for i in range(k)]
+    names = [f"f{i + 1}" for i in range(k)]
+    fingers = [_finger(*f, radius) for f in zip(names, joints, bearings, strict=True)]
+    urdf = f'<robot name="bench"><link name="palm"/>{"".join(fingers)}</robot>'
+    (folder / "hand.urdf").write_text(urdf)
+    config = {
+        "urdf": "hand.urdf",
+        "fingers": [{"name": n, "tip": f"{n}_tip", "radius": 0.02} for n in names],
+    }
+    path = folder / "hand.yaml"
+    path.write_text(yaml.safe_dump(config))
+    return path
+
+
+def posture_for(hand: Hand, tips: Array) -> Array:
+    """Return joint angles that bring the tips of a `write_hand` hand to places, shape (k, 3), m.
+
+    Raises:
+        HandSizeError: If they do not reach.
+    """
+    counts = Counter(name.split("_")[0] for name in hand.joint_names)
+    bent = [
+        (_BENT[0], _BENT[2]) if counts[finger] == 2 else _BENT[: counts[finger]]
+        for finger in hand.finger_names
+    ]
+    start = np.concatenate(bent)
+    theta, missing = inverse_kinematics(hand, tips, start)
+    if missing.max() >= _NEAR:
+        raise HandSizeError(
+            f"the fingertips stay {missing} m short of their places, expected less than {_NEAR} m;"
+            " place the object nearer"
+        )
+    return theta
+
+
+def prism_grasp(folder: Path, joints: Sequence[int], height: float = 0.4) -> dict[str, Any]:
+    """Return a scenario's values: every finger touches its own side of an upright prism.
+
+    Args:
+        folder: Where to write the hand.
+        joints: Number of joints of each finger.
+        height: Height of the object over the palm, m.
+    """
+    path, k, apothem = write_hand(folder, joints), len(joints), 0.1
+    bearings = 2.0 * np.pi * np.arange(k) / k
+    outward = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(k)], axis=1)
+    tips = (apothem + 0.02) * outward + [0.0, 0.0, height]
+    # Corners lie between the fingers.
+    between = bearings + np.pi / k
+    ring = apothem / np.cos(np.pi / k) * np.stack([np.cos(between), np.sin(between)], axis=1)
+    corners = [[x, y, z] for x, y in ring for z in (-0.12, 0.12)]
+    return {
+        "hand": str(path),
+        "layout": "",
+        "plant.initial_joints": posture_for(Hand.load(str(path)), tips).tolist(),
+        "plant.object.vertices": np.ravel(corners).tolist(),
+        "plant.object.position": [0.0, 0.0, height],
+    }
 
 
 def tip_rotations(description: str, tips: Sequence[str], theta: NDArray) -> NDArray:

@@ -1,66 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make bench` as a command: what it saves, draws and refuses."""
+"""`make bench`: what it measures, saves and refuses; measured runs are real runs."""
 
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
 
 from bench.__main__ import main
+from bench.bare_loop import missed_by_bare_loop, wake_at_each_tick
+from bench.result import Result
+from bench.runs import BenchError, run_graph
+from bench.wire import each_tick, rate
+from bench.written import written_calls
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the one sentence with which a command is refused."""
-    assert main([str(a) for a in arguments]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1 and "Traceback" not in printed.err
-    return printed.err
-
-
-def test_bench_saves_its_results_and_compares_with_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_is_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results" / "bench.json"
-    words = ["--blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]
-    assert main(words) == 0
-    assert "when the saved run was made" not in capsys.readouterr().out
-    assert json.loads(out.read_text())["results"]
-    assert main(words) == 0
-    page = capsys.readouterr().out
-    assert "closed loop" in page and "when the saved run was made" in page
-    assert re.search(r"controller, one tick .* \d+\.\d\d x", page)
-    assert max(map(len, page.splitlines())) <= 100
-
-
-def test_bench_refuses_a_folder_before_it_measures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "is a folder, expected the name of a file" in refused(capsys, "--out", tmp_path)
-
-
-def test_bench_draws_the_cost_against_size(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--sizes", "--ticks", "2", "--repeats", "1", "--format", "png"]
-    out = ["--out", str(tmp_path / "bench" / "sizes.json")]
-    assert main([*words, *out, "--figures", str(tmp_path)]) == 0
-    assert "5 fingers of 6 joints" in " ".join(capsys.readouterr().out.split())
-    assert {file.name for file in tmp_path.iterdir()} == {"sizes.png", "bench"}
+    assert main(["--only", "blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
+    assert "controller, one tick" in capsys.readouterr().out
+    saved = {each["name"]: each for each in json.loads(out.read_text())["results"]}
+    assert saved["in-process, one plant step a tick"]["median"] > 100.0
+    assert saved["controller, one tick"]["count"] == 20
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--realtime", "--seconds", "0"], "--seconds"),
-        (["--realtime", "--rates", "500,fast"], "--rates is '500,fast'"),
-        (["--realtime", "--sizes"], "measured separately"),
-        (["--scenarios", "no_such", "--runs", "1"], "no_such"),
+        (["--rates", "abc"], "--rates is 'abc', expected ticks per second"),
+        (["--rates", "500,0"], "--rates is '500,0'"),
+        (["--only", "blocks,speed"], "--only is 'blocks,speed', expected some of blocks"),
+        (["--out", "."], "is a folder, expected the name of a file"),
+        (["--seconds", "0"], "--seconds"),
     ],
 )
-def test_bench_refuses_what_it_cannot_measure(
-    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_measured_is_refused_in_one_sentence(
+    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert reason in refused(capsys, "--out", str(tmp_path / "x"), *words)
+    assert main(["--only", "blocks", *words]) == 2
+    printed = capsys.readouterr()
+    assert reason in printed.err and printed.err.count("\n") == 1 and printed.out == ""
+
+
+def test_a_result_is_judged_by_its_median() -> None:
+    samples = [1.0, 2.0, 9.0]
+    assert Result("", "", samples).verdict == ""
+    assert Result("", "", samples, at_most=2.0).verdict == "pass"
+    assert Result("", "", samples, at_least=2.1).verdict == "fail"
+    assert Result("", "", [float("nan")], at_most=2.0).verdict == "fail"
+
+
+def test_a_short_composed_run_is_measured() -> None:
+    run = run_graph(0.2, "--composed")
+    assert run["recording"]["ticks_per_second"] > 0.0 and run["wall_s"] > 0.2
+    assert run["startup_s"]["first_tick_answered"] > 0.0
+
+
+def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
+    with pytest.raises(BenchError, match="no_such"):
+        run_graph(0.2, "--set", "plant.no_such=1")
+
+
+def test_ticks_go_round_by_messages_alone() -> None:
+    """Between two processes, and among the nodes of each."""
+    assert rate((",".join(NODES[:2]), ",".join(NODES[2:])), 20, recorded=False) > 0.0
+
+
+def test_the_wire_carries_what_a_tick_does() -> None:
+    wiring = each_tick()
+    assert (len(wiring), sum(len(link.subscribers) for link in wiring)) == (19, 17)
+
+
+def test_the_in_process_loop_can_write_a_bag() -> None:
+    assert written_calls(load_scenario("paper"), 20) > 0.0
+
+
+def test_a_bare_loop_counts_every_tick_once() -> None:
+    ticks, missed = wake_at_each_tick(1000.0, 0.2)
+    assert 200 <= ticks <= 201 + missed
+    assert 0.0 <= missed_by_bare_loop(200.0, 0.2) <= 1.0

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.fuzz.fuzz import Report
-from bench.fuzz.live import fuzz_nodes
-from bench.soak import soak, soak_scenario
 from studies.faults.campaign import run_campaign
 from studies.faults.space import Cell, Run
+from studies.fuzz.fuzz import Report
+from studies.fuzz.live import fuzz_nodes
+from studies.soak import soak, soak_scenario
 
 FAULTS = (("skin of one finger", "stuck"), ("skin of all fingers", "off"))
 DEATHS = (("sensor", "stopped"), ("regulator", "off"))

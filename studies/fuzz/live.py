@@ -20,11 +20,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bench.fuzz.fuzz import Report, chance_of, keep
-from bench.fuzz.mutation import damaged
-from bench.fuzz.raw_writer import RawWriter, RawWriterError, request_topic
-from bench.soak import soak_scenario
 from studies.faults.running_hand import RunningHand
+from studies.fuzz.fuzz import Report, chance_of, keep
+from studies.fuzz.mutation import damaged
+from studies.fuzz.raw_writer import RawWriter, RawWriterError, request_topic
+from studies.soak import soak_scenario
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.processes import end_together
 from tactile_hand_ros.scenario.scenario import NODES

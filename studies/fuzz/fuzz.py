@@ -18,7 +18,7 @@ from typing import Any
 
 import psutil
 
-from bench.fuzz.targets import Target
+from studies.fuzz.targets import Target
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 
 LONGEST = 2.0

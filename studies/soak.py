@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from bench.results import Goal, Result
 from studies.faults.running_hand import RunningHand
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.scheduling import Scheduling
@@ -118,23 +117,17 @@ def _sample(seen: Soak, nodes: dict[str, psutil.Process], now: float) -> None:
     seen.threads.append(sum(node.num_threads() for node in nodes.values()))
 
 
-def results(seen: Soak, where: str) -> list[Result]:
-    """Sum up a long run."""
-    none = Goal("largest", at_most=0.0)
-    late = 100.0 * seen.late / max(1, seen.ticks)
-    held = 100.0 * seen.held / max(1, seen.ticks)
-    name = f"soak, {where}, {seen.times[-1]:.0f} s" if seen.times else f"soak, {where}"
-    return [
-        Result.of(f"{name}: ticks", "", [seen.ticks]),
-        Result.of(f"{name}: late commands", "%", [late]),
-        Result.of(f"{name}: held ticks", "%", [held]),
-        Result.of(f"{name}: slope of the memory", "KiB/min", [_kib_per_min(seen, seen.memory)]),
-        Result.of(f"{name}: slope of the recorder", "KiB/min", [_kib_per_min(seen, seen.recorder)]),
-        Result.of(f"{name}: more descriptors", "", [seen.growth(seen.descriptors)], none),
-        Result.of(f"{name}: more threads", "", [seen.growth(seen.threads)], none),
-        Result.of(f"{name}: drops", "", [float(not seen.is_held)], none),
-    ]
-
-
-def _kib_per_min(seen: Soak, memory: list[int]) -> float:
-    return 60.0 * seen.slope(memory) / 1024.0
+def summary(seen: Soak) -> dict[str, float]:
+    """Return what a long run shows, by name and unit."""
+    ticks = max(1, seen.ticks)
+    return {
+        "seconds": seen.times[-1] if seen.times else 0.0,
+        "ticks": seen.ticks,
+        "late_percent": 100.0 * seen.late / ticks,
+        "held_percent": 100.0 * seen.held / ticks,
+        "memory_KiB_per_min": 60.0 / 1024.0 * seen.slope(seen.memory),
+        "recorder_KiB_per_min": 60.0 / 1024.0 * seen.slope(seen.recorder),
+        "more_descriptors": seen.growth(seen.descriptors),
+        "more_threads": seen.growth(seen.threads),
+        "drops": float(not seen.is_held),
+    }

@@ -16,7 +16,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
-from bench.fuzz.mutation import damaged, damaged_text
+from studies.fuzz.mutation import damaged, damaged_text
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.writer import BagWriter

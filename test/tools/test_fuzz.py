@@ -3,9 +3,9 @@
 
 import pytest
 
-from bench.fuzz import fuzz as fuzz_module
-from bench.fuzz.fuzz import chance_of, fuzz, replay
-from bench.fuzz.targets import Target, reading_targets
+from studies.fuzz import fuzz as fuzz_module
+from studies.fuzz.fuzz import chance_of, fuzz, replay
+from studies.fuzz.targets import Target, reading_targets
 from tactile_hand_ros.errors import ConfigurationError, MessageError
 
 

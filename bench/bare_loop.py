@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What real time costs at the minimum: a process that only wakes at each tick.
+
+What it misses, no loop with work in it can keep on the same computer. As a script with
+``RATE SECONDS PRIORITY`` it is that process.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+from tactile_hand_ros.ros.processes import CapturedProcess
+from tactile_hand_ros.ros.scheduling import Scheduling
+
+_PATIENCE = 60.0  # s, on top of the time that is measured
+
+
+def missed_by_bare_loop(rate: float, seconds: float, priority: int = 0) -> float:
+    """Return the fraction of ticks at which a process wakes only when the next one is due.
+
+    Args:
+        rate: Ticks per second [Hz].
+        seconds: How long [s].
+        priority: Under SCHED_FIFO; 0 for ordinary scheduling.
+    """
+    words = [str(rate), str(seconds), str(priority)]
+    with CapturedProcess([sys.executable, __file__, *words]) as process:
+        process.wait(_PATIENCE + seconds)
+        ticks, missed = map(int, process.stdout.split())
+    return missed / ticks
+
+
+def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int]:
+    """Return how many ticks came due and how many of them came too late."""
+    period, alarm = round(1e9 / rate), threading.Event()
+    due = time.monotonic_ns() + period
+    ticks, missed, end = 0, 0, due + round(1e9 * seconds)
+    while due < end:
+        alarm.wait(max(0.0, 1e-9 * (due - time.monotonic_ns())))
+        skipped = max(0, time.monotonic_ns() - due) // period
+        ticks, missed, due = ticks + 1 + skipped, missed + skipped, due + (1 + skipped) * period
+    return ticks, missed
+
+
+def main() -> None:
+    """Run the loop and print what came of it."""
+    rate, seconds, priority = (float(word) for word in sys.argv[1:4])
+    Scheduling(priority=int(priority)).apply()
+    print(*wake_at_each_tick(rate, seconds))
+
+
+if __name__ == "__main__":
+    main()
