@@ -4,13 +4,20 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import mmap
+import struct
+import zlib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Metadata
+from mcap.records import Channel, Chunk, Metadata
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, storage_mcap
@@ -144,6 +151,136 @@ def read_raw(
     with open_bag(path) as reader:
         for connection, log_time, data in _messages(reader, topics, start, stop):
             yield RawMessage(connection.topic, log_time, bytes(data))
+
+
+class TopicMessages(NamedTuple):
+    """The messages of one topic in order of their log time, ns since the epoch."""
+
+    log_times: list[int]
+    data: list[bytes]
+
+
+def read_topics(
+    path: Path | str,
+    topics: Collection[str],
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, TopicMessages]:
+    """Read topics as a whole, several times as fast as `read_raw`.
+
+    Args:
+        path: Bag folder or file.
+        topics: Full names; absent topics have no messages.
+        progress: Called now and then with the fraction of a file that is read.
+
+    Raises:
+        BagError: If the bag cannot be read.
+    """
+    found = {topic: TopicMessages([], []) for topic in topics}
+    with open_bag(path) as reader:
+        files = _mcap_files(reader, Path(path))
+        try:
+            for file in files:
+                _McapScan(found, progress).read(file)
+        except Exception as error:  # damaged data can fail anywhere in the parsers
+            raise _broken(path, error) from error
+        if not files:
+            for connection, log_time, data in _messages(reader, topics, None, None):
+                found[connection.topic].log_times.append(log_time)
+                found[connection.topic].data.append(bytes(data))
+    return {topic: _in_order(messages) for topic, messages in found.items()}
+
+
+def _mcap_files(reader: AnyReader, path: Path) -> list[Path]:
+    """Return the files of an open bag, none if they are of another format."""
+    if path.is_file():
+        return [path] if path.suffix == ".mcap" else []
+    parts: list[Any] = [part.storage for part in reader.readers if isinstance(part, Reader)]
+    storages = [storage for part in parts for storage in part.storages]
+    return [Path(str(s.path)) for s in storages if isinstance(s, storage_mcap.McapReader)]
+
+
+class _McapScan:
+    """Takes the messages of topics out of a file.
+
+    Source: MCAP specification, records.
+    """
+
+    def __init__(
+        self, found: dict[str, TopicMessages], progress: Callable[[float], None] | None
+    ) -> None:
+        self._found, self._progress = found, progress
+        self._wanted: dict[int, TopicMessages] = {}
+
+    def read(self, file: Path) -> None:
+        with file.open("rb") as stream:
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                self._read_records(data, _MAGIC, len(data) - _MAGIC)
+
+    def _read_records(self, data: bytes | mmap.mmap, at: int, end: int) -> None:
+        """Read records that stand one after another in a file or a chunk."""
+        wanted = self._wanted
+        while at < end:
+            opcode, size = _RECORD.unpack_from(data, at)
+            body, at = at + _RECORD.size, at + _RECORD.size + size
+            if opcode == Opcode.MESSAGE:
+                channel, log_time = _MESSAGE.unpack_from(data, body)
+                if channel in wanted:
+                    messages = wanted[channel]
+                    messages.log_times.append(log_time)
+                    messages.data.append(data[body + _MESSAGE.size : at])
+            elif opcode == Opcode.CHANNEL:
+                known = Channel.read(_stream(data[body:at]))
+                if known.topic in self._found:
+                    wanted[known.id] = self._found[known.topic]
+            elif opcode == Opcode.CHUNK:
+                records = _unpacked(Chunk.read(_stream(data[body:at])))
+                self._read_records(records, 0, len(records))
+                if self._progress is not None:
+                    self._progress(at / end)
+            elif opcode == Opcode.DATA_END:
+                return
+
+
+def _stream(data: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(data))
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return the records of a chunk."""
+    data = _bounded(chunk.compression)(chunk.data, chunk.uncompressed_size)
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk has {len(data)} bytes, expected {chunk.uncompressed_size}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("the checksum of a chunk is wrong")
+    return data
+
+
+_MAGIC = 8  # bytes at both ends of a file
+_RECORD = struct.Struct("<BQ")  # opcode, length
+_MESSAGE = struct.Struct("<H4xQ8x")  # channel, sequence, log time, publish time
+
+
+def _in_order(messages: TopicMessages) -> TopicMessages:
+    """Return messages sorted by log time, equal times as they were written."""
+    times = messages.log_times
+    if all(a <= b for a, b in pairwise(times)):
+        return messages
+    order = sorted(range(len(times)), key=times.__getitem__)
+    return TopicMessages([times[i] for i in order], [messages.data[i] for i in order])
+
+
+def decode(type_name: str, data: bytes) -> Any:
+    """Return a message of a type that ROS 2 Jazzy brings along.
+
+    Raises:
+        BagError: If it is not of that type.
+    """
+    try:
+        return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, type_name)
+    except Exception as error:  # as above
+        raise BagError(
+            f"A message is not a valid {type_name}: {error}; record it again."
+        ) from error
 
 
 def _messages(

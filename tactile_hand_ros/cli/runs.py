@@ -43,7 +43,7 @@ def figures(
     from tactile_hand_ros.report.style import save
 
     opened = _open(run, namespace)
-    folder = out or _folder_of(opened) / "figures"
+    folder = out or opened.folder / "figures"
     check_writable(folder)
     drawn = {"fig3": motion_figure(opened.record), "fig4": friction_figure({"": opened.record})}
     if opened.scenario is not None:
@@ -79,8 +79,8 @@ def compare(
 ) -> None:
     """Lay runs over each other: one page with their plots, and their metrics side by side."""
     from tactile_hand_ros.report import tables
+    from tactile_hand_ros.report.facts import differing, labels
     from tactile_hand_ros.report.page import COMPARISON, write_comparison
-    from tactile_hand_ros.report.settings import differing, labels
 
     start = time.perf_counter()
     if len(runs) < 2:
@@ -145,11 +145,6 @@ def _escaped(text: object) -> str:
     from rich.markup import escape
 
     return escape(str(text))
-
-
-def _folder_of(run: Run) -> Path:
-    """Return where results of a run belong: the run's folder, or beside a bare bag."""
-    return run.path if run.bag != run.path else run.bag.parent
 
 
 COMMANDS = (figures, report, compare, summary)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,11 +14,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.report import facts, model, style
-from tactile_hand_ros.report.pack import pack
-from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.derived import gaps
-from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.run.result import RunData
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -55,7 +54,7 @@ def page_document(
     }
 
 
-def run_document(run: Run, *, room: int = MAX_BYTES, label: str = "") -> dict[str, Any]:
+def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dict[str, Any]:
     """Return everything the page needs to know of a run, as plain data for JSON.
 
     All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
@@ -77,10 +76,10 @@ def run_document(run: Run, *, room: int = MAX_BYTES, label: str = "") -> dict[st
     rows = np.union1d(rows, [row for pair in around for row in pair]).astype(np.int64)
     broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
     return {
-        "name": facts.name(run),
-        "label": label or facts.name(run),
+        "name": run.name,
+        "label": label or run.name,
         "gaps": [[float(record.times[row]) for row in pair] for pair in around],
-        "description": str(facts.loose_scenario(run).get("description", "")),
+        "description": str(run.loose_scenario.get("description", "")),
         "recorded": _date(run),
         "headline": run.headline,
         "passed": facts.passed(run),
@@ -98,7 +97,7 @@ def run_document(run: Run, *, room: int = MAX_BYTES, label: str = "") -> dict[st
         "ledger": facts.assumptions(run),
         "tiles": facts.tiles(run),
         "tables": facts.all_tables(run),
-        "scenario": facts.scenario_text(run),
+        "scenario": run.scenario_text,
         "notes": [*facts.notes(run), *([problem] if problem else [])],
     }
 
@@ -116,7 +115,7 @@ def _shown(values: Array, rows: Rows, broken: Sequence[int]) -> Array:
     return found
 
 
-def plot_columns(run: Run) -> dict[str, Array]:
+def plot_columns(run: RunData) -> dict[str, Array]:
     """Return the arrays of the plots by name, one row a tick.
 
     ``time`` in s, ``rates`` in rad/s, ``position_error`` in m, ``rotation_error`` (|r_d|) in rad,
@@ -158,7 +157,7 @@ def _bytes_per_tick(columns: dict[str, Array]) -> int:
     )
 
 
-def _rows(run: Run, limit: int) -> Rows:
+def _rows(run: RunData, limit: int) -> Rows:
     record = run.record
     at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
     signals = [
@@ -212,9 +211,59 @@ def _finger_by_name(record: Record, joint: str) -> int:
     return named[0] if named else -1
 
 
-def _date(run: Run) -> str:
+def _date(run: RunData) -> str:
     """Return when the run was recorded, UTC."""
-    if run.summary.start_time is None:
+    if run.start_time is None:
         return ""
-    start = datetime.datetime.fromtimestamp(1e-9 * run.summary.start_time, datetime.timezone.utc)
+    start = datetime.datetime.fromtimestamp(1e-9 * run.start_time, datetime.timezone.utc)
     return start.strftime("%Y-%m-%d %H:%M UTC")
+
+
+def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Rows:
+    """Choose the ticks to show.
+
+    Up to `limit` ticks are all shown. Of more, the run is cut into equal pieces, and of each the
+    first tick is shown and those at which each signal is largest and smallest, so that no peak is
+    lost to the eye; what room is left goes to ticks at equal distances.
+
+    Args:
+        count: Number of ticks.
+        limit: About how many may be shown.
+        signals: Whose peaks matter, each of shape (count,).
+        always: Ticks that are shown in any case, such as those of events.
+
+    Returns:
+        Rows in ascending order.
+    """
+    if count <= limit:
+        return np.arange(count)
+    pieces = max(1, limit // (1 + 2 * len(signals)))
+    edges = np.unique(np.linspace(0, count, pieces + 1).astype(np.int64))
+    rows = [edges[:-1], always, np.array([count - 1])]
+    for signal in signals:
+        low = np.where(np.isnan(signal), np.inf, signal)
+        high = np.where(np.isnan(signal), -np.inf, signal)
+        for start, end in zip(edges[:-1], edges[1:], strict=True):
+            rows.append(np.array([start + low[start:end].argmin()]))
+            rows.append(np.array([start + high[start:end].argmax()]))
+    chosen = np.unique(np.concatenate(rows).astype(np.int64))
+    even = np.linspace(0, count - 1, max(2, limit - len(chosen))).astype(np.int64)
+    return np.union1d(chosen, even)
+
+
+def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:
+    """Return an array as plain data for JSON.
+
+    Args:
+        array: Numbers of any shape.
+        code: ``f4`` or ``f8``, or ``u1`` for whole numbers up to 254, in which NaN becomes 255.
+    """
+    values = np.asarray(array)
+    if code == "u1":
+        values = np.where(np.isnan(values), 255, values)
+    data = np.ascontiguousarray(values, dtype="<" + code).tobytes()
+    return {
+        "type": code,
+        "shape": list(values.shape),
+        "data": base64.b64encode(data).decode("ascii"),
+    }

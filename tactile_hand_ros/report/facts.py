@@ -1,53 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page says in words and numbers: headline, tables, assumptions, scenario, notes."""
+"""What the page says in words and numbers: headline, tables, assumptions, settings, notes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.config.plain_yaml import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, counted
+from tactile_hand_ros.errors import counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.assumptions import Assumption
-from tactile_hand_ros.run.run import BAG, Run
-from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, resolved
+from tactile_hand_ros.run.recording import BagMetrics
+from tactile_hand_ros.run.result import RunData
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
 LOST = "lost_messages"
 _VERSION = "version_"
 
 
-def name(run: Run) -> str:
-    """Return what the run is called: its scenario, else the name of its folder or file."""
-    path = run.path.resolve()
-    folder = path.parent.name if path.name == BAG else path.stem
-    return str(loose_scenario(run).get("name") or folder)
-
-
-def loose_scenario(run: Run) -> dict[str, Any]:
-    """Return the scenario as plain data, even where this version cannot use all of it."""
-    try:
-        data = parse_yaml(scenario_text(run), "scenario")
-    except ConfigurationError:
-        return {}
-    return data if isinstance(data, dict) else {}
-
-
-def lost_messages(run: Run) -> int | None:
+def lost_messages(run: RunData) -> int | None:
     """Return how many messages the recorder lost, None where it does not say."""
-    text = run.summary.custom_data.get(LOST, "")
+    text = run.custom_data.get(LOST, "")
     return int(text) if text.isdigit() else None
 
 
-def passed(run: Run) -> bool | None:
+def passed(run: RunData) -> bool | None:
     """Return whether a run is good: held, and its goal reached; None where nothing judges it."""
     return False if not math.isnan(run.metrics.dropped_at_s) else run.metrics.goal_reached
 
 
-def tiles(run: Run) -> list[dict[str, Any]]:
+def tiles(run: RunData) -> list[dict[str, Any]]:
     """Return the headline: a few numbers, each with what it is and how it is to be judged."""
     m, bag = run.metrics, run.bag_metrics
     held = math.isnan(m.dropped_at_s)
@@ -55,6 +39,12 @@ def tiles(run: Run) -> list[dict[str, Any]]:
         *(_pose_tiles(run) if held else [_dropped(m.dropped_at_s)]),
         _tile("squeeze", m.final_grasp_force_N, "N", f"peak {_peak_squeeze(run)}"),
         *_slip_tiles(run),
+        *([] if bag is None else _recording_tiles(run, bag)),
+    ]
+
+
+def _recording_tiles(run: RunData, bag: BagMetrics) -> list[dict[str, Any]]:
+    return [
         _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
         _recorded(bag.messages, lost_messages(run)),
     ]
@@ -67,7 +57,7 @@ def _dropped(time: float) -> dict[str, Any]:
     }
 
 
-def _pose_tiles(run: Run) -> list[dict[str, Any]]:
+def _pose_tiles(run: RunData) -> list[dict[str, Any]]:
     m = run.metrics
     settled = _tile("settled after", m.settling_time_s, "s", "both errors inside")
     errors = [
@@ -77,7 +67,7 @@ def _pose_tiles(run: Run) -> list[dict[str, Any]]:
     return errors if run.steered else [*errors, settled]
 
 
-def _slip_tiles(run: Run) -> list[dict[str, Any]]:
+def _slip_tiles(run: RunData) -> list[dict[str, Any]]:
     """Return how far a contact slid and how often, where a simulation knows, else the alarms."""
     m = run.metrics
     note = f"{m.slip_alarm_count} detected"
@@ -90,7 +80,7 @@ def _slip_tiles(run: Run) -> list[dict[str, Any]]:
     return [{**tile, "passed": m.max_slip_distance_m <= goal} if limit else tile]
 
 
-def _limited(label: str, value: float, unit: str, run: Run) -> dict[str, Any]:
+def _limited(label: str, value: float, unit: str, run: RunData) -> dict[str, Any]:
     """Return a tile of an error that the goal limits."""
     if run.scenario is None or run.steered:
         return _milli(label, value, unit, "at the end")
@@ -120,30 +110,35 @@ def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
     return {"label": label, "value": f"{value:.3g}", "unit": unit, "note": note}
 
 
-def _peak_squeeze(run: Run) -> str:
+def _peak_squeeze(run: RunData) -> str:
     known = run.record.grasp_force[np.isfinite(run.record.grasp_force)]
     return tables.number(float(known.max()), "N") if len(known) else "unknown"
 
 
-def all_tables(run: Run) -> list[dict[str, Any]]:
+def all_tables(run: RunData) -> list[dict[str, Any]]:
     """Return the tables below the plots."""
-    told = run.summary.custom_data
+    told = run.custom_data
     versions = [[k.removeprefix(_VERSION), v] for k, v in told.items() if k.startswith(_VERSION)]
     if run.scenario is not None:
         versions.append(["seed", str(run.scenario.seed)])
-    lost = lost_messages(run)
-    recording = tables.bag_rows(run.bag_metrics)
-    recording.insert(1, ["messages lost", "not recorded" if lost is None else str(lost)])
     found = [
         {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
         {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},
-        {"title": "Recording", "rows": recording},
+        {"title": "Recording", "rows": _recording_rows(run)},
         {"title": "Versions and seed", "rows": versions},
     ]
     return [table for table in found if table["rows"]]
 
 
-def assumptions(run: Run) -> list[dict[str, Any]]:
+def _recording_rows(run: RunData) -> list[list[str]]:
+    if run.bag_metrics is None:
+        return []
+    lost = lost_messages(run)
+    first, *rest = tables.bag_rows(run.bag_metrics)
+    return [first, ["messages lost", "not recorded" if lost is None else str(lost)], *rest]
+
+
+def assumptions(run: RunData) -> list[dict[str, Any]]:
     """Return the assumptions with their values as text."""
     return [_line(line) for line in run.assumptions]
 
@@ -161,13 +156,7 @@ def _line(line: Assumption) -> dict[str, Any]:
     }
 
 
-def scenario_text(run: Run) -> str:
-    """Return the scenario as YAML, empty where there is none."""
-    text = run.summary.custom_data.get(SCENARIO_KEY, "")
-    return text or (resolved(run.scenario) if run.scenario is not None else "")
-
-
-def notes(run: Run) -> list[str]:
+def notes(run: RunData) -> list[str]:
     """Return what a reader must know before trusting the page."""
     found = []
     if run.scenario_problem:
@@ -179,6 +168,53 @@ def notes(run: Run) -> list[str]:
         found.append("No scenario is known: goal, object and assumptions are left out.")
     if run.assumptions_problem:
         found.append(run.assumptions_problem)
-    if not run.bag_metrics.complete:
+    if run.bag_metrics is not None and not run.bag_metrics.complete:
         found.append("The recording is incomplete; gaps in the plots are ticks without a message.")
+    return found
+
+
+_NOT_SET = "not set"
+_NAMED = 2  # settings in the label of a run
+_LONGEST = 60  # characters of a value in a table
+_WORDS = ("name", "description")
+_PLACES = ("manipulation_controller.law.folder",)  # where a file lies changes nothing
+
+
+def differing(runs: Sequence[RunData]) -> list[list[str]]:
+    """Return a row for each setting that is not the same in all runs: its key, and each value."""
+    flat = [_flat(run.loose_scenario) for run in runs]
+    keys = dict.fromkeys(key for each in flat for key in each)
+    rows = [[key, *(each.get(key, _NOT_SET) for each in flat)] for key in keys]
+    return [row for row in rows if len(set(row[1:])) > 1]
+
+
+def labels(runs: Sequence[RunData]) -> list[str]:
+    """Return what to call each run: its scenario, with settings where another has the same name.
+
+    Runs that do not differ in any setting are named by their folders.
+    """
+    names = [run.name for run in runs]
+    if len(set(names)) == len(names):
+        return names
+    rows = differing(runs)
+    found = []
+    for column, run in enumerate(runs, 1):
+        parts = [f"{row[0].rpartition('.')[2]}={row[column]}" for row in rows[:_NAMED]]
+        more = [f"{len(rows) - _NAMED} more"] if len(rows) > _NAMED else []
+        told = ", ".join([*parts, *more]) or run.folder.resolve().name
+        found.append(f"{names[column - 1]} ({told})")
+    return found
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Return nested settings by dotted key, as text, without names and descriptions."""
+    found: dict[str, str] = {}
+    for key, value in data.items():
+        if (not prefix and key in _WORDS) or prefix + key in _PLACES:
+            continue
+        if isinstance(value, dict):
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            text = "" if value is None else str(value)
+            found[prefix + key] = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     return found

@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the 3D view shows besides arrays: the hand's links and the object's shape."""
+"""What the 3D view shows besides arrays: the hand's links, from its URDF, and the object."""
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tactile_hand_ros.bag.reader import read_messages
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import HandModelError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.report.facts import loose_scenario
-from tactile_hand_ros.report.urdf import hand_tree
-from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_vector
+from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import object_config
 
-DESCRIPTION = "robot_description"
 
-
-def hand(run: Run) -> tuple[dict[str, Any] | None, str]:
+def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
     """Return the hand as `hand_tree` gives it, None and a sentence where it is not known."""
     try:
         text = _description(run)
@@ -29,21 +30,20 @@ def hand(run: Run) -> tuple[dict[str, Any] | None, str]:
     return tree, ""
 
 
-def _description(run: Run) -> str:
+def _description(run: RunData) -> str:
     """Return the URDF, the recorded one before that of the scenario."""
-    topic = run.topics.full(DESCRIPTION)
-    if run.summary.counts.get(topic) and run.summary.types[topic] == "std_msgs/msg/String":
-        return str(next(read_messages(run.bag, [topic])).message.data)
-    told = loose_scenario(run)
+    if run.description:
+        return run.description
+    told = run.loose_scenario
     name, layout = told.get("hand"), told.get("layout", "")
     if not isinstance(name, str) or not isinstance(layout, str):
         return ""
     return Hand.load(name, layout).description
 
 
-def _tips(run: Run) -> dict[str, tuple[str, float]]:
+def _tips(run: RunData) -> dict[str, tuple[str, float]]:
     """Return finger and radius by tip link, nothing where the hand's file is not here."""
-    name = loose_scenario(run).get("hand")
+    name = run.loose_scenario.get("hand")
     if not isinstance(name, str):
         return {}
     try:
@@ -53,9 +53,9 @@ def _tips(run: Run) -> dict[str, tuple[str, float]]:
     return {finger.tip: (finger.name, finger.radius) for finger in config.fingers}
 
 
-def solid(run: Run) -> dict[str, Any] | None:
+def solid(run: RunData) -> dict[str, Any] | None:
     """Return corners in m, faces and edges of the object; None where its shape is unknown."""
-    plant = loose_scenario(run).get("plant")
+    plant = run.loose_scenario.get("plant")
     if not isinstance(plant, dict) or "object" not in plant:
         return None
     try:
@@ -67,3 +67,123 @@ def solid(run: Run) -> dict[str, Any] | None:
         "faces": [corners.tolist() for corners in shape.face_corners],
         "edges": shape.edges.tolist(),
     }
+
+
+Array = NDArray[np.float64]
+
+_MOVING = {"revolute": "turn", "continuous": "turn", "prismatic": "slide"}
+
+
+def hand_tree(
+    description: str, joint_names: Sequence[str], tips: Mapping[str, tuple[str, float]]
+) -> dict[str, Any]:
+    """Return the hand as plain data.
+
+    Args:
+        description: URDF text.
+        joint_names: Names of the joints in the order of the record.
+        tips: Finger and radius in m by tip link; where empty, the links at the ends of the tree
+            are taken, with the radius of the sphere that the URDF draws there.
+
+    Returns:
+        ``links`` in an order in which parents come first, each with ``parent`` (index, -1 for the
+        root), ``xyz`` in m and ``quaternion`` (x, y, z, w) in the parent, and for moving joints
+        ``motion`` (turn or slide), ``axis`` and ``joint`` (column of the record, -1 if unknown);
+        ``tips`` with ``link`` (index), ``finger`` (name, empty if unknown) and ``radius``.
+
+    Raises:
+        HandModelError: If the text is not a URDF.
+    """
+    try:
+        root = ElementTree.fromstring(description)
+    except ElementTree.ParseError as error:
+        raise HandModelError(
+            f"robot_description is not valid XML ({error}); expected a URDF"
+        ) from error
+    links = _links(root, list(joint_names))
+    index = {link["name"]: i for i, link in enumerate(links)}
+    given = {name: tip for name, tip in tips.items() if name in index}
+    found = given or _drawn_tips(root, links)
+    ends = [
+        {"link": index[name], "finger": finger, "radius": radius}
+        for name, (finger, radius) in found.items()
+    ]
+    return {"links": links, "tips": ends}
+
+
+def _links(root: ElementTree.Element, joint_names: list[str]) -> list[dict[str, Any]]:
+    joints: dict[str, list[ElementTree.Element]] = {}
+    for joint in root.findall("joint"):
+        joints.setdefault(_end(joint, "parent"), []).append(joint)
+    children = {_end(joint, "child") for each in joints.values() for joint in each}
+    names = [str(link.get("name")) for link in root.findall("link")]
+    links = [_link(name, -1, None, joint_names) for name in names if name not in children]
+    placed = {link["name"] for link in links}
+    for number, link in enumerate(links):  # grows while it is walked, parents first
+        for joint in joints.get(link["name"], []):
+            child = _end(joint, "child")
+            if child not in placed:  # each link once, even where the URDF is no tree
+                placed.add(child)
+                links.append(_link(child, number, joint, joint_names))
+    return links
+
+
+def _end(joint: ElementTree.Element, tag: str) -> str:
+    element = joint.find(tag)
+    if element is None:
+        raise HandModelError(f"joint '{joint.get('name')}' has no <{tag}>; expected a URDF")
+    return str(element.get("link"))
+
+
+def _link(
+    name: str, parent: int, joint: ElementTree.Element | None, joint_names: list[str]
+) -> dict[str, Any]:
+    link: dict[str, Any] = {"name": name, "parent": parent}
+    if joint is None:
+        return link | {"xyz": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}
+    origin, axis = joint.find("origin"), joint.find("axis")
+    link["xyz"] = _numbers(origin, "xyz", "0 0 0")
+    link["quaternion"] = _quaternion(_numbers(origin, "rpy", "0 0 0"))
+    if motion := _MOVING.get(str(joint.get("type"))):
+        known = str(joint.get("name"))
+        link["motion"] = motion
+        link["axis"] = _numbers(axis, "xyz", "1 0 0")
+        link["joint"] = joint_names.index(known) if known in joint_names else -1
+    return link
+
+
+def _numbers(element: ElementTree.Element | None, name: str, default: str) -> list[float]:
+    text = default if element is None else element.get(name, default)
+    values = [_number(word) for word in text.split()]
+    if len(values) != 3:
+        raise HandModelError(f"the URDF says {name}='{text}', expected three numbers")
+    return values
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise HandModelError(f"the URDF says '{text}', expected a number")
+    return value
+
+
+def _quaternion(rpy: list[float]) -> list[float]:
+    roll, pitch, yaw = (rotation_from_vector(a * e) for a, e in zip(rpy, np.eye(3), strict=True))
+    return [float(q) for q in quaternion_from_rotation(yaw @ pitch @ roll)]
+
+
+def _drawn_tips(
+    root: ElementTree.Element, links: list[dict[str, Any]]
+) -> dict[str, tuple[str, float]]:
+    """Return the links at the ends of the tree that the URDF draws as spheres."""
+    inner = {link["parent"] for link in links}
+    ends = {link["name"] for i, link in enumerate(links) if i not in inner}
+    found = {}
+    for link in root.findall("link"):
+        sphere = link.find(".//sphere")
+        if sphere is not None and link.get("name") in ends:
+            found[str(link.get("name"))] = ("", _number(sphere.get("radius", "0.01")))
+    return found

@@ -16,9 +16,9 @@ from typing import Any
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
-from tactile_hand_ros.report.settings import differing, labels
+from tactile_hand_ros.report.facts import differing, labels
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.run.result import RunData
 
 REPORT = "report.html"
 COMPARISON = "comparison.html"
@@ -29,7 +29,7 @@ MOST_EARLIER = 9
 _PLACE = re.compile(r"@@(\w+)@@")
 
 
-def write_report(run: Run, folder: Path | None = None) -> Path:
+def write_report(run: RunData, folder: Path | None = None) -> Path:
     """Write ``report.html`` of a run and return the file; each reset begins a section in it.
 
     Args:
@@ -43,10 +43,10 @@ def write_report(run: Run, folder: Path | None = None) -> Path:
     sections = [*run.earlier[-MOST_EARLIER:], run]
     room = MAX_BYTES // len(sections)
     documents = [run_document(section, room=room) for section in sections]
-    return _write(page(documents, "run"), (folder or run_folder(run)) / REPORT)
+    return _write(page(documents, "run"), (folder or run.folder) / REPORT)
 
 
-def write_comparison(runs: Sequence[Run], file: Path) -> Path:
+def write_comparison(runs: Sequence[RunData], file: Path) -> Path:
     """Write a page that overlays runs and return the file.
 
     Args:
@@ -63,11 +63,6 @@ def write_comparison(runs: Sequence[Run], file: Path) -> Path:
         for run, label in zip(runs, labels(runs), strict=True)
     ]
     return _write(page(documents, "comparison", differing(runs)), file)
-
-
-def run_folder(run: Run) -> Path:
-    """Return where results of a run belong: the run's folder, or beside a bare bag."""
-    return run.path if run.bag != run.path else run.bag.parent
 
 
 def page(documents: list[dict[str, Any]], kind: str, settings: Sequence[Sequence[str]] = ()) -> str:

@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.bag.reader import read_messages
+from tactile_hand_ros.bag.reader import TopicMessages, decode
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.run.derived import gaps, silent
@@ -37,23 +37,23 @@ class Asked(NamedTuple):
     value: str
 
 
-def read_asked(bag: Path, topic: str, states: Series, stop: int | None = None) -> list[Asked]:
+def read_asked(messages: TopicMessages, states: Series, stop: int | None = None) -> list[Asked]:
     """Read an `accepted/<node>/requests` or `rejected/<node>` of the last run in a bag.
 
     Args:
-        bag: The bag.
-        topic: The topic, in full.
+        messages: The topic.
         states: The topic `joint_states`.
         stop: Log time at which to end, ns.
 
     Raises:
-        BagError: If the bag cannot be read.
+        BagError: If a message is broken.
     """
-    messages = list(read_messages(bag, [topic], stop=stop))
-    log_times = np.array([log_time for _, log_time, _ in messages], dtype=np.int64)
-    stamps = np.array([_ns(message.header.stamp) for _, _, message in messages], dtype=np.int64)
+    end = len(messages.data) if stop is None else bisect_left(messages.log_times, stop)
+    decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data[:end]]
+    log_times = np.array(messages.log_times[:end], dtype=np.int64)
+    stamps = np.array([_ns(message.header.stamp) for message in decoded], dtype=np.int64)
     counts = np.flatnonzero(in_last_run(Series(log_times, stamps, []), states))
-    pairs = [message.status[0].values[0] for _, _, message in messages]
+    pairs = [message.status[0].values[0] for message in decoded]
     return [Asked(int(stamps[i]), pairs[i].key, pairs[i].value) for i in counts]
 
 

@@ -9,15 +9,15 @@ its layout, and the rest is a table of bytes of which columns are read.
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.bag.reader import TopicMessages
 from tactile_hand_ros.cdr import Table, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
@@ -194,50 +194,52 @@ class Series:
         return next((t.layout.texts[1:] for t in self.tables if 0 in t.rows), [])
 
 
-@dataclass
-class _Messages:
-    times: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
-
-
-def read_series(bag: Path, types: Mapping[str, str], stop: int | None = None) -> dict[str, Series]:
-    """Read topics in one pass.
+def read_series(
+    messages: Mapping[str, TopicMessages], types: Mapping[str, str], stop: int | None = None
+) -> dict[str, Series]:
+    """Turn the messages of topics into arrays.
 
     Args:
-        bag: Bag folder or file.
-        types: Type of each wanted topic by full name; absent topics give empty series.
+        messages: By full name of the topic.
+        types: Type of each wanted topic by full name.
         stop: Log time at which a reset begins the next section, ns; None for the end of the bag.
 
     Raises:
-        BagError: If the bag cannot be read or holds a broken message.
+        BagError: If a message is broken.
     """
-    found = {topic: _Messages() for topic in types}
-    for topic, log_time, data in read_raw(bag, types, stop=stop):
-        messages = found[topic]
-        messages.times.append(log_time)
-        messages.data.append(data)
-    series = {topic: _series(types[topic], messages) for topic, messages in found.items()}
-    if stop is not None:
-        for topic, one in series.items():
-            series[topic] = _before(one, types[topic], found[topic], stop)
-    return series
+    found = {}
+    for topic, type_name in types.items():
+        one = messages[topic]
+        if stop is not None:
+            one = _before(one, type_name, stop)
+        found[topic] = _series(type_name, one)
+    return found
 
 
-def _before(series: Series, type_name: str, messages: _Messages, stop: int) -> Series:
-    """Leave out what a node said already about the section that begins at a log time [ns]."""
+def _before(messages: TopicMessages, type_name: str, stop: int) -> TopicMessages:
+    """Leave out what belongs to the section that begins at a log time [ns].
+
+    A node may have said something about it a little earlier.
+    """
+    early = part(messages, bisect_left(messages.log_times, stop))
+    series = _series(type_name, early)
     back = np.flatnonzero(np.diff(series.stamps) < 0)
     if not len(back) or series.log_times[back[-1] + 1] < stop - EARLY:
-        return series
-    end = int(back[-1]) + 1
-    return _series(type_name, _Messages(messages.times[:end], messages.data[:end]))
+        return early
+    return part(early, int(back[-1]) + 1)
 
 
-def _series(type_name: str, messages: _Messages) -> Series:
+def part(messages: TopicMessages, end: int) -> TopicMessages:
+    """Return the first messages."""
+    return TopicMessages(messages.log_times[:end], messages.data[:end])
+
+
+def _series(type_name: str, messages: TopicMessages) -> Series:
     stamps = np.zeros(len(messages.data), dtype=np.int64)
     grouped = list(tables(type_name, messages.data))
     for table in grouped:
         stamps[table.rows] = table.stamps
-    return Series(np.array(messages.times, dtype=np.int64), stamps, grouped)
+    return Series(np.array(messages.log_times, dtype=np.int64), stamps, grouped)
 
 
 Flags = NDArray[np.bool_]

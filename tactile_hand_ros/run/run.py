@@ -4,28 +4,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.bag.reader import read_messages, summarize
+from tactile_hand_ros.bag.reader import TopicMessages, decode, read_messages, read_topics, summarize
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
-from tactile_hand_ros.extras import optional
-from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run.assumptions import Assumption, assumptions
-from tactile_hand_ros.run.events import Asked, Event, asked_events, events, read_asked, releases
-from tactile_hand_ros.run.metrics import Metrics, Settling, metrics, recoveries
+from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.run.events import Asked, read_asked
 from tactile_hand_ros.run.reading import (
     HandTopics,
     Series,
@@ -35,7 +31,6 @@ from tactile_hand_ros.run.reading import (
     read_series,
 )
 from tactile_hand_ros.run.recording import BagMetrics, bag_metrics, latencies
-from tactile_hand_ros.run.verdict import headline
 from tactile_hand_ros.scenario.scenario import Scenario
 
 BAG = "bag"
@@ -62,7 +57,7 @@ class Diagnosis:
     values: dict[str, str]
 
 
-class Run:
+class Run(Result):
     """A recorded run; everything is read when it is first used.
 
     Attributes:
@@ -78,7 +73,7 @@ class Run:
         namespace: str | None = None,
         fingers: Sequence[str] | None = None,
         steered: bool | None = None,
-        stop: int | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> None:
         """Open a run.
 
@@ -89,7 +84,7 @@ class Run:
                 that have topics.
             steered: Whether a user steered it and no goal judges it; by default as summary.json
                 beside the bag says.
-            stop: Log time before which the run ends, ns; see `earlier`.
+            progress: Called with the fraction of the bag that is read, while it is read.
 
         Raises:
             BagError: If there is no such run, or its bag is broken or holds no such hand.
@@ -99,7 +94,8 @@ class Run:
         self.summary = summarize(self.bag)
         self._prefix = find_prefix(self.summary.types, namespace, self.bag)
         self._given_fingers = fingers
-        self._steered, self._stop = steered, stop
+        self._steered, self._progress = steered, progress
+        self._stop: int | None = None
         self.topics.check(self.summary.types)
 
     @cached_property
@@ -150,6 +146,35 @@ class Run:
                 return validate(Scenario, read_yaml(source), source)
         return None
 
+    @property
+    def scenario_text(self) -> str:
+        """The scenario as YAML, also where this version cannot use it; empty where none is."""
+        text = self.summary.custom_data.get(SCENARIO_KEY, "")
+        return text or super().scenario_text
+
+    @property
+    def name(self) -> str:
+        """What the run is called: its scenario, else the name of its folder or file."""
+        path = self.path.resolve()
+        folder = path.parent.name if path.name == BAG else path.stem
+        return str(self.loose_scenario.get("name") or folder)
+
+    @property
+    def folder(self) -> Path:
+        """Where results belong: the run's folder, or beside a bare bag."""
+        return self.path if self.bag != self.path else self.bag.parent
+
+    @cached_property
+    def messages(self) -> dict[str, TopicMessages]:
+        """The messages of the hand's topics by full name, read in one pass over the bag.
+
+        Raises:
+            BagError: If the bag is damaged.
+        """
+        asked = [*map(names.accepted_requests, _CONTROLLERS), *_REFUSALS]
+        full = map(self.topics.full, (*asked, names.ROBOT_DESCRIPTION))
+        return read_topics(self.bag, {*self.topics.types, *full}, self._progress)
+
     @cached_property
     def series(self) -> dict[str, Series]:
         """The hand's topics as arrays with log times, by full name.
@@ -157,7 +182,7 @@ class Run:
         Raises:
             BagError: If the bag is damaged.
         """
-        series = read_series(self.bag, self.topics.types, self._stop)
+        series = read_series(self.messages, self.topics.types, self._stop)
         if not len(series[self.topics.full(names.JOINT_STATES)]):
             raise BagError(
                 f"The bag {self.bag} has no message on {self.topics.full(names.JOINT_STATES)}, so "
@@ -173,16 +198,16 @@ class Run:
         """
         states = self.series[self.topics.full(names.JOINT_STATES)]
         starts = np.flatnonzero(np.diff(states.stamps) < 0) + 1
-        return [
-            Run(
-                self.path,
-                namespace=self._prefix,
-                fingers=self.topics.fingers,
-                steered=self.steered,
-                stop=int(states.log_times[start]),
-            )
-            for start in starts
-        ]
+        return [self._until(int(states.log_times[start])) for start in starts]
+
+    def _until(self, stop: int) -> Run:
+        """Return this run as it was before a log time [ns]."""
+        run = Run(
+            self.path, namespace=self._prefix, fingers=self.topics.fingers, steered=self.steered
+        )
+        run._stop = stop
+        run.__dict__["messages"] = self.messages
+        return run
 
     @cached_property
     def requests(self) -> list[Asked]:
@@ -192,23 +217,16 @@ class Run:
     @cached_property
     def refusals(self) -> list[Asked]:
         """The commands of users that were refused."""
-        found = [self._asked(names.rejected(n)) for n in (names.CONTROLLER, names.REGULATOR)]
-        return sorted(each for one in found for each in one)
+        return sorted(each for name in _REFUSALS for each in self._asked(name))
 
     def _asked(self, topic: str) -> list[Asked]:
         states = self.series[self.topics.full(names.JOINT_STATES)]
-        return read_asked(self.bag, self.topics.full(topic), states, self._stop)
+        return read_asked(self.messages[self.topics.full(topic)], states, self._stop)
 
     @cached_property
     def record(self) -> Record:
         """The run tick by tick, as `ClosedLoop` gives it; NaN where there is no message."""
         return align(self.series, self.topics)
-
-    @cached_property
-    def metrics(self) -> Metrics:
-        """What was achieved."""
-        found = metrics(self.record, self.scenario, releases=releases(self.requests))
-        return replace(found, goal_reached=None) if self.steered else found
 
     @cached_property
     def steered(self) -> bool:
@@ -221,47 +239,6 @@ class Run:
         except (OSError, ValueError, KeyError, TypeError):
             return False  # a bag of its own
 
-    @property
-    def headline(self) -> str:
-        """What became of the run, in a few words; empty where nothing judges it."""
-        return headline(self.metrics.to_dict(), steered=self.steered)
-
-    @property
-    def assumptions(self) -> list[Assumption]:
-        """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
-        return self._assumptions[0]
-
-    @property
-    def assumptions_problem(self) -> str:
-        """Why there are no assumptions although there is a scenario, empty otherwise.
-
-        A bag is read elsewhere too, where the file of its hand is another or none.
-        """
-        return self._assumptions[1]
-
-    @cached_property
-    def _assumptions(self) -> tuple[list[Assumption], str]:
-        if self.scenario is None:
-            return [], ""
-        try:
-            hand = Hand.load(self.scenario.hand, self.scenario.layout)
-        except TactileHandError as error:
-            return [], f"The assumptions are left out, because the hand is not known here: {error}."
-        here = hand.fingers, hand.joints
-        recorded = len(self.record.finger_names), len(self.record.joint_names)
-        if here != recorded:
-            return [], (
-                f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
-                f"{here[0]} fingers and {here[1]} joints here, "
-                f"{recorded[0]} and {recorded[1]} in the bag."
-            )
-        return assumptions(self.record, hand), ""
-
-    @cached_property
-    def recoveries(self) -> list[Settling]:
-        """How long each disturbance kept the object away; empty without a scenario."""
-        return recoveries(self.record, self.scenario) if self.scenario is not None else []
-
     @cached_property
     def bag_metrics(self) -> BagMetrics:
         """Completeness and timing."""
@@ -272,12 +249,24 @@ class Run:
         """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
         return latencies(self.series, self.topics)
 
-    @cached_property
-    def events(self) -> list[Event]:
-        """What happened, in order of time: see `run.events.Event`."""
-        found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
-        found += asked_events(self.requests, self.refusals)
-        return sorted(found, key=lambda event: event.time)
+    @property
+    def custom_data(self) -> dict[str, str]:
+        """What the recorder noted: versions, lost messages."""
+        return self.summary.custom_data
+
+    @property
+    def start_time(self) -> int | None:
+        """When the recording began, ns since the epoch."""
+        return self.summary.start_time
+
+    @property
+    def description(self) -> str:
+        """The URDF of the hand as recorded, empty where it was not."""
+        topic = self.topics.full(names.ROBOT_DESCRIPTION)
+        found = self.messages[topic].data
+        if not found or self.summary.types[topic] != "std_msgs/msg/String":
+            return ""
+        return str(decode("std_msgs/msg/String", found[0]).data)
 
     @cached_property
     def diagnostics(self) -> list[Diagnosis]:
@@ -294,36 +283,9 @@ class Run:
             for status in message.status
         ]
 
-    def to_pandas(self) -> Any:
-        """Return a pandas.DataFrame with one row a tick, indexed by time in s.
 
-        Columns are called ``theta.<joint>``, ``forces.<finger>.y`` and so on; ``attrs["meaning"]``
-        says what each array is and its unit.
-
-        Raises:
-            MissingLibraryError: If pandas is not installed.
-        """
-        pandas = optional("pandas", "The export to pandas")
-        table = pandas.DataFrame(columns(self.record), index=self.record.times)
-        table.index.name = "time_s"
-        table.attrs["meaning"] = {
-            f.name: f.metadata["meaning"] for f in fields(Record) if f.metadata
-        }
-        return table
-
-
-def columns(record: Record) -> dict[str, Any]:
-    """Return the arrays of a record column by column, by names such as ``forces.thumb.y``."""
-    axes = {"k": record.finger_names, "m": record.joint_names, "3": "xyz", "4": "xyzw"}
-    out: dict[str, Any] = {}
-    for f in fields(Record):
-        if not f.metadata:
-            continue
-        array, shape = getattr(record, f.name), f.metadata["shape"]
-        for index in np.ndindex(array.shape[1:]):
-            parts = [axes[kind][i] for kind, i in zip(shape, index, strict=True)]
-            out[".".join([f.name, *parts])] = array[(slice(None), *index)]
-    return out
+_CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
+_REFUSALS = tuple(map(names.rejected, (names.CONTROLLER, names.REGULATOR)))
 
 
 def _find_bag(path: Path) -> Path:

@@ -202,10 +202,8 @@ def _value(value: Any) -> Any:
 def _requests(run: Run, node: str) -> list[Effect]:
     topic = run.topics.full(names.accepted_requests(node))
     states = run.series[run.topics.full(names.JOINT_STATES)]
-    return [
-        Effect(each.stamp, Request(each.key, each.value == "true"))
-        for each in read_asked(run.bag, topic, states)
-    ]
+    found = read_asked(run.messages[topic], states)
+    return [Effect(each.stamp, Request(each.key, each.value == "true")) for each in found]
 
 
 def _ns(stamp: Any) -> int:

@@ -24,7 +24,7 @@ from support.recorded import (
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report import document, style
-from tactile_hand_ros.report.page import MOST_EARLIER, run_folder, write_comparison, write_report
+from tactile_hand_ros.report.page import MOST_EARLIER, write_comparison, write_report
 from tactile_hand_ros.run.events import Event
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
@@ -113,11 +113,6 @@ def test_a_run_has_its_name_date_and_events(paper: Run) -> None:
     assert (page["format"], page["kind"], page["settings"]) == (1, "run", [])
     assert page["palette"]["axes"] == [style.axis_color(i) for i in range(3)]
     assert page["palette"]["runs"] == [style.run_color(0)]
-
-
-def test_of_a_bag_without_a_time_no_date_is_known(paper: Run) -> None:
-    none = SimpleNamespace(summary=SimpleNamespace(start_time=None))
-    assert document._date(none) == "" and document._date(paper) != ""  # type: ignore[arg-type]
 
 
 def test_a_run_that_begins_in_the_dark_has_no_gap_there(tmp_path: Path) -> None:
@@ -210,7 +205,7 @@ def test_results_belong_into_the_folder_of_the_run(tmp_path: Path) -> None:
     """Of a bag without one, beside it."""
     bare = Run(write_record(tmp_path / "run" / "bag", random_record(3)))
     run = Run(tmp_path / "run")
-    assert run_folder(run) == run_folder(bare) == tmp_path / "run"
-    assert run_folder(Run(tmp_path / "run" / "bag" / "bag_0.mcap")) == tmp_path / "run" / "bag"
+    assert run.folder == bare.folder == tmp_path / "run"
+    assert Run(tmp_path / "run" / "bag" / "bag_0.mcap").folder == tmp_path / "run" / "bag"
     other = tmp_path / "new" / "folder" / "both.html"
     assert write_comparison([run, bare], other) == other and other.is_file()

@@ -26,11 +26,9 @@ from support.recorded import (
 from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.command_line import EXIT_REFUSED
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.report.document import run_document, scene_columns
-from tactile_hand_ros.report.pack import pack
+from tactile_hand_ros.report.document import pack, run_document, scene_columns, shown
+from tactile_hand_ros.report.facts import differing, labels
 from tactile_hand_ros.report.page import write_comparison, write_report
-from tactile_hand_ros.report.settings import differing, labels
-from tactile_hand_ros.report.ticks import shown
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.report.urdf import hand_tree
+from tactile_hand_ros.report.model import hand_tree
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 
 SLIDER = """<robot name="gripper">

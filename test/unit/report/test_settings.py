@@ -7,16 +7,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tactile_hand_ros.config.plain_yaml import yaml_text
-from tactile_hand_ros.report import facts
-from tactile_hand_ros.report.settings import differing, labels
+from tactile_hand_ros.report.facts import differing, labels
 
 
 def run(folder: str, **settings: Any) -> Any:
     """Return a run as far as its settings are concerned."""
-    told = {"scenario": yaml_text(settings)} if settings else {}
     return SimpleNamespace(
-        path=Path("/runs") / folder, scenario=None, summary=SimpleNamespace(custom_data=told)
+        folder=Path("/runs") / folder, name=settings.get("name", folder), loose_scenario=settings
     )
 
 
@@ -56,13 +53,3 @@ def test_two_settings_stand_in_a_label_and_the_others_are_counted() -> None:
     two = [{"a": {"p": n}, "q": n} for n in (1, 2)]
     assert labels([run("u", name="x", **each) for each in two]) == ["x (p=1, q=1)", "x (p=2, q=2)"]
     assert labels([run(folder, name="x") for folder in "uv"]) == ["x (u)", "x (v)"]
-
-
-def test_a_run_without_a_scenario_has_the_name_of_its_folder_or_file() -> None:
-    names = [facts.name(run(path)) for path in ("slow/bag", "fast", "one.mcap")]
-    assert names == ["slow", "fast", "one"]
-    assert facts.name(run("fast", name="x")) == "x"
-    broken = run("fast")
-    for text in ("a: [", "[1, 2]"):
-        broken.summary.custom_data["scenario"] = text
-        assert facts.loose_scenario(broken) == {} and facts.name(broken) == "fast"

@@ -5,19 +5,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tactile_hand_ros.report import facts, tables
-from tactile_hand_ros.report.pack import pack
-from tactile_hand_ros.report.ticks import shown
+from tactile_hand_ros.report import tables
+from tactile_hand_ros.report.document import pack, shown
 from tactile_hand_ros.run.assumptions import Assumption
 from tactile_hand_ros.run.metrics import Metrics, Settling
 from tactile_hand_ros.run.recording import BagMetrics, TopicCount
-from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, load_scenario, resolved
 
 METRICS = Metrics(
     ticks=500,
@@ -157,156 +153,6 @@ def test_recoveries_are_rows_and_tables_stand_side_by_side() -> None:
         tables.markdown(["x", "y"], [["a|b", "c"]]) == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
     )
     assert tables.plain("[red]") == "\\[red]"
-
-
-class Squeezes:
-    """A record of four ticks."""
-
-    grasp_force = np.array([1.0, np.nan, 12.0, 3.0])
-
-    def __len__(self) -> int:
-        return 4
-
-
-def judged(**changes: Any) -> Any:
-    """Return what tiles ask of a run."""
-    scenario = SimpleNamespace(
-        goal=SimpleNamespace(position_error=0.002, rotation_error=0.02, slip_distance=0.002)
-    )
-    run = SimpleNamespace(
-        metrics=METRICS,
-        bag_metrics=SimpleNamespace(ticks_per_second=250.0, messages=1),
-        record=Squeezes(),
-        scenario=scenario,
-        steered=False,
-        summary=SimpleNamespace(custom_data={"lost_messages": "3"}),
-    )
-    run.record = type(
-        "Record", (), {"grasp_force": run.record.grasp_force, "__len__": lambda _: 4}
-    )()
-    run.__dict__.update(changes)
-    return run
-
-
-def shown_as(run: Any) -> list[tuple[Any, ...]]:
-    return [
-        (t["label"], t["value"], t["unit"], t["note"], t.get("passed")) for t in facts.tiles(run)
-    ]
-
-
-def test_the_headline_of_a_run_that_held() -> None:
-    assert shown_as(judged()) == [
-        ("position error", "1.23", "mm", "goal 2 mm", True),
-        ("orientation error", "20", "mrad", "goal 20 mrad", True),
-        ("settled after", "0.5", "s", "both errors inside", None),
-        ("squeeze", "10", "N", "peak 12 N", None),
-        ("longest slip", "2", "mm", "goal 2 mm, 4 slips, 5 detected", True),
-        ("speed", "250", "ticks/s", "4 ticks", None),
-        ("recorded", "3", "lost", "of 1 message", None),
-    ]
-
-
-def test_the_headline_of_a_run_that_nothing_judges() -> None:
-    for changes in ({"steered": True}, {"scenario": None}):
-        tiles = {tile[0]: tile[1:] for tile in shown_as(judged(**changes))}
-        assert tiles["position error"] == ("1.23", "mm", "at the end", None)
-        assert tiles["longest slip"] == ("2", "mm", "4 slips, 5 detected", None)
-        assert ("settled after" in tiles) == ("scenario" in changes)
-    one = {tile[0]: tile for tile in shown_as(judged(metrics=replace(METRICS, slip_count=1)))}
-    assert one["longest slip"][3] == "goal 2 mm, 1 slip, 5 detected"
-
-
-def test_the_headline_of_a_real_hand_that_dropped_the_object() -> None:
-    metrics = replace(METRICS, dropped_at_s=0.75, slip_count=None, final_grasp_force_N=math.nan)
-    told = SimpleNamespace(custom_data={})
-    assert shown_as(judged(metrics=metrics, summary=told))[:3] == [
-        ("object dropped", "0.75", "s", "fewer than two fingers touch it", False),
-        ("squeeze", "unknown", "", "peak 12 N", None),
-        ("slips", "5", "", "5 detected", None),
-    ]
-    assert shown_as(judged(summary=told))[-1] == ("recorded", "1", "", "messages", None)
-    assert facts.passed(judged(metrics=metrics)) is False and facts.passed(judged()) is True
-
-
-def test_a_squeeze_that_nobody_measured_has_no_peak() -> None:
-    empty = type("Record", (), {"grasp_force": np.full(4, np.nan), "__len__": lambda _: 4})()
-    assert shown_as(judged(record=empty))[3] == ("squeeze", "10", "N", "peak unknown", None)
-    unknown = replace(METRICS, final_position_error_m=math.nan)
-    assert shown_as(judged(metrics=unknown))[0] == (
-        "position error", "unknown", "", "goal 2 mm", False,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("value", [0.00201, 0.00199])
-def test_each_error_is_judged_by_its_own_limit(value: float) -> None:
-    metrics = replace(METRICS, final_position_error_m=value, final_rotation_error_rad=10 * value,
-                      max_slip_distance_m=value)  # fmt: skip
-    found = [tile[4] for tile in shown_as(judged(metrics=metrics))]
-    assert [each for each in found if each is not None] == [value < 0.002] * 3
-
-
-def test_without_a_limit_no_slip_is_judged() -> None:
-    run = judged()
-    run.scenario.goal.slip_distance = UNLIMITED_SLIP
-    assert shown_as(run)[4] == ("longest slip", "2", "mm", "4 slips, 5 detected", None)
-
-
-def test_lost_messages_are_a_whole_number_or_not_known() -> None:
-    for text, number in (("0", 0), ("12", 12), ("", None), ("-1", None), ("many", None)):
-        told = SimpleNamespace(custom_data={"lost_messages": text})
-        assert facts.lost_messages(judged(summary=told)) == number
-
-
-def test_tables_of_a_run_stand_in_their_order() -> None:
-    bag = BagMetrics(99, {}, [], True, 2, 1.0, 250.0, 0.001, 0.002, 0.003)
-    told = {"lost_messages": "3", "version_numpy": "2.4", "scenario": "x", "version_scipy": "1.1"}
-    run = judged(bag_metrics=bag, recoveries=[Settling(2.0, 0.01, 0.5, 0.0)],
-                 summary=SimpleNamespace(custom_data=told))  # fmt: skip
-    run.scenario.seed = 7
-    found = facts.all_tables(run)
-    titles = ["Metrics", "After each disturbance", "Recording", "Versions and seed"]
-    assert [table["title"] for table in found] == titles
-    assert found[0]["rows"] == tables.metrics_rows(METRICS)
-    assert found[2]["rows"][:3] == [["messages", "99"], ["messages lost", "3"],
-                                    ["speed", "250 ticks/s"]]  # fmt: skip
-    assert found[3]["rows"] == [["numpy", "2.4"], ["scipy", "1.1"], ["seed", "7"]]
-    none = judged(bag_metrics=bag, recoveries=[], scenario=None,
-                  summary=SimpleNamespace(custom_data={}))  # fmt: skip
-    found = facts.all_tables(none)
-    assert [table["title"] for table in found] == ["Metrics", "Recording"]
-    assert found[1]["rows"][1] == ["messages lost", "not recorded"]
-
-
-def test_an_assumption_has_its_values_as_text() -> None:
-    line = Assumption("A1", "rigid", "travel", 0.5, 2.0, True, 0.9, [(1.0, 1.5)])
-    unknown = replace(line, held_share=math.nan, limit=math.nan, broken=[])
-    common = {"name": "A1", "meaning": "rigid", "margin": "travel", "worst": "0.5"}
-    assert facts.assumptions(SimpleNamespace(assumptions=[line, unknown])) == [  # type: ignore[arg-type]
-        {**common, "limit": "< 2", "held": 0.9, "broken": [[1.0, 1.5]]},
-        {**common, "limit": "none known", "held": None, "broken": []},
-    ]
-
-
-def test_what_a_reader_must_know_is_noted() -> None:
-    def noted(problem: str = "", scenario: Any = "some", ledger: str = "", whole: bool = True):
-        return [note.split(":")[0].split(";")[0].split(",")[0] for note in facts.notes(
-            SimpleNamespace(scenario_problem=problem, scenario=scenario, assumptions_problem=ledger,
-                            bag_metrics=SimpleNamespace(complete=whole)))]  # fmt: skip
-
-    assert noted() == []
-    other = "The scenario in the bag does not fit this version of the package"
-    assert noted(problem="x", scenario=None) == [other]
-    assert noted(scenario=None, ledger="No hand") == ["No scenario is known", "No hand"]
-    assert noted(whole=False) == ["The recording is incomplete"]
-
-
-def test_the_scenario_is_shown_as_it_was_recorded() -> None:
-    scenario = load_scenario("paper")
-    told = SimpleNamespace(custom_data={"scenario": "as: it was"})
-    assert facts.scenario_text(judged(summary=told, scenario=scenario)) == "as: it was"
-    none = SimpleNamespace(custom_data={})
-    assert facts.scenario_text(judged(summary=none, scenario=scenario)) == resolved(scenario)
-    assert facts.scenario_text(judged(summary=none, scenario=None)) == ""
 
 
 def test_a_table_in_the_terminal_has_a_head_where_its_columns_have_names() -> None:

@@ -31,7 +31,8 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.extras import MissingLibraryError
 from tactile_hand_ros.run.reading import HandTopics, Series
 from tactile_hand_ros.run.recording import bag_metrics
-from tactile_hand_ros.run.run import Run, columns
+from tactile_hand_ros.run.result import columns
+from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What follows from the arrays of a run and its scenario, simulated or recorded alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.config.plain_yaml import parse_yaml
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.run.assumptions import Assumption, assumptions
+from tactile_hand_ros.run.events import Asked, Event, asked_events, events, releases
+from tactile_hand_ros.run.metrics import Metrics, Settling, metrics, recoveries
+from tactile_hand_ros.run.recording import BagMetrics
+from tactile_hand_ros.run.verdict import headline
+from tactile_hand_ros.scenario.scenario import Scenario, resolved
+
+
+class RunData:
+    """A run in arrays; `Run` overrides what only a bag holds."""
+
+    def __init__(self, record: Record, scenario: Scenario | None) -> None:
+        """Take the arrays of a run and what was run, None where that is not known."""
+        self._record, self._given = record, scenario
+
+    @property
+    def record(self) -> Record:
+        """The run tick by tick; NaN where there is no message."""
+        return self._record
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """The scenario; None without one that can be used."""
+        return self._given
+
+    @property
+    def scenario_problem(self) -> str:
+        """Why the scenario that is there cannot be used, empty otherwise."""
+        return ""
+
+    @property
+    def scenario_text(self) -> str:
+        """The scenario as YAML, empty where there is none."""
+        return resolved(self.scenario) if self.scenario is not None else ""
+
+    @cached_property
+    def loose_scenario(self) -> dict[str, Any]:
+        """The scenario as plain data, also where this version cannot use all of it."""
+        try:
+            data = parse_yaml(self.scenario_text, "scenario")
+        except ConfigurationError:
+            return {}
+        return data if isinstance(data, dict) else {}
+
+    @property
+    def folder(self) -> Path:
+        """Where results belong."""
+        return Path()
+
+    @property
+    def earlier(self) -> Sequence[RunData]:
+        """What came before each reset, oldest first."""
+        return []
+
+    @property
+    def name(self) -> str:
+        """What the run is called."""
+        return self.scenario.name if self.scenario is not None else "run"
+
+    @property
+    def steered(self) -> bool:
+        """Whether a user steered the run, so that no goal judges it."""
+        return False
+
+    @property
+    def requests(self) -> list[Asked]:
+        """The service calls that changed the controller."""
+        return []
+
+    @property
+    def refusals(self) -> list[Asked]:
+        """The commands of users that were refused."""
+        return []
+
+    @property
+    def bag_metrics(self) -> BagMetrics | None:
+        """Completeness and timing of the bag, None without one."""
+        return None
+
+    @property
+    def latencies(self) -> NDArray[np.float64]:
+        """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
+        return np.full(len(self.record), np.nan)
+
+    @property
+    def custom_data(self) -> dict[str, str]:
+        """What the recorder noted: versions, lost messages."""
+        return {}
+
+    @property
+    def start_time(self) -> int | None:
+        """When the recording began, ns since the epoch; None without one."""
+        return None
+
+    @property
+    def description(self) -> str:
+        """The URDF of the hand as recorded, empty where it was not."""
+        return ""
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """What was achieved."""
+        found = metrics(self.record, self.scenario, releases=releases(self.requests))
+        return replace(found, goal_reached=None) if self.steered else found
+
+    @property
+    def headline(self) -> str:
+        """What became of the run, in a few words; empty where nothing judges it."""
+        return headline(self.metrics.to_dict(), steered=self.steered)
+
+    @property
+    def assumptions(self) -> list[Assumption]:
+        """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
+        return self._assumptions[0]
+
+    @property
+    def assumptions_problem(self) -> str:
+        """Why there are no assumptions although there is a scenario, empty otherwise.
+
+        A bag is read elsewhere too, where the file of its hand is another or none.
+        """
+        return self._assumptions[1]
+
+    @cached_property
+    def _assumptions(self) -> tuple[list[Assumption], str]:
+        if self.scenario is None:
+            return [], ""
+        try:
+            hand = Hand.load(self.scenario.hand, self.scenario.layout)
+        except TactileHandError as error:
+            return [], f"The assumptions are left out, because the hand is not known here: {error}."
+        here = hand.fingers, hand.joints
+        recorded = len(self.record.finger_names), len(self.record.joint_names)
+        if here != recorded:
+            return [], (
+                f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
+                f"{here[0]} fingers and {here[1]} joints here, "
+                f"{recorded[0]} and {recorded[1]} in the bag."
+            )
+        return assumptions(self.record, hand), ""
+
+    @cached_property
+    def recoveries(self) -> list[Settling]:
+        """How long each disturbance kept the object away; empty without a scenario."""
+        return recoveries(self.record, self.scenario) if self.scenario is not None else []
+
+    @cached_property
+    def events(self) -> list[Event]:
+        """What happened, in order of time: see `run.events.Event`."""
+        found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
+        found += asked_events(self.requests, self.refusals)
+        return sorted(found, key=lambda event: event.time)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame with one row a tick, indexed by time in s.
+
+        Columns are called ``theta.<joint>``, ``forces.<finger>.y`` and so on; ``attrs["meaning"]``
+        says what each array is and its unit.
+
+        Raises:
+            MissingLibraryError: If pandas is not installed.
+        """
+        pandas = optional("pandas", "The export to pandas")
+        table = pandas.DataFrame(columns(self.record), index=self.record.times)
+        table.index.name = "time_s"
+        table.attrs["meaning"] = {
+            f.name: f.metadata["meaning"] for f in fields(Record) if f.metadata
+        }
+        return table
+
+
+def columns(record: Record) -> dict[str, Any]:
+    """Return the arrays of a record column by column, by names such as ``forces.thumb.y``."""
+    axes = {"k": record.finger_names, "m": record.joint_names, "3": "xyz", "4": "xyzw"}
+    out: dict[str, Any] = {}
+    for f in fields(Record):
+        if not f.metadata:
+            continue
+        array, shape = getattr(record, f.name), f.metadata["shape"]
+        for index in np.ndindex(array.shape[1:]):
+            parts = [axes[kind][i] for kind, i in zip(shape, index, strict=True)]
+            out[".".join([f.name, *parts])] = array[(slice(None), *index)]
+    return out
