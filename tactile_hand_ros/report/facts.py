@@ -201,7 +201,7 @@ def labels(runs: Sequence[RunData]) -> list[str]:
     for column, run in enumerate(runs, 1):
         parts = [f"{row[0].rpartition('.')[2]}={row[column]}" for row in rows[:_NAMED]]
         more = [f"{len(rows) - _NAMED} more"] if len(rows) > _NAMED else []
-        told = ", ".join([*parts, *more]) or run.folder.resolve().name
+        told = ", ".join([*parts, *more]) or run.path.resolve().name
         found.append(f"{names[column - 1]} ({told})")
     return found
 

@@ -26,7 +26,13 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunData:
-    """A run in arrays; `Run` overrides what only a bag holds."""
+    """A run in arrays; `Run` overrides what only a bag holds.
+
+    Attributes:
+        path: What was opened, the present folder without a bag.
+    """
+
+    path = Path()
 
     def __init__(self, record: Record, scenario: Scenario | None) -> None:
         """Take the arrays of a run and what was run, None where that is not known."""
@@ -64,7 +70,7 @@ class RunData:
     @property
     def folder(self) -> Path:
         """Where results belong."""
-        return Path()
+        return self.path
 
     @property
     def earlier(self) -> Sequence[RunData]:

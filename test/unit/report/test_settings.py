@@ -13,7 +13,7 @@ from tactile_hand_ros.report.facts import differing, labels
 def run(folder: str, **settings: Any) -> Any:
     """Return a run as far as its settings are concerned."""
     return SimpleNamespace(
-        folder=Path("/runs") / folder, name=settings.get("name", folder), loose_scenario=settings
+        path=Path("/runs") / folder, name=settings.get("name", folder), loose_scenario=settings
     )
 
 
