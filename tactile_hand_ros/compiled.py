@@ -37,7 +37,7 @@ Row = Any
 DISABLE = "TACTILE_HAND_INTERPRETED"
 """Environment variable that switches Numba off."""
 
-_NUMERIC = ("cholesky.py", "rotations.py", "hand", "control", "simulation")
+_NUMERIC = ("hand", "control", "simulation")
 _interpreted = False
 
 
@@ -97,8 +97,9 @@ def cache_directory() -> Path | None:
         return None
     package = Path(__file__).parent
     digest = hashlib.sha256(importlib.metadata.version("numba").encode())
-    for path in (Path(__file__), *_numeric_sources(package)):
-        digest.update(path.read_bytes())
+    for path in _numeric_sources(package):
+        text = path.read_bytes()
+        digest.update(text if b"compiled" in text else b"")
     base = package / "__pycache__"
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         base = Path(chosen)

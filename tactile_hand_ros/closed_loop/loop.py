@@ -20,8 +20,10 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternions_of_rows
+from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.belief import Belief
 from tactile_hand_ros.simulation.plant import Plant, PlantState
@@ -156,8 +158,10 @@ class ClosedLoop:
         """Build all blocks.
 
         Raises:
-            TactileHandError: If hand, object or grasp cannot be built.
+            TactileHandError: If hand, object or grasp cannot be built, or the scenario cannot
+                work; see `check_scenario`.
         """
+        check_scenario(scenario)
         self.scenario = scenario
         self.plant = Plant(scenario.plant)
         self.chain = sensing_chain(scenario, self.plant.known)
@@ -197,12 +201,18 @@ class ClosedLoop:
         Args:
             ticks: Number of ticks; that of the scenario by default.
             progress: Called with the number of finished ticks, a hundred times in a run.
+
+        Returns:
+            The record. It ends early, with the object dropped, where the simulation diverges.
         """
         ticks = self.scenario.ticks if ticks is None else ticks
         hand = self.plant.hand
         record = Record.empty(ticks, hand.finger_names, hand.joint_names)
         for row in range(ticks):
-            self.tick(record, row)
+            try:
+                self.tick(record, row)
+            except DivergedError:
+                return record.part(slice(row + 1))
             if progress is not None and (row + 1) % max(1, ticks // 100) == 0:
                 progress(row + 1)
         return record

@@ -36,14 +36,19 @@ def explain(
 
 
 def _said_once(findings: Sequence[Any]) -> list[Any]:
-    """Leave out what is wrong in a section only because it repeats a value of the top."""
+    """Leave out repetitions: of the top's value in a section, of a mistake in a list."""
     known = {(finding["loc"], shortened(finding.get("input"))) for finding in findings}
-    return [
-        finding
-        for finding in findings
-        if len(finding["loc"]) < 2
-        or (finding["loc"][1:], shortened(finding.get("input"))) not in known
-    ]
+    kept, lists = [], set()
+    for finding in findings:
+        location = finding["loc"]
+        if len(location) > 1 and (location[1:], shortened(finding.get("input"))) in known:
+            continue
+        if location and isinstance(location[-1], int):
+            if (location[:-1], finding["type"]) in lists:
+                continue
+            lists.add((location[:-1], finding["type"]))
+        kept.append(finding)
+    return kept
 
 
 def after_source(source: str) -> str:
@@ -67,7 +72,7 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
         reason = str(finding["ctx"]["error"]).rstrip(".")
         return f"{place} is refused: {reason}." if location else f"{reason}."
     expected = allowed_at(model, location)
-    if location and isinstance(location[-1], int):  # an item's limits are not the list's
+    if location and isinstance(location[-1], int):
         expected = " ".join([expected, *_phrases(finding.get("ctx", {}).get)])
     return f"{place} is {shortened(given)}, expected {expected}."
 
@@ -130,17 +135,20 @@ def allowed_at(model: type[BaseModel], location: Iterable[int | str]) -> str:
     annotation, field = _walk(model, location)
     if not location or field is None:
         return "a mapping of " + ", ".join(model.model_fields)
+    if isinstance(location[-1], int):  # an item's limits are not the list's
+        return " ".join(filter(None, [_kind(annotation), unit_of(field)]))
     return allowed(annotation, field)
 
 
 def allowed(annotation: Any, field: FieldInfo) -> str:
     """Describe in words what a field accepts, e.g. ``a finite number >= 0 and <= 1 N``."""
-    text = _kind(annotation)
-    limits = _limits(field)
-    if limits:
-        text += " " + " and ".join(limits)
-    unit = unit_of(field)
-    return f"{text} {unit}" if unit else text
+    limits, unit = " and ".join(_limits(field)), unit_of(field)
+    if is_sequence(annotation):
+        item = _kind(element_type(annotation))
+        parts = ["a list", limits, "of which each item is", item, unit]
+    else:
+        parts = [_kind(annotation), limits, unit]
+    return " ".join(filter(None, parts))
 
 
 _KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text"}

@@ -18,6 +18,8 @@ _MOST_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
 _PRINTED = 0.01  # of the largest moment: the digits that a URDF leaves out
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_LIMITED = ("revolute", "prismatic")
+_TYPES = (*_LIMITED, "fixed", "continuous", "floating", "planar")
 _OF_LINKS = {"inertial/origin": ("xyz", "rpy"), "inertial/mass": ("value",)}
 _OF_JOINTS = {
     "origin": ("xyz", "rpy"),
@@ -51,13 +53,24 @@ def _parsed(path: Path) -> Element:
         text = read_text(path)
         if "<!DOCTYPE" in text:  # a few entities can stand for gigabytes
             raise HandModelError(f"'{path}' declares a DOCTYPE; expected a URDF, which has none")
-        return ElementTree.fromstring(text)
+        root = ElementTree.fromstring(text)
     except ConfigurationError as error:
         raise HandModelError(
             f"cannot use the hand's URDF {str(error).rstrip('.')}; correct 'urdf' in its YAML"
         ) from None
     except ElementTree.ParseError as error:
+        if "<xacro:" in text:
+            raise _not_expanded(path) from None
         raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
+    if any("xacro}" in element.tag for element in root.iter()):
+        raise _not_expanded(path)
+    return root
+
+
+def _not_expanded(path: Path) -> HandModelError:
+    return HandModelError(
+        f"'{path}' has xacro elements; expand it with `xacro {path.name} > hand.urdf` and name that"
+    )
 
 
 def _check(root: Element, name: str, any_inertia: bool) -> None:
@@ -65,8 +78,10 @@ def _check(root: Element, name: str, any_inertia: bool) -> None:
     if len(links) > _MOST_LINKS:
         raise HandModelError(f"'{name}' has {len(links)} links; at most {_MOST_LINKS} are read")
     for joint in root.findall("joint"):
-        for _ in _numbers(joint, _OF_JOINTS, name):
-            pass
+        for tag, attribute, value in _numbers(joint, _OF_JOINTS, name):
+            if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
+                found, expected = f"{tag} effort is {value:g}", "a torque or force above 0"
+                raise _wrong(joint, name, found, expected)
         if (mimic := joint.find("mimic")) is not None:
             found = f"it follows joint '{mimic.get('joint')}' by <mimic>"
             raise _wrong(
@@ -78,10 +93,41 @@ def _check(root: Element, name: str, any_inertia: bool) -> None:
             )
     for link in links:
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
-            if attribute == "value" and value < 0.0:
-                raise _wrong(link, name, f"{tag} is {value:g}", "a mass >= 0 kg")
+            if attribute == "value" and value <= 0.0:
+                advice = "correct it, or remove <inertial> from a link without mass"
+                raise _wrong(link, name, f"{tag} is {value:g}", "a mass above 0 kg", advice)
         if link.find("inertial/inertia") is not None:
             _check_inertia(link, name, any_inertia)
+    _check_tree(root, name)
+
+
+def _check_tree(root: Element, name: str) -> None:
+    """Refuse links and joints that do not form a tree, and joints that urdfdom does not know."""
+    for kind in ("link", "joint"):
+        names = [str(each.get("name")) for each in root.findall(kind)]
+        if twice := [each for each in names if names.count(each) > 1]:
+            raise HandModelError(f"'{name}' has two {kind}s with the name '{twice[0]}'; rename one")
+    links, children = {link.get("name") for link in root.findall("link")}, set()
+    for joint in root.findall("joint"):
+        ends = [joint.find(end) for end in ("parent", "child")]
+        parent, child = ("" if end is None else str(end.get("link", "")) for end in ends)
+        for end, link in (("parent", parent), ("child", child)):
+            if link not in links:
+                raise _wrong(joint, name, f"its {end} is '{link}'", "a link of this URDF")
+        if child in children:
+            raise _wrong(joint, name, f"link '{child}' has another parent too", "a tree of links")
+        children.add(child)
+        kind = str(joint.get("type"))
+        if kind not in _TYPES:
+            raise _wrong(joint, name, f"its type is '{kind}'", f"one of {', '.join(_TYPES)}")
+        limit = joint.find("limit")
+        missing = {"effort", "velocity"} - set(() if limit is None else limit.keys())
+        if kind in _LIMITED and missing:
+            found = f"<limit> lacks {' and '.join(sorted(missing))}"
+            raise _wrong(joint, name, found, "limits of a joint that moves")
+    if len(links - children) != 1:
+        roots = ", ".join(sorted(str(link) for link in links - children)) or "none"
+        raise HandModelError(f"'{name}' has the root links {roots}; expected one, the palm")
 
 
 def _check_inertia(link: Element, name: str, any_inertia: bool) -> None:

@@ -93,8 +93,10 @@ def _checked(options: RunOptions) -> Scenario:
     """Load a scenario and make sure that it can work."""
     own = {"duration": options.duration, "plant.pacing": options.pacing}
     given = {key: value for key, value in own.items() if value is not None}
-    changes = {**given, **parse_changes(options.changes)}
-    labels = {key: f"--{key.rpartition('.')[2]}" for key in given}
+    changes = parse_changes(options.changes)
+    labels = {key: f"--set {key}" for key in changes}
+    labels |= {key: f"--{key.rpartition('.')[2]}" for key in given}
+    changes = {**given, **changes}
     scenario = load_scenario(options.wanted, changes, labels)
     check_scenario(scenario)
     return scenario

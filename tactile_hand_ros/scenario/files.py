@@ -60,6 +60,10 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigurationError(
             f"'{path}' holds {type(data).__name__}; expected a mapping of keys to values"
         )
+    if not data:
+        raise ConfigurationError(
+            f"{path}: the file is empty; write `extends: paper` to run the scenario `paper`"
+        )
     data = _complete(data, path)
     base = data.pop("extends", None)
     if base is None:

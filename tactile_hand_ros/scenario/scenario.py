@@ -19,8 +19,9 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
-from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.control.virtual_frame import VirtualFrame
+from tactile_hand_ros.errors import ConfigurationError, GraspError
+from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
 from tactile_hand_ros.scenario.files import (
     CONTROLLER,
     find_scenario,
@@ -297,7 +298,7 @@ def load_scenario(
     Args:
         name: Name of a scenario of the package, or path of a YAML file.
         changes: Values to put over those of the file, by dotted key (``plant.rate``).
-        options: How the user has given a change, for error texts; by default ``--set KEY``.
+        options: How the user has given a change, for error texts, such as ``--set KEY``.
 
     Raises:
         ConfigurationError: If it does not exist, or a key or value is wrong; says which and where.
@@ -306,8 +307,12 @@ def load_scenario(
     data = read_layers(path)
     data.setdefault("name", path.stem)
     places = put_changes(data, changes or {})
-    labels = {place: (options or {}).get(key, f"--set {key}") for place, key in places.items()}
+    labels = {
+        place: (options or {}).get(key, f"the change of {key}") for place, key in places.items()
+    }
     scenario = _finished(validate(Scenario, data, _source(str(path), labels)))
+    if "duration" not in (changes or {}):  # a run that is cut short may leave out what comes later
+        _check_times(scenario, str(path))
     take_law(scenario.manipulation_controller.law)
     return scenario
 
@@ -331,14 +336,52 @@ def _overlap(place: str, key: str) -> bool:
     return bool(place) and (at.startswith(of) or of.startswith(at))
 
 
+def _check_times(scenario: Scenario, file: str) -> None:
+    """Refuse what a file plans for after the end of its run."""
+    plant = scenario.plant
+    planned = {
+        "plant.disturbances": [push.start for push in plant.disturbances],
+        "plant.friction_changes": [change.start for change in plant.friction_changes],
+        "user_forces": [request.time for request in scenario.user_forces],
+    }
+    for place, times in planned.items():
+        late = [time for time in times if time >= scenario.duration]
+        if late:
+            raise ConfigurationError(
+                f"{file}: one of {place} comes at {late[0]:g} s, but the run ends at "
+                f"{scenario.duration:g} s; make the run longer",
+                source=file,
+                place=place,
+            )
+
+
 def _finished(scenario: Scenario) -> Scenario:
     """Return a scenario with numbers for the orientations that its targets keep."""
     if all(target.rotation is not None for target in scenario.targets):
         return scenario
-    from tactile_hand_ros.scenario.first_grasp import first_rotation
-
     kept, targets = first_rotation(scenario.plant), []
     for target in scenario.targets:
         kept = kept if target.rotation is None else target.rotation
         targets.append(target.model_copy(update={"rotation": kept}))
     return scenario.model_copy(update={"targets": targets})
+
+
+def first_rotation(config: PlantConfig) -> Vector:
+    """Return the orientation of the virtual frame at the start, a rotation vector in rad.
+
+    Raises:
+        HandModelError: If the hand cannot be built.
+        ObjectModelError: If the object cannot be built or does not fit into the hand.
+        GraspError: If a finger does not touch or the contacts do not define a frame (A7).
+    """
+    from tactile_hand_ros.simulation.plant import Plant  # loads a library of rigid bodies
+
+    contacts = Plant(config).state.contacts
+    if not contacts.all_touching:
+        raise GraspError(
+            "rotation: keep needs a grasp at the start, but a finger does not touch; change "
+            "initial_joints, the layout, or the object's size or place"
+        )
+    frame = VirtualFrame().orientation(contacts.positions)
+    x, y, z = vector_from_rotation(frame).tolist()
+    return x, y, z

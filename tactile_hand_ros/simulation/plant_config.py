@@ -15,6 +15,7 @@ from tactile_hand_ros.simulation.disturbance import Disturbance
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
 Vector = tuple[float, float, float]
+_MOST_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
 _MOST_VERTICES = 500  # each contact is looked for on all faces, at each step
 
 
@@ -61,7 +62,22 @@ class ObjectConfig(Config):
             raise ValueError(
                 f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"
             )
+        self._check_inertia()
         return self
+
+    def _check_inertia(self) -> None:
+        """Refuse a principal inertia that no body of this size and mass comes near.
+
+        The paper's object has four times what a body of its size can have.
+        """
+        corners = np.reshape(self.vertices, (-1, 3)) if self.vertices else np.array([self.size]) / 2
+        reach = float(np.linalg.norm(corners, axis=1).max())
+        largest = _MOST_GYRATION**2 * self.mass * reach**2
+        if max(self.inertia) > largest:
+            raise ValueError(
+                f"inertia = {self.inertia}: no body of {self.mass:g} kg that reaches {reach:.2g} m "
+                f"from its center has more than {self.mass * reach**2:.2g} kg m^2; lower it"
+            )
 
     def solid(self) -> ConvexPolyhedron:
         """Return the shape, in the frame of the centre of mass.

@@ -38,8 +38,6 @@ def control(tmp_path: Path) -> Path:
     (root / "control").mkdir(parents=True)
     package = Path(module.__file__).parent
     shutil.copy(package / "compiled.py", root)
-    for name in ("cholesky.py", "rotations.py"):
-        (root / name).touch()
     (root / "config").mkdir()
     (root / "config" / "model.py").write_text("Config = flatten = None\n")
     for folder in (root, root / "control", root / "config"):

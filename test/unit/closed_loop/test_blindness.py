@@ -17,7 +17,7 @@ from tactile_hand_ros.simulation.skin import TactileReading
 # What a hand with touch cannot know of the thing that it holds.
 HIDDEN = {
     "mass": {"plant.object.mass": 0.4},
-    "inertia": {"plant.object.inertia": [0.01, 0.02, 0.03]},
+    "inertia": {"plant.object.inertia": [0.002, 0.003, 0.004]},
     "friction": {"plant.object.friction": 0.05},
     "weight": {"gravity": [0.0, 0.0, -2.0]},
     "size behind the contacts": {"plant.object.size": [0.2604, 0.2604, 0.5]},

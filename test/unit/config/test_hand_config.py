@@ -43,6 +43,26 @@ def test_a_hand_has_three_to_32_fingers(count: int) -> None:
             hand(names)
 
 
+@pytest.mark.parametrize(
+    ("fingers", "message"),
+    [
+        (
+            ["thumb", "index", "ring"],
+            "^fingers.0. is 'thumb', expected a mapping of name, tip, radius.$",
+        ),
+        (
+            None,
+            "^fingers is None, expected a list with at least 3 items and with at most 32 items of",
+        ),
+        ({"thumb": {"tip": "a"}}, "^fingers is {'thumb': {'tip': 'a'}}, expected a list with"),
+    ],
+)
+def test_fingers_of_another_form_are_refused_in_one_sentence(fingers: Any, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        validate(HandConfig, {"urdf": "hand.urdf", "fingers": fingers})
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "é", "a" * 61, "a\n"])
 def test_a_name_that_is_no_part_of_a_topic_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match="is not a finger's name"):

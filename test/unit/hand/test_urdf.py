@@ -25,9 +25,23 @@ def link(moments=None, mass="1", inertial=""):
     return f'<link name="one"><inertial>{body}</inertial></link>'
 
 
+def chain(names, kinds, inside=""):
+    """Return links one behind the other, joined by joints of these names and types."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(len(names) + 1))
+    return links + "".join(
+        f'<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f"{inside}</joint>"
+        for i, (name, kind) in enumerate(zip(names, kinds))
+    )
+
+
+LIMIT = '<limit lower="{!r}" upper="1" effort="2" velocity="3"/>'
+
+
 @pytest.mark.parametrize("links", [500, 501])
 def test_it_has_at_most_five_hundred_links(tmp_path, links):
-    path = written(tmp_path, '<link name="x"/>' * links)
+    names = [f"j{i}" for i in range(links - 1)]
+    path = written(tmp_path, chain(names, ["fixed"] * len(names)))
     if links == 500:
         assert describe(path, {}).count("<link") == 500
     else:
@@ -37,10 +51,41 @@ def test_it_has_at_most_five_hundred_links(tmp_path, links):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_numbers_are_at_most_a_million(tmp_path, sign):
-    place = '<joint name="j"><limit lower="{!r}" upper="1" effort="2" velocity="3"/></joint>'
-    describe(written(tmp_path, place.format(sign * 1e6)), {})
+    describe(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1e6))), {})
     with pytest.raises(HandModelError, match="'j': limit lower has .*at most 1e"):
-        describe(written(tmp_path, place.format(sign * 1000000.1)), {})
+        describe(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1000000.1))), {})
+
+
+TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('effort="2"', 'effort="0"', "joint 'a': limit effort is 0, expected a torque or force"),
+        ('effort="2" ', "", "joint 'a': <limit> lacks effort, expected"),
+        (LIMIT.format(0.0), "", "joint 'a': <limit> lacks effort and velocity"),
+        ('<parent link="l0"/>', "", "joint 'a': its parent is '', expected a link"),
+        ('<child link="l1"/>', '<child link="x"/>', "joint 'a': its child is 'x', expected a link"),
+        ('<child link="l2"/>', '<child link="l1"/>', "joint 'b': link 'l1' has another parent too"),
+        ('"revolute"', '"hinge"', "joint 'a': its type is 'hinge', expected one of revolute, pri"),
+        ('name="l1"', 'name="l0"', "has two links with the name 'l0'"),
+        ('name="b"', 'name="a"', "has two joints with the name 'a'"),
+        ('<link name="l0"/>', '<link name="l0"/><link name="x"/>', "has the root links l0, x"),
+        (TREE, "", "has the root links none"),
+        ("<link", '<xacro:include filename="x"/><link', "has xacro elements; expand it with"),
+        (
+            "<link",
+            '<include xmlns="http://www.ros.org/wiki/xacro" filename="x"/><link',
+            "has xacro elements; expand it with `xacro hand.urdf > ",
+        ),
+    ],
+)
+def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, message):
+    assert describe(written(tmp_path, TREE), {})
+    with pytest.raises(HandModelError, match=message) as caught:
+        describe(written(tmp_path, TREE.replace(old, new, 1)), {})
+    assert "\n" not in str(caught.value) and capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
@@ -61,10 +106,10 @@ def test_a_word_that_is_no_number_is_named_with_its_place(tmp_path, inside, plac
         describe(written(tmp_path, inside), {})
 
 
-def test_a_mass_may_be_zero_and_not_less(tmp_path):
-    describe(written(tmp_path, link(mass="0")), {})
-    with pytest.raises(HandModelError, match="mass is -1e-12, expected a mass >= 0"):
-        describe(written(tmp_path, link(mass="-1e-12")), {})
+@pytest.mark.parametrize("mass", ["0", "-1e-12"])
+def test_a_mass_is_above_zero(tmp_path, mass):
+    with pytest.raises(HandModelError, match="mass is .*, expected a mass above 0 kg; correct it"):
+        describe(written(tmp_path, link(mass=mass)), {})
 
 
 def turned(moments, seed):
@@ -103,14 +148,11 @@ def test_principal_moments_count_about_whatever_axes(tmp_path, moments, message,
 
 
 def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
-    inside = "".join(
-        f'<joint name="{name}" type="{kind}"><origin xyz="1 2 3" rpy="0.1 0.2 0.3"/></joint>'
-        for name, kind in (("a", "fixed"), ("b", "fixed"), ("c", "revolute"))
-    )
-    path = written(tmp_path, inside)
+    origin = '<origin xyz="1 2 3" rpy="0.1 0.2 0.3"/>' + LIMIT.format(0.0)
+    path = written(tmp_path, chain("abc", ("fixed", "fixed", "revolute"), origin))
     mount = MountConfig(xyz=(0.25, -0.5, 4.0), rpy=(0.5, 0.25, -0.125))
     moved = ElementTree.fromstring(describe(path, {"b": mount}))
-    origins = {joint.get("name"): joint.find("origin").attrib for joint in moved}
+    origins = {joint.get("name"): joint.find("origin").attrib for joint in moved.iter("joint")}
     assert origins["b"] == {"xyz": "0.25 -0.5 4.0", "rpy": "0.5 0.25 -0.125"}
     assert origins["a"] == origins["c"] == {"xyz": "1 2 3", "rpy": "0.1 0.2 0.3"}
     with pytest.raises(HandModelError, match="'c', which is not a fixed joint.*joints: a, b"):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from support.hands import posture_for, write_hand
 
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import (
     CollinearContactsError,
     ConfigurationError,
@@ -108,15 +109,17 @@ def test_a_hand_with_too_few_joints_is_refused(tmp_path):
     corners = tips + 0.02 * inward / np.linalg.norm(inward, axis=1)[:, None]
     upright = np.vstack([corners + [0.0, 0.0, 0.05], corners - [0.0, 0.0, 0.05]])
     centre = corners.mean(axis=0)
-    with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 8"):
-        check(
-            hand=str(path),
-            layout="",
-            plant__initial_joints=theta.tolist(),
-            plant__object__vertices=(upright - centre).ravel().tolist(),
-            plant__object__position=centre.tolist(),
-            targets=[],
-        )
+    changes = {
+        "hand": str(path),
+        "layout": "",
+        "plant.initial_joints": theta.tolist(),
+        "plant.object.vertices": (upright - centre).ravel().tolist(),
+        "plant.object.position": centre.tolist(),
+        "targets": [],
+    }
+    for check in (check_scenario, ClosedLoop):
+        with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 8"):
+            check(load_scenario("paper", changes))
 
 
 OWN = """

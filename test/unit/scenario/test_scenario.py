@@ -82,9 +82,30 @@ def test_rotate_turns_about_each_axis_in_turn():
     np.testing.assert_array_equal(turns, 0.2 * np.eye(3))
 
 
-def test_an_empty_file_is_a_scenario_of_defaults(tmp_path):
-    scenario = load(tmp_path, "")
+def test_what_a_file_leaves_out_has_its_default(tmp_path):
+    scenario = load(tmp_path, "seed: 1")
     assert scenario.name == "mine" and scenario.hand == "paper"
+
+
+@pytest.mark.parametrize("text", ["", "# nothing", "{}"])
+def test_an_empty_file_is_refused(tmp_path, text):
+    with pytest.raises(ConfigurationError, match="mine.yaml: the file is empty; write `extends: p"):
+        load(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("plant: {disturbances: [{start: 0.5}, {start: 2, force: [1, 0, 0]}]}", "plant.disturba"),
+        ("plant: {friction_changes: [{start: 3, friction: 0.3}]}", "plant.friction_changes comes"),
+        ("user_forces: [{time: 2, force: 9}]", "user_forces comes at 2 s, but the run ends at 2 s"),
+    ],
+)
+def test_what_comes_after_the_end_is_refused_unless_the_run_is_cut_short(tmp_path, text, place):
+    with pytest.raises(ConfigurationError, match=place):
+        load(tmp_path, f"duration: 2\n{text}")
+    load(tmp_path, f"duration: 4\n{text}")
+    load(tmp_path, f"duration: 4\n{text}", duration=2.0)
 
 
 def test_what_is_said_once_reaches_every_node(tmp_path):
@@ -97,7 +118,7 @@ def test_what_is_said_once_reaches_every_node(tmp_path):
 
 def test_defaults_of_the_scenario_reach_every_node_too(tmp_path):
     """Without a duration the scenario ends after its default; so must the plant."""
-    for scenario in (load(tmp_path, ""), Scenario()):
+    for scenario in (load(tmp_path, "name: x"), Scenario()):
         assert scenario.plant.duration == scenario.duration
         assert scenario.tactile_sensor.seed == scenario.seed
         for node in NODES:
@@ -156,6 +177,16 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: {object: {mass: -1}}", r"plant.object.mass is -1, expected.*> 0.* kg"),
         ("plant: {object: {mass: .nan}}", r"plant.object.mass is nan, expected a finite number"),
         ("plant: {rate: fast}", r"plant.rate is 'fast', expected a finite number"),
+        ("plant: {rate: }", r"plant.rate is None, expected a finite number"),
+        (
+            "plant: {object: {vertices: [[0, 0, 0], [1, 0, 0]]}}",
+            r"plant.object.vertices\[0\] is \[0, 0, 0\], expected a finite number m.$",
+        ),
+        ("plant: {object: {vertices: 3}}", r"vertices is 3, expected a list with at most 1500"),
+        (
+            "plant: {object: {mass: 0.1, inertia: [1, 1, 1]}}",
+            r"no body of 0.1 kg that reaches 0.23 m from its center has more than 0.0051 kg m\^2",
+        ),
         ("plant: {pacing: slow}", r"plant.pacing is 'slow', expected one of lockstep, realtime"),
         (
             "manipulation_controller: {law: {name: pid}}",
@@ -322,10 +353,10 @@ def test_kept_orientation_is_that_of_the_target_before_or_of_the_first_grasp(tmp
 
 def test_mistakes_in_changes_name_the_option_and_not_the_file(tmp_path):
     cases = {
-        "plant.rat": (3, "^--set plant.rat: unknown key 'rat'"),
-        "plant.rate": ("fast", "^--set plant.rate: plant.rate is 'fast'"),
-        "plant.object": ({"mass": -1.0}, "^--set plant.object: plant.object.mass is -1.0"),
-        "law": ("optimall", "^--set law: .*did you mean 'optimal'"),
+        "plant.rat": (3, "^the change of plant.rat: unknown key 'rat'"),
+        "plant.rate": ("fast", "^the change of plant.rate: plant.rate is 'fast'"),
+        "plant.object": ({"mass": -1.0}, "^the change of plant.object: plant.object.mass is -1.0"),
+        "law": ("optimall", "^the change of law: .*did you mean 'optimal'"),
     }
     for key, (value, message) in cases.items():
         with pytest.raises(ConfigurationError, match=message):
