@@ -189,7 +189,7 @@ class TactileNode(Node, Generic[C]):
         self,
         message_type: Any,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[..., None],
         *,
         profile: QoSProfile | None = None,
         sensor: bool = False,
@@ -200,7 +200,8 @@ class TactileNode(Node, Generic[C]):
         Args:
             message_type: Message class.
             topic: Relative topic name.
-            callback: Takes the message, bytes if raw; may raise TactileHandError to reject it.
+            callback: Takes the message, bytes if raw, and on wish what the middleware says about
+                it; may raise TactileHandError to reject it.
             profile: Quality of service, by default that of ticks.
             sensor: Let the user override history, depth and reliability by parameters
                 ``qos_overrides.<full topic>.subscription.reliability`` and so on.

@@ -5,22 +5,27 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.names import JOINT_COMMAND
 from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.nodes.plant.real_time import Pace
-from tactile_hand_ros.nodes.plant.senders import SenderWatch
 from tactile_hand_ros.nodes.plant.topics import PlantTopics
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.ticks.senders import SenderCheck, two_senders
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import Array, PlantRun
 
-CONFLICT = "two senders of joint_command answer the same ticks differently; stop one of them"
+CONFLICT = two_senders(JOINT_COMMAND)
+
+NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
 _TELL_PERIOD = 0.1
 """Shortest time between two announcements of what the guard does [s]."""
@@ -32,8 +37,8 @@ class PlantDriver:
     The first tick waits for its command: without one the hand would open and the object fall. It is
     sent again after each short silence. In lockstep every tick waits so, and after a long silence
     the joints are held and time follows the wall clock until a command comes. In real time the last
-    command acts until a newer one comes, or until the guard finds it too old. While two senders
-    disagree the joints are held, whatever they send.
+    command acts until a newer one comes, or until the guard finds it too old. While there are
+    two senders the joints are held, whatever they send.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -51,7 +56,7 @@ class PlantDriver:
         self._is_on, self._is_finished = c.autostart, False
         self._resent = self._too_old = 0
         self._newest_answer = -1
-        self._senders = SenderWatch()
+        self._senders = SenderCheck()
         self._told, self._told_at = "", -math.inf
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand)
@@ -84,7 +89,6 @@ class PlantDriver:
         """
         self._run.release()
         self._topics.tell_hold(self._run.guard.holding)
-        self._senders.reset()
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
         self._answered_at = self._sent_at = time.monotonic()
@@ -109,15 +113,23 @@ class PlantDriver:
         self._newest_answer = -1
         self.begin()
 
-    def command(self, stamp: int, torque: Array) -> None:
-        """Take the torque that answers a tick; what comes too late or unasked changes nothing."""
+    def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
+        """Take the torque that answers a tick; what comes too late or unasked changes nothing.
+
+        Args:
+            stamp: The tick [ns].
+            torque: Torques of the joints, shape (m,), N m.
+            info: What the middleware says about the message, if there was one.
+        """
         run = self._run
         self._note_answer(stamp)
+        contested = self._senders.note(info)
         if not self._is_on or self._is_finished or not 0 <= stamp <= run.stamp:
             return
-        if self._senders.note(stamp, torque):
+        if contested:
             self._hold(CONFLICT)
-        if stamp <= self._answered or self._senders.in_conflict:
+            return
+        if stamp <= self._answered:
             return
         self._answered = stamp
         if self._is_too_old(stamp):

@@ -4,10 +4,10 @@
 Safe state: a `CommandGuard` stands in front of the joints, as in the driver of a real hand. In real
 time it holds them when the newest command is more than `guard.age_limit` ticks old, and in
 lockstep, where time waits for the command, after `command_timeout` of silence; time then follows
-the wall clock. It also holds them while two senders of `joint_command` answer the same ticks
-differently and when a joint is faster than its limit. Commands with unknown joints, missing joints
-or NaN count as silence. The squeeze is kept and raised with the load, the joints come to rest, and
-the level in `/diagnostics` is ERROR. Time stands still at the first tick until the first command.
+the wall clock. It also holds them while there are two senders of `joint_command` and when a joint
+is faster than its limit. Commands with unknown joints, missing joints or NaN count as silence. The
+grasp force is kept and raised with the load, the joints come to rest, and the level in
+`/diagnostics` is ERROR. Time stands still at the first tick until the first command.
 Where the simulation diverges, time stands still too, with an ERROR, until `~/reset` and `~/run`.
 Without a plant there are no ticks, and no node answers.
 """
@@ -15,7 +15,7 @@ Without a plant there are no ticks, and no node answers.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -104,9 +104,9 @@ class PlantNode(TactileNode[PlantConfig]):
             WARN,
         )
 
-    def _on_command(self, data: bytes) -> None:
+    def _on_command(self, data: bytes, info: Mapping[str, Any]) -> None:
         stamp, (torque,) = self._joints.decode(data)
-        self._driver.command(stamp, torque)
+        self._driver.command(stamp, torque, info)
 
     def _on_run(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = self._driver.switch(request.data)

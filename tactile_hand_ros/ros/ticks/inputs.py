@@ -7,7 +7,8 @@ is complete. Nothing else joins messages.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol
 
@@ -15,14 +16,13 @@ import numpy as np
 
 from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.ticks.backlog import Backlog
-from tactile_hand_ros.ros.ticks.input_watch import InputWatch
-from tactile_hand_ros.ros.ticks.leaps import Leaps
-from tactile_hand_ros.ros.ticks.matching import REPEAT, StampMatcher
-from tactile_hand_ros.ros.ticks.one_sender import OneSender
+from tactile_hand_ros.ros.ticks.matching import REPEAT, Leaps, StampMatcher
+from tactile_hand_ros.ros.ticks.senders import SenderCheck, two_senders
 from tactile_hand_ros.ros.ticks.streams import Decode, Stream
 
 DAY_NS = 86_400_000_000_000
+_MILLISECOND = 1_000_000
+_HIGHEST = 64  # rank of the first tick
 
 
 class TickListener(Protocol):
@@ -43,12 +43,118 @@ class TickListener(Protocol):
         """Forget the past: the stamps have started over."""
 
 
+class SilenceTimeout:
+    """Measures the time for which a trigger has come without a complete set of inputs.
+
+    Silence of the trigger itself does not count: then there is nothing to answer. The time must
+    have passed by the stamps of the triggers and by the wall clock. By the stamps, because in
+    lockstep they stand still while a tick waits for its inputs: all nodes wait for the one that
+    stalls, and no result depends on how fast the machine is. By the wall clock, because one stamp
+    that lies ahead does not mean that time has passed.
+
+    Attributes:
+        expired: Whether the inputs are missing.
+    """
+
+    def __init__(self, timeout: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """Take the time [s] after which inputs count as missing."""
+        self._timeout = round(1e9 * timeout)
+        self._clock = clock
+        self._since: tuple[int, int] | None = None  # wall clock and stamp, ns
+        self.expired = False
+
+    def triggered(self, stamp_ns: int) -> bool:
+        """Note a trigger whose set is not complete yet; return whether the inputs are missing."""
+        if not self.expired:
+            now = self._clock()
+            if self._since is None or stamp_ns < self._since[1]:
+                self._since = now, stamp_ns
+            self.expired = min(now - self._since[0], stamp_ns - self._since[1]) >= self._timeout
+        return self.expired
+
+    def complete(self) -> bool:
+        """Note a complete set; return whether the inputs had been missing."""
+        had_expired, self.expired, self._since = self.expired, False, None
+        return had_expired
+
+
+def rank(stamp_ns: int, previous_ns: int | None) -> int:
+    """Return the rank of a tick after another one [ns]; without one it is the highest."""
+    if previous_ns is None:
+        return _HIGHEST
+    return (stamp_ns // _MILLISECOND ^ previous_ns // _MILLISECOND).bit_length() - 1
+
+
+def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
+    """Return those of waiting ticks which nothing of higher rank follows.
+
+    Args:
+        stamps: What waits, oldest first [ns].
+        previous: The tick before them [ns], None if there was none.
+    """
+    ranks = [rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps])]
+    kept: list[int] = []
+    highest = -1
+    for stamp, own in zip(reversed(stamps), reversed(ranks), strict=True):
+        if own >= highest:
+            highest = own
+            kept.append(stamp)
+    return kept[::-1]
+
+
+class Backlog:
+    """Complete ticks that wait until everything that has arrived is read; some are skipped.
+
+    A node that is slower than its ticks and answers all of them answers ever older ones. This
+    cannot happen in lockstep, but it can in real time. So of several ticks that wait together some
+    are skipped. But a consumer that needs the answers of two nodes to the same tick gets neither
+    if each node skips other ticks. Each tick therefore has a rank: n where it is the first one in
+    a stretch of 2^n ms but not of 2^(n+1) ms. It is skipped only where one of higher rank waits
+    behind it. That one comes no sooner than 2^n ms less one period later, so no node that lags by
+    less skips it, and all nodes meet again and again, however they lag.
+
+    Attributes:
+        skipped: Number of ticks that were skipped so far.
+    """
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self.skipped = 0
+        self._waiting: dict[int, tuple[Any, ...]] = {}
+        self._previous: int | None = None
+
+    def __len__(self) -> int:
+        """Return how many ticks wait."""
+        return len(self._waiting)
+
+    def put(self, stamp_ns: int, values: tuple[Any, ...]) -> None:
+        """Add a complete tick [ns]; a second one of the same stamp replaces the first."""
+        self._waiting[stamp_ns] = values
+
+    def take(self) -> list[tuple[int, tuple[Any, ...], bool]]:
+        """Return all ticks that waited, oldest first [ns], and whether each is to be answered."""
+        waiting, self._waiting = self._waiting, {}
+        stamps = list(waiting)
+        answered = set(stamps)
+        if len(stamps) > 1:
+            answered = set(chosen(stamps, self._previous))
+            self.skipped += len(stamps) - len(answered)
+        if answered:
+            self._previous = max(answered)
+        return [(stamp, values, stamp in answered) for stamp, values in waiting.items()]
+
+    def clear(self) -> None:
+        """Forget the ticks that wait."""
+        self._waiting, self._previous = {}, None
+
+
 class TickInputs:
     """Subscribes to streams, joins them by stamp, skips late ticks and watches for silence.
 
     The first stream is the trigger: when it repeats an answered tick, the last answer is published
     again, and while it continues without the others for a time-out, its values are passed on
-    alone and at once, until a complete tick arrives; see `InputWatch`.
+    alone and at once, until a complete tick arrives; see `SilenceTimeout`. While two publishers
+    send it, no tick is answered: which one is right cannot be known, and the driver holds.
     """
 
     def __init__(
@@ -78,19 +184,18 @@ class TickInputs:
         topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
         self._trigger = topics[0]
         self._answer = node.guarded("ticks", self._answer_waiting)
-        self._senders = OneSender()
-        self._conflict = (
-            f"two senders of {self._trigger} publish the same ticks differently; stop one"
-        )
-        self._backlog: Backlog[tuple[Any, ...]] = Backlog()
+        self._senders = SenderCheck()
+        self._backlog = Backlog()
         self._matcher = StampMatcher(topics, on_restart=self._restart)
-        self._watch = None if silence is None else InputWatch(silence)
+        self._silence = None if silence is None else SilenceTimeout(silence)
         self._reason = ""
         self._answered_blindly = -1
         self._leaps = Leaps()
         for stream in streams:
             for topic, decode in stream.decoders.items() if stream.wanted else ():
-                take = partial(self._take, topic, decode)
+                take: Any = partial(self._take, topic, decode)
+                if topic == self._trigger:
+                    take = partial(self._take_trigger, decode)
                 node.subscribe(
                     stream.message_type, topic, take, sensor=stream.from_driver, raw=True
                 )
@@ -108,46 +213,44 @@ class TickInputs:
 
     def report(self) -> None:
         """Put the topics that are missing now into the diagnostics."""
-        missing = self._matcher.missing() if self._watch and self._watch.blind else []
+        expired = self._silence is not None and self._silence.expired
+        missing = self._matcher.missing() if expired else []
         if missing:
             self._complain(missing)
 
     def _take(self, topic: str, decode: Decode, data: bytes) -> None:
         stamp, value = decode(data)
-        if topic == self._trigger and self._is_contested(stamp, data):
-            return
         matched = self._matcher.put(topic, stamp, value)
+        if matched is not None and matched is not REPEAT:
+            self._complete(stamp, matched)
+
+    def _take_trigger(self, decode: Decode, data: bytes, info: Mapping[str, Any]) -> None:
+        stamp, value = decode(data)
+        contested = self._senders.note(info)
+        self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
+        if contested or self._leaps.doubts(stamp):
+            return
+        matched = self._matcher.put(self._trigger, stamp, value)
         if matched is REPEAT:
             if not self._backlog:  # else a newer answer is about to be given
                 self._listener.on_repeat()
         elif matched is not None:
             self._complete(stamp, matched)
-        elif self._watch is not None and topic == self._trigger:
-            self._wait(self._watch, stamp, value)
-
-    def _is_contested(self, stamp: int, data: bytes) -> bool:
-        """Return whether two senders publish the trigger; which one is right cannot be known.
-
-        Without a trigger the node is silent, and the next one, in the end the driver, holds.
-        """
-        contested = self._senders.disagree(stamp, data)
-        self._node.diagnostics.judge("senders", contested, self._conflict)
-        return contested
+        elif self._silence is not None:
+            self._wait(self._silence, stamp, value)
 
     def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:
-        if self._watch is not None and self._watch.complete():
+        if self._silence is not None and self._silence.complete():
             self._node.diagnostics.clear("inputs")
         if stamp > self._answered_blindly:
             self._backlog.put(stamp, matched)
             if len(self._backlog) == 1:
                 self._node.after_reading(self._answer)
 
-    def _wait(self, watch: InputWatch, stamp: int, value: Any) -> None:
-        was_blind = watch.blind
-        if self._leaps.doubts(stamp):
-            return
-        if watch.triggered(stamp):
-            if not was_blind:
+    def _wait(self, silence: SilenceTimeout, stamp: int, value: Any) -> None:
+        had_expired = silence.expired
+        if silence.triggered(stamp):
+            if not had_expired:
                 self._complain(self._matcher.missing(stamp))
             self._answered_blindly = stamp
             self._listener.on_blind_tick(stamp, value, self._reason)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brings together the messages of one tick, whatever order they arrive in."""
+"""Brings together the messages of one tick, in any order, and filters stamps that jump."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import enum
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
-from tactile_hand_ros.ros.ticks.leaps import Leaps
-
 _SECOND = 1_000_000_000
+_SHORTEST_LEAP = 100_000_000
+"""A step ahead that is no leap, whatever the ticks are [ns]."""
 
 
 class Repeat(enum.Enum):
@@ -45,8 +45,7 @@ class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. A set that leaps ahead is given only when a second one
-    confirms it; see `Leaps`. A complete set at stamp 0, or more than
+    given up when a newer one is complete. A complete set at stamp 0, or more than
     ``restart_after_ns`` before the last one, means that the senders have started over: everything
     else is forgotten then. A single old message means nothing.
     """
@@ -73,12 +72,7 @@ class StampMatcher:
         self._memory = memory
         self._restart_after = restart_after_ns
         self._on_restart = on_restart
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
         self.last: int | None = None
-        self._leaps = Leaps()
         self._pending: dict[int, _Open] = {}
 
     @property
@@ -111,9 +105,7 @@ class StampMatcher:
         if opened is None:
             opened = self._pending[stamp_ns] = _Open(len(self.keys))
         if opened.put(index, value):
-            if not self._leaps.doubts(stamp_ns):
-                return self._complete(stamp_ns, opened.values)
-            del self._pending[stamp_ns]
+            return self._complete(stamp_ns, opened.values)
         if len(self._pending) > self._memory:
             del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None
@@ -142,3 +134,33 @@ class StampMatcher:
         if restarted and self._on_restart is not None:
             self._on_restart()
         return tuple(values)
+
+
+class Leaps:
+    """Doubts a stamp far ahead of the last one until a second one confirms it.
+
+    One message with a wrong stamp must not take a node ahead, where it would ignore all that comes
+    until time has caught up. Far is more than a tenth of a second and twice the last step. Ticks
+    that were lost cost one tick more. Stamps that go back are left to `StampMatcher`.
+    """
+
+    def __init__(self) -> None:
+        """Start without a stamp: the first one is believed."""
+        self._last: int | None = None
+        self._step = 0
+        self._doubted: int | None = None
+
+    def doubts(self, stamp: int) -> bool:
+        """Note a stamp, ns, and return whether it leaps ahead and nothing has confirmed it yet.
+
+        What confirms it is the same stamp again, or a later one with none in between that goes on
+        from the last.
+        """
+        last, doubted = self._last, self._doubted
+        if last is not None and stamp - last > max(_SHORTEST_LEAP, 2 * self._step):
+            self._doubted = stamp
+            if doubted is None or stamp < doubted:
+                return True
+        self._step = 0 if last is None else max(0, stamp - last)
+        self._last, self._doubted = stamp, None
+        return False

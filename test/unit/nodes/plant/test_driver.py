@@ -19,12 +19,12 @@ from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.nodes.plant import driver as driver_module
 from tactile_hand_ros.nodes.plant.driver import CONFLICT
 from tactile_hand_ros.nodes.plant.node import PlantNode
-from tactile_hand_ros.nodes.plant.senders import SenderWatch
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.ticks.senders import SenderCheck
 
 TICK = 2_000_000
 GENTLE, OTHER = np.full(9, 0.01), np.full(9, 0.02)
@@ -38,7 +38,7 @@ class Rig:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.node = PlantNode(context=context, parameter_overrides=overrides)
         self.driver = self.node._driver
-        self.driver._senders = SenderWatch(lambda: clock.now)
+        self.driver._senders = SenderCheck(lambda: clock.now)
         self.told = 0
         self.node.publish_diagnostics = self._tell  # type: ignore[method-assign]
 
@@ -54,8 +54,8 @@ class Rig:
         status = self.node.diagnostics.status()
         return status.level, status.message
 
-    def answer(self, stamp: int, torque: Any = GENTLE) -> None:
-        self.driver.command(stamp, torque)
+    def answer(self, stamp: int, torque: Any = GENTLE, number: int | None = None) -> None:
+        self.driver.command(stamp, torque, {"publication_sequence_number": number})
 
     def state(self) -> tuple[str, int]:
         """Return the mode and the present tick."""
@@ -240,15 +240,18 @@ def test_nothing_is_watched_while_it_stands_still(make: Callable[..., Rig], cloc
     assert rig.driver.mode == "finished" and rig.driver._watcher.is_canceled()
 
 
-def test_two_senders_that_disagree_are_both_refused_until_half_a_second_is_over(
+def test_two_senders_are_both_refused_until_half_a_second_is_over(
     make: Callable[..., Rig], clock: Any
 ) -> None:
     rig = make()
-    rig.answer(0, GENTLE)
-    rig.answer(0, OTHER)
+    rig.answer(0, GENTLE, 8)
+    rig.answer(0, OTHER, 1)  # it may be a successor
+    assert rig.state() == ("running", 1)
+    rig.answer(0, GENTLE, 9)
+    rig.answer(0, OTHER, 2)
     assert rig.state() == ("holding", 1) and rig.follows_the_clock()
     assert rig.values()["conflicting_commands"] == 1
-    rig.answer(TICK, GENTLE)
+    rig.answer(TICK, GENTLE, 10)
     assert rig.state() == ("holding", 1)
     rig.driver._advance(1)
     assert rig.status() == (ERROR, f"{CONFLICT}; the joints are held")

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.ticks.backlog import Backlog, chosen, rank
+from tactile_hand_ros.ros.ticks.inputs import Backlog, chosen, rank
 
 MS = 1_000_000
 
@@ -64,7 +66,7 @@ class Answers:
 
     def __init__(self) -> None:
         self.given: list[tuple[int, str]] = []
-        self.backlog: Backlog[str] = Backlog()
+        self.backlog: Any = Backlog()
 
     def to(self, *ticks: int) -> list[int]:
         """Let ticks wait together [ms]; return which of them are answered [ms]."""

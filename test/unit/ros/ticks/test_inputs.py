@@ -26,8 +26,7 @@ from tactile_hand_ros.ros.messages.wire import (
 )
 from tactile_hand_ros.ros.ticks import inputs as inputs_module
 from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.input_watch import InputWatch
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks.inputs import SilenceTimeout, TickInputs
 from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
@@ -50,9 +49,9 @@ class Ear:
     """Stamp of a tick that cannot be answered [ns]."""
 
     def __init__(self, *, feels: bool = True, observes: bool = False) -> None:
-        self.now = 0
+        self.now = self.number = 0
         self.diagnostics = Diagnostics("ear")
-        self.callbacks: dict[str, Callable[[bytes], None]] = {}
+        self.callbacks: dict[str, Callable[..., None]] = {}
         self.subscribed: dict[str, tuple[type, bool]] = {}
         self.heard: list[tuple[Any, ...]] = []
         declared = (
@@ -69,7 +68,7 @@ class Ear:
         self.rejected: list[tuple[str, str]] = []
 
     def subscribe(
-        self, kind: Any, topic: str, callback: Callable[[bytes], None], **options: Any
+        self, kind: Any, topic: str, callback: Callable[..., None], **options: Any
     ) -> None:
         assert options["raw"]
         self.callbacks[topic] = callback
@@ -112,7 +111,13 @@ class Ear:
     def joints(self, stamp: int) -> None:
         """Bring joint states, which tell their tick [ms] apart."""
         data = JOINTS.encode(stamp * MS, THETA + stamp, RATES - stamp, 0.0 * THETA)
-        self.callbacks[names.JOINT_STATES](data)
+        self.number += 1
+        self.bring(data, self.number)
+
+    def bring(self, joints: bytes, number: int) -> None:
+        """Bring joint states that their publisher has given a number."""
+        info = {"publication_sequence_number": number}
+        self.callbacks[names.JOINT_STATES](joints, info)
 
     def others(self, stamp: int, *, without: str = "") -> None:
         """Bring everything else of a tick [ms], with other numbers for each finger."""
@@ -153,8 +158,8 @@ class Ear:
 def ear(monkeypatch: pytest.MonkeyPatch) -> Ear:
     """Return an ear with the clock of a test."""
     made: list[Ear] = []
-    watch = partial(InputWatch, clock=lambda: made[0].now if made else 0)
-    monkeypatch.setattr(inputs_module, "InputWatch", watch)
+    timeout = partial(SilenceTimeout, clock=lambda: made[0].now if made else 0)
+    monkeypatch.setattr(inputs_module, "SilenceTimeout", timeout)
     made.append(Ear())
     return made[0]
 
@@ -383,7 +388,7 @@ def test_the_streams_of_the_other_nodes_have_their_values_in_their_places() -> N
     )
     at = 8 * MS
     poses = ContactsCodec(3).encode(POSITIONS, TURNS, at)
-    node.callbacks[names.TRUE_CONTACTS](poses)
+    node.callbacks[names.TRUE_CONTACTS](poses, {})
     slip = SlipCodec(FINGERS).encode(at, np.array([9.0, 8.0, 7.0]), np.array([0.1, 0.2, 0.3]))
     node.callbacks[names.TRUE_SLIP](slip)
     for i, name in enumerate(FINGERS):
@@ -475,20 +480,105 @@ def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
     assert node.kinds() == [("tick", 0)]
 
 
-def test_while_two_senders_of_the_trigger_disagree_no_tick_is_answered() -> None:
+def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
     """Which joints are the right ones cannot be known; the driver holds, for it gets no answer."""
     ear = Ear()
-    ear.joints(1)
-    ear.others(1)
-    assert ear.kinds() == [("tick", 1)]
-    other = JOINTS.encode(1 * MS, THETA, RATES, 0.0 * THETA)
-    ear.callbacks[names.JOINT_STATES](other)
+    complete(ear, 1, 2)
+    other = JOINTS.encode(2 * MS, THETA, RATES, 0.0 * THETA)
+    for number in (101, 102):
+        ear.bring(other, number)
+        ear.joints(2)
     assert "two senders of joint_states" in ear.diagnostics.status().message
-    ear.joints(2)
-    ear.others(2)
+    ear.heard.clear()
+    complete(ear, 3)
     assert ear.kinds() == []
-    for stamp in (598, 600):  # after a gap a tick is believed when a second one has come
-        ear.joints(stamp)
+
+
+def test_a_driver_that_was_restarted_after_an_hour_is_answered_from_its_first_tick() -> None:
+    ear = Ear()
+    complete(ear, 3_600_000)
+    for stamp in range(2, 8, 2):
         ear.others(stamp)
-    assert ear.kinds() == [("tick", 600)]
+        ear.bring(JOINTS.encode(stamp * MS, THETA, RATES, 0.0 * THETA), stamp // 2)
+    assert ear.kinds()[1:] == ["restart", ("tick", 2), ("tick", 4), ("tick", 6)]
+
+
+def test_samples_that_a_driver_stamps_with_a_slow_clock_are_no_second_sender() -> None:
+    ear = Ear()
+    for tick in (10, 20):
+        ear.others(tick)
+        for sample in range(5):
+            ear.number += 1
+            ear.bring(JOINTS.encode(tick * MS, THETA + sample, RATES, 0.0 * THETA), ear.number)
+    assert ear.kinds() == [("tick", 10), *["repeat"] * 4, ("tick", 20), *["repeat"] * 4]
     assert ear.diagnostics.status().level != ERROR
+
+
+@pytest.mark.parametrize("ahead", [150, 900, 10**6])
+def test_one_stamp_far_ahead_does_not_silence_the_others(ahead: int) -> None:
+    ear = Ear()
+    for tick in range(0, 12, 2):
+        if tick in (4, 8):
+            complete(ear, tick + ahead)
+        complete(ear, tick)
+    assert ear.kinds() == [("tick", tick) for tick in range(0, 12, 2)]
+
+
+def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
+    """A plant in lockstep repeats a tick that is not answered, and its ticks may be far apart."""
+    ear = Ear()
+    complete(ear, 0, 10_000, 10_000, 20_000, 20_000)
+    assert [each for each in ear.kinds() if each != "repeat"] == [
+        ("tick", 0),
+        ("tick", 10_000),
+        ("tick", 20_000),
+    ]
+
+
+class World:
+    """A time-out, and a wall clock that a test moves."""
+
+    def __init__(self) -> None:
+        self.now = 70_000 * MS
+        self.silence = SilenceTimeout(0.5, lambda: self.now)
+
+    def after(self, wall: int, stamp: int) -> bool:
+        """Let wall time pass [ns], then bring a trigger with a stamp [ns]."""
+        self.now += wall
+        return self.silence.triggered(stamp)
+
+
+TIMEOUT = 500 * MS
+
+
+def test_inputs_are_missing_at_the_time_out_and_not_before() -> None:
+    world = World()
+    assert not world.after(0, 3000 * MS)
+    assert not world.after(TIMEOUT - 1, 3000 * MS + TIMEOUT - 1)
+    assert world.after(1, 3000 * MS + TIMEOUT) and world.silence.expired
+
+
+def test_the_time_out_needs_time_by_the_wall_clock_too() -> None:
+    world = World()
+    assert not world.after(0, 3000 * MS)
+    assert not world.after(2 * MS, 10**18)
+    assert not world.after(TIMEOUT - 2 * MS - 1, 10**18)
+
+
+def test_time_starts_again_when_the_stamps_jump_back() -> None:
+    world = World()
+    assert not world.after(0, 10**18)
+    assert not world.after(TIMEOUT, 3000 * MS)
+    assert not world.after(TIMEOUT - 1, 3000 * MS + TIMEOUT)
+    assert world.after(1, 3000 * MS + TIMEOUT)
+
+
+def test_inputs_stay_missing_until_a_set_is_complete_and_then_the_time_starts_again() -> None:
+    world = World()
+    world.after(0, 0)
+    assert world.after(TIMEOUT, TIMEOUT)
+    assert world.after(0, 0)  # whatever the stamps do meanwhile
+    assert world.silence.complete() and not world.silence.expired
+    assert not world.silence.complete()
+    assert not world.after(0, TIMEOUT + 1)
+    assert not world.after(TIMEOUT - 1, 2 * TIMEOUT)

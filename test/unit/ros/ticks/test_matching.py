@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.ticks.matching import REPEAT, StampMatcher
+from tactile_hand_ros.ros.ticks.matching import REPEAT, Leaps, StampMatcher
 
 KEYS = ("joints", "contacts", "force")
 
@@ -162,38 +162,6 @@ def test_what_is_missing_is_named():
     assert matcher.missing(8) == ["contacts"]
 
 
-@pytest.mark.parametrize("ahead", [150_000_000, 900_000_000, 10**12, 2**31 * 10**9 - 1])
-def test_one_stamp_far_ahead_does_not_silence_the_others(ahead):
-    """A single hostile message, whatever its stamp: it is not answered, and all others are."""
-    restarts = []
-    matcher = StampMatcher(("a",), on_restart=lambda: restarts.append(1))
-    answered = []
-    for tick in range(6):
-        stamp = 2_000_000 * tick
-        if tick in (2, 4):
-            assert matcher.put("a", stamp + ahead, "hostile") is None
-        answered.append(matcher.put("a", stamp, tick))
-    assert answered == [(tick,) for tick in range(6)] and not restarts and not matcher.pending
-
-
-def test_ticks_that_were_lost_cost_one_tick_more():
-    matcher = StampMatcher(("a",))
-    matcher.put("a", 0, 0)
-    assert matcher.put("a", 10**10, 1) is None
-    assert matcher.put("a", 10**10 + 1, 2) == (2,)
-    assert matcher.put("a", 10**10 + 2, 3) == (3,)
-
-
-def test_slow_ticks_are_answered_when_they_are_sent_again():
-    """A plant in lockstep repeats a tick that is not answered, and its ticks may be far apart."""
-    matcher = StampMatcher(("a", "b"))
-    answers = []
-    for tick in range(4):
-        sent = [matcher.put(key, tick * 10**10, tick) for key in "abab"]
-        answers.append([answer for answer in sent if isinstance(answer, tuple)])
-    assert answers == [[(tick, tick)] for tick in range(4)]
-
-
 def test_values_are_never_compared():
     matcher = StampMatcher(("a", "b", "c"))
     value = np.zeros(3)
@@ -222,24 +190,56 @@ def test_later_incomplete_stamps_stay_when_one_is_complete():
     assert [matcher.put("b", stamp, "b") for stamp in (3, 4)] == [("a3", "b"), ("a4", "b")]
 
 
-def test_after_a_reset_nothing_is_old_or_far_ahead():
-    matcher = StampMatcher(("a",))
-    matcher.put("a", 10 * SECOND, 0)
-    matcher.reset()
-    assert matcher.last is None
-    assert matcher.put("a", 10 * SECOND - 1, 1) == (1,)
-    matcher.reset()
-    assert matcher.put("a", 100 * SECOND, 2) == (2,)
+SHORTEST = 100_000_000
+"""A step ahead that is no leap [ns]."""
 
 
-def test_reset_forgets_everything():
-    matcher = StampMatcher(("a", "b"))
-    matcher.put("a", 7, 0)
-    matcher.reset()
-    assert matcher.pending == 0
-    assert matcher.put("b", 7, 0) is None
+def after(*stamps: int) -> Leaps:
+    """Return leaps that have believed all of these stamps [ns]."""
+    made = Leaps()
+    assert [made.doubts(stamp) for stamp in stamps] == [False] * len(stamps)
+    return made
 
 
-def test_an_unknown_key_is_an_error():
-    with pytest.raises(KeyError):
-        StampMatcher(("a",)).put("b", 1, 0)
+@pytest.mark.parametrize("stamp", [0, 1, 10**18])
+def test_the_first_stamp_is_believed(stamp):
+    assert not Leaps().doubts(stamp)
+
+
+@pytest.mark.parametrize("step", [0, 1, SHORTEST // 2])
+def test_a_leap_is_more_than_a_tenth_of_a_second(step):
+    assert not after(7, 7 + step).doubts(7 + step + SHORTEST)
+    assert after(7, 7 + step).doubts(7 + step + SHORTEST + 1)
+
+
+@pytest.mark.parametrize("step", [60_000_000, SHORTEST])
+def test_a_leap_is_more_than_twice_the_last_step(step):
+    assert not after(7, 7 + step).doubts(7 + 3 * step)
+    assert after(7, 7 + step).doubts(7 + 3 * step + 1)
+
+
+def test_the_same_stamp_or_a_later_one_confirms_a_leap_and_sets_the_step():
+    for confirming in (10**10, 10**10 + 1):
+        made = after(0)
+        assert made.doubts(10**10)
+        assert not made.doubts(confirming)
+        assert not made.doubts(3 * confirming)
+
+
+def test_an_earlier_leap_confirms_nothing_and_is_the_one_to_confirm():
+    made = after(0)
+    assert made.doubts(10**10)
+    assert made.doubts(10**10 - 1)
+    assert not made.doubts(10**10 - 1)
+
+
+def test_a_stamp_that_goes_on_refutes_a_leap():
+    made = after(0)
+    assert made.doubts(10**10)
+    assert not made.doubts(2)
+    assert made.doubts(10**10)
+
+
+def test_stamps_that_go_back_are_believed_and_are_no_step():
+    assert after(0, 90_000_000, 10).doubts(SHORTEST + 11)
+    assert not after(0, 90_000_000, 10).doubts(SHORTEST + 10)
