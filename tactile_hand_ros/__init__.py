@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
     from tactile_hand_ros.control.slip.regulator import SlipRegulator
     from tactile_hand_ros.errors import TactileHandError
+    from tactile_hand_ros.front_door import simulate
     from tactile_hand_ros.hand.hand import Hand
     from tactile_hand_ros.report.page import write_report
-    from tactile_hand_ros.run.metrics import metrics
+    from tactile_hand_ros.run.metrics import Metrics, metrics
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
     from tactile_hand_ros.simulation.plant import Plant
@@ -37,6 +38,7 @@ __all__ = [
     "Controller",
     "ForceOptimizer",
     "Hand",
+    "Metrics",
     "Plant",
     "Record",
     "Run",
@@ -47,6 +49,7 @@ __all__ = [
     "load_scenario",
     "metrics",
     "recompute",
+    "simulate",
     "write_report",
 ]
 
@@ -56,6 +59,7 @@ _HOMES = {
     "Controller": "control.controller",
     "ForceOptimizer": "control.optimizer.force_optimizer",
     "Hand": "hand.hand",
+    "Metrics": "run.metrics",
     "Plant": "simulation.plant",
     "Record": "closed_loop.record",
     "Run": "run.run",
@@ -66,6 +70,7 @@ _HOMES = {
     "load_scenario": "scenario.scenario",
     "metrics": "run.metrics",
     "recompute": "verify.recompute",
+    "simulate": "front_door",
     "write_report": "report.page",
 }
 

@@ -37,6 +37,18 @@ def take_law(config: LawConfig) -> None:
     OWN_LAWS[config.name, config.folder] = found
 
 
+def known_law(law: Any) -> str:
+    """Make a class of the running program known as a law, and return its name.
+
+    Raises:
+        ConfigurationError: If it is no law.
+    """
+    name = f"{getattr(law, '__module__', '')}:{getattr(law, '__name__', type(law).__name__)}"
+    _check_signatures(LawConfig().model_copy(update={"name": name}), law)
+    OWN_LAWS[name, ""] = law
+    return name
+
+
 def folder_of(name: str, beside: Path) -> str:
     """Return the folder to import a law from: `beside` if its module is there, else none."""
     top = name.partition(":")[0].partition(".")[0]

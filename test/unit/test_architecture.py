@@ -30,6 +30,7 @@ TIERS = (
     ("verify", "steering"),
     ("orchestrator",),
     ("sweep",),
+    ("front_door",),
     ("reproduce",),
     ("cli",),
 )

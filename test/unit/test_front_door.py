@@ -7,10 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tactile_hand_ros
-from tactile_hand_ros import ClosedLoop, load_scenario, metrics
+from tactile_hand_ros import Metrics, Run, simulate
+from tactile_hand_ros.control.laws import OptimalLaw
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.report.result import Result
 
 
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)
@@ -34,7 +38,38 @@ def test_importing_the_package_loads_nothing_else(tmp_path: Path) -> None:
     assert [name for name in loaded if name.startswith("tactile_hand_ros.")] == []
 
 
-def test_three_names_run_the_paper() -> None:
-    scenario = load_scenario("paper", {"duration": 0.2, "targets": []})
-    record = ClosedLoop(scenario).run()
-    assert metrics(record, scenario).contacts_lost_ticks == 0
+SHORT = {"duration": 0.1, "targets": []}
+
+
+class Firmer(OptimalLaw):
+    """A law of the user's own, defined where it is used."""
+
+    def internal_torque(self) -> np.ndarray:
+        return 1.5 * super().internal_torque()
+
+
+def test_a_simulation_has_what_a_recorded_run_has(tmp_path: Path) -> None:
+    result = simulate("paper", SHORT)
+    assert isinstance(result, Result) and issubclass(Run, Result)
+    assert len(result.record) == 51 and isinstance(result.metrics, Metrics)
+    assert result.metrics.contacts_lost_ticks == 0
+    assert result.plot().axes
+    assert result.report(tmp_path) == tmp_path / "report.html"
+
+
+def test_a_law_is_given_as_a_class_or_by_name() -> None:
+    plain, own = simulate("paper", SHORT), simulate("paper", SHORT, law=Firmer)
+    assert not np.array_equal(plain.record.command, own.record.command)
+    assert own.scenario is not None
+    assert own.scenario.manipulation_controller.law.name == f"{__name__}:Firmer"
+    named = simulate("paper", SHORT, law="contact").scenario
+    assert named is not None and named.manipulation_controller.law.name == "contact"
+    with pytest.raises(ConfigurationError, match="it has no internal_torque"):
+        simulate("paper", SHORT, law=int)
+
+
+def test_a_wrong_key_is_named_as_it_was_given() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        simulate("paper", {"plant.object.wight": 1.0})
+    assert str(caught.value).startswith("the change of plant.object.wight: unknown key 'wight'")
+    assert "--set" not in str(caught.value)

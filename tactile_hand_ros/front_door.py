@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a script or notebook calls: a scenario in, arrays, metrics, pictures and a report out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.control.own_law import known_law
+from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+
+def simulate(
+    scenario: str = "paper",
+    changes: Mapping[str, Any] | None = None,
+    *,
+    law: Any = None,
+    progress: Callable[[int], None] | None = None,
+) -> Result:
+    """Run a scenario in-process, without ROS.
+
+    Args:
+        scenario: Name of a scenario, or path of a YAML file.
+        changes: Other values by dotted key, such as ``{"plant.object.mass": 0.2}``.
+        law: The law of the hand: a class such as your own subclass of `OptimalLaw`, or a name.
+        progress: Called with the number of finished ticks, a hundred times in a run.
+
+    Returns:
+        The run, with the same interface as `Run`: ``record``, ``metrics``, ``events``,
+        ``to_pandas()``, ``plot()`` and ``report()``.
+
+    Raises:
+        TactileHandError: If a key or value is wrong, or the scenario cannot work.
+    """
+    changes = dict(changes or {})
+    if isinstance(law, str):
+        changes["law"] = law
+    chosen = load_scenario(scenario, changes)
+    if law is not None and not isinstance(law, str):
+        controller = chosen.manipulation_controller
+        known = controller.law.model_copy(update={"name": known_law(law), "folder": ""})
+        controller = controller.model_copy(update={"law": known})
+        chosen = chosen.model_copy(update={"manipulation_controller": controller})
+    return Result(ClosedLoop(chosen).run(progress=progress), chosen)
