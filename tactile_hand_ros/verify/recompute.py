@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recomputation: the recorded sensor topics once more through the controllers, by function calls.
+"""Recomputation: the recorded sensor topics once more through the controllers, in-process.
 
 With the configuration of the run every number must come out as it was recorded, to the bit. With
 another configuration or law the difference shows what that controller would have answered at the
@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.closed_loop.loop import Chain
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import LawFactory
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, ConfigurationError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -211,7 +212,7 @@ def _compare(
 
 
 class ShadowLoop:
-    """The controllers, wired by function calls as in `ClosedLoop`, fed from a recording."""
+    """The chain of controllers of `ClosedLoop`, fed from a recording."""
 
     def __init__(self, inputs: Inputs, law: LawFactory | None = None) -> None:
         """Build the controllers.
@@ -224,125 +225,181 @@ class ShadowLoop:
             TactileHandError: If the hand cannot be built.
         """
         self._inputs = inputs
-        self._recorded = inputs.record
-        k = len(self._recorded.finger_names)
-        self._configurations = {node: Effects(e) for node, e in inputs.configurations.items()}
-        self._requests = {node: Effects(inputs.requests.get(node, ())) for node in CONTROLLERS}
-        self._poses, self._forces = Effects(inputs.poses), Effects(inputs.forces)
-        first = {node: effects.first() for node, effects in self._configurations.items()}
-        self._regulator = SlipRegulator(first[names.REGULATOR], k)
-        self._optimizer = ForceOptimizer(first[names.OPTIMIZER], k)
-        self._controller = Controller(first[names.CONTROLLER], law)
-        arrays = {name: np.full_like(getattr(self._recorded, name), np.nan) for name in _ANSWERS}
-        self._out = copy.copy(self._recorded)
-        for name, array in arrays.items():
-            object.__setattr__(self._out, name, array)  # the copy is not shared yet
+        k = len(inputs.record.finger_names)
+        changes = {node: _Changes(inputs, node) for node in CONTROLLERS}
+        self._controller = _Controller(changes[names.CONTROLLER], Effects(inputs.poses), law)
+        self._optimizer = _Optimizer(changes[names.OPTIMIZER], k)
+        self._regulator = _Regulator(changes[names.REGULATOR], Effects(inputs.forces), k)
+        self._chain = Chain(self._regulator, self._optimizer, self._controller)
+        self._out = copy.copy(inputs.record)
+        for name in _ANSWERS:  # the copy is not shared yet
+            object.__setattr__(self._out, name, np.full_like(getattr(self._out, name), np.nan))
 
     def run(self) -> Record:
         """Answer all ticks."""
-        r, answered = self._recorded, self._inputs.answered
-        regulated, optimized = answered(r.grasp_force), answered(r.optimal_forces)
-        controlled = answered(r.command)
-        begins = np.logical_or.accumulate(regulated)  # the first tick that it gets is answered
-        for row in range(len(r)):
-            contacts = self._inputs.contacts[row]
-            touched = contacts is not None and bool(self._inputs.felt[row])
-            if touched and begins[row]:
-                self._regulate(row, is_answered=bool(regulated[row]))
-            if contacts is not None and optimized[row]:
-                if touched or not self._optimizer.config.cones:
-                    self._optimize(row, contacts)
-            if touched and controlled[row]:
-                self._control(row)
-            elif np.isfinite(self._recorded.command[row]).all():
+        r, answered, felt = self._inputs.record, self._inputs.answered, self._inputs.felt
+        for block, answers in (
+            (self._regulator, r.grasp_force),
+            (self._optimizer, r.optimal_forces),
+            (self._controller, r.command),
+        ):
+            block.answered = dict(zip(r.stamps.tolist(), answered(answers).tolist(), strict=True))
+        for row, contacts in enumerate(self._inputs.contacts):
+            touched = contacts is not None and bool(felt[row])
+            if contacts is not None and touched:
+                self._answer(row, contacts)
+            elif contacts is not None and not self._optimizer.config.cones:
+                optimal = self._optimizer.step(int(r.stamps[row]), contacts)
+                self._out.optimal_forces[row] = optimal.forces
+            drives = touched and self._controller.answered[int(r.stamps[row])]
+            if not drives and np.isfinite(r.command[row]).all():
                 self._hold(row)
         return self._out
 
-    def _regulate(self, row: int, *, is_answered: bool) -> None:
-        """Let the regulator feel a tick; one that it was too slow to answer it feels, too."""
-        contacts, out, regulator = self._inputs.contacts[row], self._out, self._regulator
-        stamp = int(self._recorded.stamps[row])
-        for config in self._configurations[names.REGULATOR].until(stamp):
-            regulator.configure(config)
-        for request in self._requests[names.REGULATOR].until(stamp):
-            if request.service == names.TOUCH_REJECTED:
-                regulator.reject_touch(request.value)
-            else:
-                regulator.reset()
-        for force in self._forces.until(stamp):
-            regulator.goal = force
-        grasp_force = regulator.step(stamp, contacts, self._recorded.forces[row])
-        if not is_answered:
-            return
-        out.grasp_force[row] = grasp_force
-        out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
-        out.friction[row] = regulator.learned_friction
-
-    def _optimize(self, row: int, contacts: Contacts) -> None:
-        stamp = int(self._recorded.stamps[row])
-        for config in self._configurations[names.OPTIMIZER].until(stamp):
-            self._optimizer.configure(config)
-        for request in self._requests[names.OPTIMIZER].until(stamp):
-            self._optimizer.reject_touch(request.value)
-        friction, forces = self._out.friction[row], self._recorded.forces[row]
-        optimal = self._optimizer.step(stamp, contacts, friction, forces)
-        self._out.optimal_forces[row] = optimal.forces
-
-    def _control(self, row: int) -> None:
-        r, out = self._recorded, self._out
-        contacts = self._inputs.contacts[row]
-        assert contacts is not None
-        self._command(int(r.stamps[row]))
-        command = self._controller.step(
-            int(r.stamps[row]),
-            r.theta[row],
-            r.rates[row],
-            contacts,
-            out.optimal_forces[row],
-            float(out.grasp_force[row]),
-            r.forces[row],
-            r.torque[row],
+    def _answer(self, row: int, contacts: Contacts) -> None:
+        r, out, regulator = self._inputs.record, self._out, self._regulator
+        stamp = int(r.stamps[row])
+        grasp_force, optimal, command = self._chain.answer(
+            stamp, r.theta[row], r.rates[row], r.torque[row], contacts, r.forces[row]
         )
+        out.grasp_force[row], out.optimal_forces[row] = grasp_force, optimal.forces
+        if regulator.answered[stamp]:
+            out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
+            out.friction[row] = regulator.learned_friction
         out.command[row] = command.torque
-        pose = command.pose
-        if pose is None:
-            out.auxiliary_position[row] = out.auxiliary_quaternion[row] = np.nan
-        else:
-            out.auxiliary_position[row] = pose.position
-            out.auxiliary_quaternion[row] = quaternion_from_rotation(pose.orientation)
+        if command.pose is not None:
+            out.auxiliary_position[row] = command.pose.position
+            out.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
 
     def _hold(self, row: int) -> None:
-        r = self._recorded
-        self._command(int(r.stamps[row]))
+        r = self._inputs.record
+        self._controller.change(int(r.stamps[row]))
         held = self._controller.hold(
             r.theta[row], r.rates[row], "inputs are missing", applied=r.torque[row]
         )
         self._out.command[row] = held.torque
 
-    def _command(self, stamp: int) -> None:
-        """Give the controller what took effect at a tick."""
-        controller = self._controller
-        for config in self._configurations[names.CONTROLLER].until(stamp):
-            controller.configure(config)
-        for request in self._requests[names.CONTROLLER].until(stamp):
-            _apply(controller, request)
+
+class _Changes:
+    """What changed a node of a recorded run besides its inputs."""
+
+    def __init__(self, inputs: Inputs, node: str) -> None:
+        self.configs = Effects(inputs.configurations[node])
+        self.requests = Effects(inputs.requests.get(node, ()))
+        self.first = self.configs.first()
+
+
+class _Regulator(SlipRegulator):
+    """The regulator, changed as in the recorded run."""
+
+    def __init__(self, changes: _Changes, asked: Effects, fingers: int) -> None:
+        super().__init__(changes.first, fingers)
+        self._changes, self._forces = changes, asked
+        self.answered: dict[int, bool] = {}
+        self._started = False
+
+    def step(
+        self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
+    ) -> float:
+        """Return k_f; a tick that the node was too slow to answer it has felt all the same."""
+        answered = self.answered[stamp]
+        self._started = self._started or answered  # the first tick that it gets is answered
+        if not self._started:
+            return np.nan
+        for config in self._changes.configs.until(stamp):
+            self.configure(config)
+        for request in self._changes.requests.until(stamp):
+            if request.service == names.TOUCH_REJECTED:
+                super().reject_touch(request.value)
+            else:
+                self.reset()
+        for force in self._forces.until(stamp):
+            self.goal = force
+        grasp_force = super().step(stamp, contacts, forces)
+        return grasp_force if answered else np.nan
+
+    def reject_touch(self, rejected: bool) -> None:
+        """Do nothing: the recorded rejections count."""
+
+
+class _Optimizer(ForceOptimizer):
+    """The optimizer, changed as in the recorded run."""
+
+    def __init__(self, changes: _Changes, fingers: int) -> None:
+        super().__init__(changes.first, fingers)
+        self._changes = changes
+        self.answered: dict[int, bool] = {}
+
+    def step(
+        self,
+        stamp: int,
+        contacts: Contacts,
+        friction: Array | None = None,
+        forces: Array | None = None,
+    ) -> OptimalForces:
+        """Return f*, none at a tick that the node has skipped."""
+        if not self.answered[stamp]:
+            none = np.full((len(contacts.positions), 3), np.nan)
+            return OptimalForces(Status.CONTACT_MISSING, "skipped", none)
+        for config in self._changes.configs.until(stamp):
+            self.configure(config)
+        for request in self._changes.requests.until(stamp):
+            super().reject_touch(request.value)
+        return super().step(stamp, contacts, friction, forces)
+
+    def reject_touch(self, rejected: bool) -> None:
+        """Do nothing: the recorded rejections count."""
+
+
+class _Controller(Controller):
+    """The controller, changed as in the recorded run."""
+
+    def __init__(self, changes: _Changes, poses: Effects, law: LawFactory | None) -> None:
+        super().__init__(changes.first, law)
+        self._changes, self._poses = changes, poses
+        self.answered: dict[int, bool] = {}
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+        forces: Array | None = None,
+        applied: Array | None = None,
+    ) -> Command:
+        """Return the torques, none at a tick that the node has skipped."""
+        if not self.answered[stamp]:
+            return Command(np.full(len(theta), np.nan), Mode.HOLD, None)
+        self.change(stamp)
+        return super().step(
+            stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
+        )
+
+    def change(self, stamp: int) -> None:
+        """Apply what took effect at a tick [ns]."""
+        for config in self._changes.configs.until(stamp):
+            self.configure(config)
+        for request in self._changes.requests.until(stamp):
+            self._apply(request)
         for target in self._poses.until(stamp):
-            controller.schedule(target, stamp, judged=True)
+            self.schedule(target, stamp, judged=True)
 
-
-def _apply(controller: Controller, request: Request) -> None:
-    """Repeat a service call."""
-    if request.service == "reset":
-        controller.forget()
-    elif request.service == "enable":
-        controller.enabled = request.value
-    elif request.service == names.JOINT_HOLD:
-        controller.joints_held = request.value
-    elif request.value:
-        controller.grasp()
-    else:
-        with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
-            controller.release()
+    def _apply(self, request: Request) -> None:
+        """Repeat a service call."""
+        if request.service == "reset":
+            self.forget()
+        elif request.service == "enable":
+            self.enabled = request.value
+        elif request.service == names.JOINT_HOLD:
+            self.joints_held = request.value
+        elif request.value:
+            self.grasp()
+        else:
+            with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
+                self.release()
 
 
 _ANSWERS = tuple(name for _, name, _ in COMPARED)

@@ -322,6 +322,7 @@ def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
 CALLS = {
     30: ("reset", None),
     60: ("grasp", False),
+    70: ("reset", None),
     80: ("grasp", True),
     230: ("enable", False),
     240: ("enable", True),
@@ -341,6 +342,7 @@ def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
     changes: Changes = {
         30: lambda loop: loop.controller.reset(),
         60: lambda loop: loop.controller.release(),
+        70: lambda loop: loop.controller.forget(),  # open fingers stay open
         80: lambda loop: loop.controller.grasp(),
         120: lambda loop: loop.regulator.reset(),
         230: lambda loop: setattr(loop.controller, "enabled", False),
