@@ -18,10 +18,8 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
-    GripCodec,
     JointCodec,
     PoseCodec,
-    SlipCodec,
     WrenchCodec,
 )
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -76,7 +74,7 @@ class TickMessages:
         fingers, joints = record.finger_names, record.joint_names
         self._states = JointCodec(joints, ("position", "velocity", "effort"))
         self._command = JointCodec(joints, ("effort",))
-        self._slip, self._grips = SlipCodec(fingers), GripCodec(fingers)
+        self._slip, self._grips = JointCodec(fingers, ("position", "velocity")), JointCodec(fingers)
         self._contacts, self._pose = ContactsCodec(len(fingers)), PoseCodec()
         self._squeeze = WrenchCodec(names.PALM_FRAME)
         self._forces = [WrenchCodec(names.contact_frame(name)) for name in fingers]

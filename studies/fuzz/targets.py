@@ -30,10 +30,8 @@ from tactile_hand_ros.ros.messages.conversions import (
 )
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
-    GripCodec,
     JointCodec,
     PoseCodec,
-    SlipCodec,
     WrenchCodec,
     read_message,
 )
@@ -83,7 +81,11 @@ def message_readers() -> dict[str, Reader]:
     nan = np.full(3, np.nan)
     joints = JointCodec(_FINGERS, ("position", "velocity", "effort"))
     efforts, contacts = JointCodec(_FINGERS, ("effort",)), ContactsCodec(3)
-    force, slip, grip = WrenchCodec("tip"), SlipCodec(_FINGERS), GripCodec(_FINGERS)
+    force, slip, grip = (
+        WrenchCodec("tip"),
+        JointCodec(_FINGERS, ("position", "velocity")),
+        JointCodec(_FINGERS),
+    )
     optimal, any_frame = WrenchCodec("tip", nan_allowed=True), WrenchCodec("palm", any_frame=True)
     untouched = contacts.encode(np.eye(3) * np.nan, turns * np.nan, 7)
     return {

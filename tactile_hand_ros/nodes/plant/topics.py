@@ -15,7 +15,7 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.readings import ReadingPublisher
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, SlipCodec
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.plant import PlantState
@@ -30,7 +30,7 @@ class PlantTopics:
         self._truth = ReadingPublisher(
             node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
         )
-        self._slip = SlipCodec(hand.finger_names)
+        self._slip = JointCodec(hand.finger_names, ("position", "velocity"))
         self._slip_publisher = node.tick_publisher(JointState, names.TRUE_SLIP)
         self._joints = JointCodec(hand.joint_names, ("position", "velocity", "effort"))
         self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES)

@@ -35,7 +35,7 @@ from tactile_hand_ros.nodes.mode_log import ModeLog
 from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
-from tactile_hand_ros.ros.messages.wire import GripCodec, WrenchCodec, read_message
+from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
@@ -91,7 +91,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
         self._rehearse(len(fingers))
-        self._grips = GripCodec(fingers)
+        self._grips = JointCodec(fingers)
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE)
         self._codec = WrenchCodec(names.PALM_FRAME)
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE)

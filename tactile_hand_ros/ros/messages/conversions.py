@@ -98,52 +98,56 @@ class JointOrder:
     A message may name the joints in any order; each must be there once.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        """Take the joint names in the hand's order."""
+    def __init__(self, names: Sequence[str], *, others: bool = False) -> None:
+        """Take the joint names in the hand's order.
+
+        Args:
+            names: The names.
+            others: Whether a message may have other joints too, such as those of an arm.
+        """
         self.names = list(names)
-        self._other_names: list[str] | None = None
-        self._permutation = np.arange(len(self.names))
+        self._others = others
+        self._given: list[str] | None = None
+        self._places = np.arange(0)
 
     def read(self, message: JointState, field: str) -> Array:
         """Return ``position``, ``velocity`` or ``effort`` in the hand's order.
 
-        The array may share memory with the message. Shape (m,).
+        Shape (m,).
 
         Raises:
             MessageError: For unknown, missing or repeated joints, wrong length, NaN or infinity.
         """
+        if self._given is None or message.name != self._given:
+            self._places = self._places_in(message.name)
+            self._given = list(message.name)
         values = np.asarray(getattr(message, field), dtype=np.float64)
-        in_order = message.name == self.names
-        if not in_order and message.name != self._other_names:
-            self._learn(message.name)
-        if values.size != len(self.names):
+        if values.size != len(self._given):
             raise MessageError(
-                f"{field} has {values.size} values, expected {len(self.names)}, one per joint."
+                f"{field} has {values.size} values, expected {len(self._given)}, one per joint."
             )
-        if not all_usable(values):
-            raise MessageError(self._not_usable(message, field, values))
-        return values if in_order else values[self._permutation]
+        own = values[self._places]
+        if not all_usable(own):
+            index = int(np.flatnonzero(~(np.abs(own) <= LARGEST_NUMBER))[0])
+            raise MessageError(
+                f"{field} of joint '{self.names[index]}' is {own[index]}, expected a number up to "
+                f"{LARGEST_NUMBER:g}."
+            )
+        return own
 
-    def _learn(self, given: Sequence[str]) -> None:
-        """Remember the order of another sender."""
-        if len(given) > len(self.names):
-            raise MessageError(f"{len(given)} joints, expected each of {len(self.names)} once.")
+    def _places_in(self, given: Sequence[str]) -> NDArray[np.intp]:
+        """Return where each joint of the hand is among the names that a sender gives."""
         unknown = next((shown(name) for name in given if name not in self.names), None)
-        if unknown is not None:
+        if unknown is not None and not self._others:
             raise MessageError(f"unknown joint '{unknown}'{did_you_mean(unknown, self.names)}")
-        missing = [name for name in self.names if name not in given]
-        if missing:
-            raise MessageError(f"joint '{missing[0]}' is missing, expected all {len(self.names)}.")
-        self._permutation = np.array([list(given).index(name) for name in self.names])
-        self._other_names = list(given)
-
-    @staticmethod
-    def _not_usable(message: JointState, field: str, values: Array) -> str:
-        index = int(np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER))[0])
-        return (
-            f"{field} of joint '{message.name[index]}' is {values[index]}, expected a number up "
-            f"to {LARGEST_NUMBER:g}."
-        )
+        for name in self.names:
+            count = given.count(name)
+            if count != 1:
+                problem = f"is there {count} times" if count else "is missing"
+                raise MessageError(
+                    f"joint '{name}' {problem}, expected each of {len(self.names)} once."
+                )
+        return np.array([given.index(name) for name in self.names])
 
 
 def contacts_from_ros(message: PoseArray, count: int, *, frame: str = PALM_FRAME) -> ContactPoses:

@@ -180,7 +180,12 @@ class JointCodec:
     """JointState with some of its fields, in the hand's order of joints."""
 
     def __init__(
-        self, names: Sequence[str], fields: Sequence[str], wanted: Sequence[str] = ()
+        self,
+        names: Sequence[str],
+        fields: Sequence[str] = ("position", "velocity", "effort"),
+        wanted: Sequence[str] = (),
+        *,
+        others: bool = False,
     ) -> None:
         """Fix the joints.
 
@@ -188,8 +193,9 @@ class JointCodec:
             names: Joint names in the hand's order.
             fields: Which of ``position``, ``velocity`` and ``effort`` are written, in this order.
             wanted: The first of those fields, which are read; all by default.
+            others: Whether a message that is read may have other joints too.
         """
-        self._order = JointOrder(names)
+        self._order = JointOrder(names, others=others)
         self._wanted = tuple(wanted or fields)
         template = CdrTemplate().text("").length(len(names))
         for name in names:
@@ -261,19 +267,3 @@ class PoseCodec:
         self._row[:3], self._row[3:] = position, quaternion
         check_output(self._row)
         return self._template.stamped(stamp_ns)
-
-
-class SlipCodec(JointCodec):
-    """JointState with the true sliding of the contacts by finger: distance [m], speed [m/s]."""
-
-    def __init__(self, fingers: Sequence[str]) -> None:
-        """Fix the fingers."""
-        super().__init__(fingers, ("position", "velocity"))
-
-
-class GripCodec(JointCodec):
-    """JointState with each finger's friction, evidence for slip and `ContactState`."""
-
-    def __init__(self, fingers: Sequence[str]) -> None:
-        """Fix the fingers."""
-        super().__init__(fingers, ("position", "velocity", "effort"))

@@ -17,9 +17,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
-    GripCodec,
     JointCodec,
-    SlipCodec,
     WrenchCodec,
 )
 
@@ -93,9 +91,8 @@ class Joints(NamedTuple):
 
 
 def joints(joint_names: Sequence[str]) -> Stream:
-    """Declare the joint states; values are `Joints`."""
-    fields = ("position", "velocity", "effort")
-    codec = JointCodec(joint_names, fields, wanted=("position", "velocity"))
+    """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
+    codec = JointCodec(joint_names, wanted=("position", "velocity"), others=True)
 
     def decode(data: bytes) -> tuple[int, Joints]:
         stamp, (theta, rates), applied = codec.decode_with_last(data)
@@ -132,7 +129,7 @@ def grasp_force() -> Stream:
 
 def learned_friction(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
     """Declare the friction that the regulator has learned; values of shape (k,)."""
-    codec = GripCodec(finger_names)
+    codec = JointCodec(finger_names)
 
     def decode(data: bytes) -> tuple[int, Array]:
         stamp, (friction, _, _) = codec.decode(data)
@@ -148,7 +145,7 @@ def true_contacts(fingers: int) -> Stream:
 
 def true_sliding(finger_names: Sequence[str]) -> Stream:
     """Declare how fast the contacts slide; values of shape (k,), m/s."""
-    codec = SlipCodec(finger_names)
+    codec = JointCodec(finger_names, ("position", "velocity"))
 
     def decode(data: bytes) -> tuple[int, Array]:
         stamp, (_, speeds) = codec.decode(data)

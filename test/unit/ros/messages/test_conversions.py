@@ -62,7 +62,10 @@ def test_joints_are_brought_into_the_order_of_the_hand():
     [
         (JointState(name=["f1_j1", "f1_j2", "f2_jl"]), "unknown joint 'f2_jl', did you mean"),
         (JointState(name=["f1_j1", "f1_j2"]), "joint 'f2_j1' is missing"),
-        (JointState(name=[*NAMES, "f1_j1"]), "4 joints, expected each of 3 once"),
+        (
+            JointState(name=[*NAMES, "f1_j1"]),
+            "joint 'f1_j1' is there 2 times, expected each of 3 once",
+        ),
         (JointState(name=NAMES, effort=[1.0, 2.0]), "effort has 2 values, expected 3"),
         (JointState(name=NAMES, effort=[1.0, np.nan, 0.0]), "effort of joint 'f1_j2' is nan"),
         (JointState(name=NAMES, effort=[1.0, 0.0, np.inf]), "effort of joint 'f2_j1' is inf"),

@@ -24,7 +24,6 @@ from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
     JointCodec,
     PoseCodec,
-    SlipCodec,
     WrenchCodec,
 )
 
@@ -208,7 +207,7 @@ CODECS = {
     "contacts": ContactsCodec(3),
     "joints": JointCodec(["a", "b"], FIELDS),
     "command": JointCodec(["a", "b"], ("effort",)),
-    "slip": SlipCodec(["a", "b"]),
+    "slip": JointCodec(["a", "b"], ("position", "velocity")),
 }
 
 
@@ -347,7 +346,7 @@ def encoded(codec, stamp):
         return codec.encode((1.0, 2.0, 3.0), stamp)
     if isinstance(codec, ContactsCodec):
         return codec.encode(np.arange(9.0).reshape(3, 3), unit_quaternions(3), stamp)
-    count = 1 if codec is CODECS["command"] else 2 if isinstance(codec, SlipCodec) else 3
+    count = 1 if codec is CODECS["command"] else 2 if isinstance(codec) else 3
     return codec.encode(stamp, *(np.arange(2.0) + 10.0 * n for n in range(count)))
 
 
@@ -363,3 +362,26 @@ def test_bytes_of_our_own_are_read_without_ros_and_others_with_it(codec, monkeyp
     assert stamp == 3_000_000_005 and through_ros == [1]
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+ARM = ["arm_1", "a", "arm_2", "b"]
+
+
+def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
+    """One driver may publish all joints of a robot; what the arm's are does not matter."""
+    codec = JointCodec(["b", "a"], wanted=("position", "velocity"), others=True)
+    message = JointState(
+        name=ARM,
+        position=[math.nan, 1.0, 9.0, 2.0],
+        velocity=[0.0, 3.0, 0.0, 4.0],
+        effort=[0.0] * 4,
+    )
+    for _ in range(2):
+        _, (position, velocity), effort = codec.decode_with_last(serialize_message(message))
+        assert (position.tolist(), velocity.tolist()) == ([2.0, 1.0], [4.0, 3.0])
+        assert effort.tolist() == [0.0, 0.0]
+    with pytest.raises(MessageError, match="unknown joint 'arm_1'"):
+        JointCodec(["b", "a"], ("effort",)).decode(serialize_message(message))
+    message.name[0] = "a"
+    with pytest.raises(MessageError, match="joint 'a' is there 2 times"):
+        codec.decode(serialize_message(message))

@@ -19,9 +19,7 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
-    GripCodec,
     JointCodec,
-    SlipCodec,
     WrenchCodec,
 )
 from tactile_hand_ros.ros.ticks import inputs as inputs_module
@@ -389,13 +387,15 @@ def test_the_streams_of_the_other_nodes_have_their_values_in_their_places() -> N
     at = 8 * MS
     poses = ContactsCodec(3).encode(POSITIONS, TURNS, at)
     node.callbacks[names.TRUE_CONTACTS](poses, {})
-    slip = SlipCodec(FINGERS).encode(at, np.array([9.0, 8.0, 7.0]), np.array([0.1, 0.2, 0.3]))
+    slip = JointCodec(FINGERS, ("position", "velocity")).encode(
+        at, np.array([9.0, 8.0, 7.0]), np.array([0.1, 0.2, 0.3])
+    )
     node.callbacks[names.TRUE_SLIP](slip)
     for i, name in enumerate(FINGERS):
         force = WrenchCodec(names.contact_frame(name)).encode((1.0 + i, 2.0, 3.0), at)
         node.callbacks[names.true_wrench(name)](force)
     assert node.heard == []
-    grip = GripCodec(FINGERS).encode(
+    grip = JointCodec(FINGERS).encode(
         at, np.array([0.4, 0.5, 0.6]), np.array([0.1, 0.0, 0.9]), np.array([1.0, 0.0, 2.0])
     )
     node.callbacks[names.GRIP_STATE](grip)
