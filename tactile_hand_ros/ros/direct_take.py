@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -57,6 +58,8 @@ def subscribe_directly(
         **options: For `rclpy.node.Node.create_subscription`.
     """
     group = DirectTakeGroup()
+    # No executor would take an event, and each would wake for it again and again.
+    options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
     return node.create_subscription(
         kind, topic, tap, profile, callback_group=group, raw=True, **options
     )

@@ -17,7 +17,8 @@ from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -27,14 +28,15 @@ from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.viewer.frames import (
+from tactile_hand_ros.nodes.viewer.scene import (
     OBJECT_FRAME,
     Frame,
     LinkFrames,
+    Scene,
     frame_prefix,
+    markers,
     transforms,
 )
-from tactile_hand_ros.nodes.viewer.markers import Scene, markers
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
 from tactile_hand_ros.ros.messages.conversions import (
@@ -101,14 +103,17 @@ class ViewerNode(TactileNode[ViewerConfig]):
             names.OBJECT_POSE: PoseStamped,
             **{names.wrench(finger): WrenchStamped for finger in self._fingers},
         }
-        self._listening = {
-            topic: subscribe_directly(self, kind, topic, QoSProfile(depth=1))
-            for topic, kind in listened.items()
-        }
+        self._listening = {topic: self._listen(kind, topic) for topic, kind in listened.items()}
         self._markers = self.create_publisher(MarkerArray, MARKERS, qos.user_qos())
         self._tf = self._publish_static()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.config.rate, self.show, clock=steady)
+
+    def _listen(self, kind: Any, topic: str) -> Subscription:
+        """Subscribe to publishers of any reliability, unless the user overrides it."""
+        profile = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        options = QoSOverridingOptions.with_default_policies()
+        return subscribe_directly(self, kind, topic, profile, qos_overriding_options=options)
 
     def _publish_static(self) -> Any:
         """Publish what does not move, and return the publisher of what does, None without tf2."""

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker
 
-from tactile_hand_ros.nodes.viewer.frames import Frame
-from tactile_hand_ros.nodes.viewer.markers import Scene, markers
+from tactile_hand_ros.nodes.viewer.scene import Frame, Scene, markers
 
 TURN = np.array([0.1, 0.2, 0.3, np.sqrt(0.86)])
 CORNERS = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]])

@@ -12,7 +12,7 @@ import pytest
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from support.messages import contacts_message, force_message, joint_message, pose_message
@@ -20,8 +20,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.viewer import node as viewer
-from tactile_hand_ros.nodes.viewer.frames import LinkFrames
 from tactile_hand_ros.nodes.viewer.node import ViewerNode
+from tactile_hand_ros.nodes.viewer.scene import LinkFrames
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
@@ -129,6 +129,31 @@ def test_the_object_is_closed_and_as_large_as_it_is(stage: Stage) -> None:
     across = np.ptp(solid.vertices, axis=0)
     sides = 2.0 * (across[0] * across[1] + across[1] * across[2] + across[2] * across[0])
     assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(sides)  # it is a box
+
+
+def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
+    """A QoS event that no executor takes would keep it awake, also after the publisher has left."""
+    stage.watch()
+    profile = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    driver = stage.node.create_publisher(PoseArray, "tactile/contacts", profile)
+    wait_until(lambda: driver.get_subscription_count() == 1)
+
+    def is_shown() -> bool:
+        driver.publish(contacts_message(TOUCH, TURNS, 5))
+        return "contacts" in stage.show()
+
+    wait_until(is_shown)
+    taken = stage.viewer._listening.values()
+    assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
+
+
+def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
+    name = "qos_overrides./joint_states.subscription.reliability"
+    with isolated_domain() as domain, private_context(domain) as context:
+        made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
+        made.check_ready()
+        assert made._listening["joint_states"].qos_profile.reliability.name == "RELIABLE"
+        made.destroy_node()
 
 
 def test_with_tf2_links_contacts_and_object_are_transforms(

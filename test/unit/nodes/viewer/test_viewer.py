@@ -9,27 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.viewer.frames import (
+from tactile_hand_ros.nodes.viewer.scene import (
     Frame,
     LinkFrames,
-    contact_frames,
+    Scene,
     frame_prefix,
+    markers,
     transforms,
 )
-from tactile_hand_ros.nodes.viewer.markers import Scene, markers
 from tactile_hand_ros.ros.messages.types import message_class
-from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[4]
 VIEWS = config_directory() / "views"
@@ -55,22 +51,6 @@ def test_the_layout_in_force_moves_the_fingers() -> None:
     one, other = (LinkFrames(Hand.load("paper", name).description).fixed() for name in LAYOUTS)
     apart = [np.linalg.norm(a.position - b.position) for a, b in zip(one, other, strict=True)]
     assert max(apart) > 0.1
-
-
-def test_transforms_of_a_grasp_carry_palm_stamp_and_pose() -> None:
-    loop = ClosedLoop(load_scenario("paper", {"duration": 0.01}))
-    record = loop.run()
-    contacts = record.contact_positions[-1].copy(), record.contact_quaternions[-1]
-    contacts[0][1] = np.nan  # finger 2 does not touch
-    frames = contact_frames(record.finger_names, *contacts)
-    made = transforms(frames, 1_500_000_000)
-    assert [each.child_frame_id for each in made] == ["finger_1_contact", "finger_3_contact"]
-    assert {each.header.frame_id for each in made} == {"palm"}
-    assert (made[0].header.stamp.sec, made[0].header.stamp.nanosec) == (1, 500_000_000)
-    move, turn = made[1].transform.translation, made[1].transform.rotation
-    assert [move.x, move.y, move.z] == contacts[0][2].tolist()
-    back = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).toRotationMatrix()
-    np.testing.assert_allclose(back, rotation_from_quaternion(contacts[1][2]), atol=1e-12)
 
 
 def test_markers_show_what_is_known_and_remove_the_rest() -> None:

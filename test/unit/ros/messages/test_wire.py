@@ -346,7 +346,7 @@ def encoded(codec, stamp):
         return codec.encode((1.0, 2.0, 3.0), stamp)
     if isinstance(codec, ContactsCodec):
         return codec.encode(np.arange(9.0).reshape(3, 3), unit_quaternions(3), stamp)
-    count = 1 if codec is CODECS["command"] else 2 if isinstance(codec) else 3
+    count = 1 if codec is CODECS["command"] else 2 if codec is CODECS["slip"] else 3
     return codec.encode(stamp, *(np.arange(2.0) + 10.0 * n for n in range(count)))
 
 

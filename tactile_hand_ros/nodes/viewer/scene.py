@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Object, contacts, friction cones, forces and goal as markers in the frame of the palm."""
+"""What is shown of a hand: transforms from the palm, and markers in the frame of the palm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Point
+import pinocchio as pin
+from geometry_msgs.msg import Point, TransformStamped
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.nodes.viewer.frames import Frame
+from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
+from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]
@@ -29,6 +32,85 @@ _GOAL: Color = (0.76, 0.09, 0.36, 1.0)
 _LONGEST = 0.12  # m, of the strongest force
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 _STEEPEST = 2.5  # friction above which a cone is drawn no wider
+
+OBJECT_FRAME = "object"
+
+
+class Frame(NamedTuple):
+    """A frame in the frame of the palm.
+
+    Attributes:
+        name: Name of the frame.
+        position: Its origin, shape (3,), m.
+        quaternion: Its orientation (x, y, z, w), shape (4,).
+    """
+
+    name: str
+    position: Array
+    quaternion: Array
+
+    @property
+    def is_known(self) -> bool:
+        """Whether all numbers are finite."""
+        return bool(np.isfinite(self.position).all() and np.isfinite(self.quaternion).all())
+
+
+class LinkFrames:
+    """The links of a hand by its URDF, of which the palm is the root.
+
+    Attributes:
+        joint_names: Joints in the order of `moving`.
+    """
+
+    def __init__(self, description: str) -> None:
+        """Read a URDF that `Hand` has accepted."""
+        self._model = pin.buildModelFromXML(description)
+        self._data = self._model.createData()
+        self.joint_names = list(self._model.names[1:])
+        bodies = [
+            (frame.name, number)
+            for number, frame in enumerate(self._model.frames)
+            if frame.type == pin.BODY
+        ]
+        root = min(bodies, key=lambda body: body[1])
+        links = [body for body in bodies if body != root]
+        self._fixed = [body for body in links if not self._model.frames[body[1]].parentJoint]
+        self._moving = [body for body in links if self._model.frames[body[1]].parentJoint]
+
+    def fixed(self) -> list[Frame]:
+        """Return the links that do not move against the palm."""
+        return self._at(np.zeros(self._model.nq), self._fixed)
+
+    def moving(self, theta: Array) -> list[Frame]:
+        """Return the links that joints move, at joint angles of shape (m,), rad."""
+        return self._at(theta, self._moving)
+
+    def _at(self, theta: Array, links: list[tuple[str, int]]) -> list[Frame]:
+        pin.framesForwardKinematics(self._model, self._data, theta)
+        places = [(name, self._data.oMf[number]) for name, number in links]
+        return [
+            Frame(name, place.translation.copy(), quaternion_from_rotation(place.rotation))
+            for name, place in places
+        ]
+
+
+def frame_prefix(namespace: str) -> str:
+    """Return what the frames of a hand begin with, so that two hands can share `/tf`."""
+    return f"{namespace.strip('/')}/" if namespace.strip("/") else ""
+
+
+def transforms(frames: list[Frame], stamp_ns: int, prefix: str = "") -> list[TransformStamped]:
+    """Return the transforms from the palm to frames, with a stamp and prefixed names."""
+    made = []
+    for frame in frames:
+        message = TransformStamped(child_frame_id=prefix + frame.name)
+        message.header.frame_id = prefix + names.PALM_FRAME
+        message.header.stamp = stamp_from_ns(stamp_ns)
+        move, turn = message.transform.translation, message.transform.rotation
+        move.x, move.y, move.z = map(float, frame.position)
+        turn.x, turn.y, turn.z, turn.w = map(float, frame.quaternion)
+        made.append(message)
+    return made
 
 
 @dataclass(frozen=True)
