@@ -55,7 +55,7 @@ def move(
     with _hand(namespace, timeout) as hand:
         radians = [math.radians(v) for v in turn]
         since, vector = hand.move([x, y, z], radians, absolute=rotation is not None)
-    degrees = ", ".join(f"{math.degrees(v):.4g}" for v in vector)
+    degrees = ", ".join(f"{round(math.degrees(v), 3) + 0.0:g}" for v in vector)
     print(
         f"the target is ({x:g}, {y:g}, {z:g}) m, rotation ({degrees}) degrees, from "
         f"t = {since:.3f} s on"
@@ -109,11 +109,18 @@ def _turn(rotate: tuple[str, float] | None) -> tuple[float, ...]:
 @contextlib.contextmanager
 def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
     """Take part in the graph of a hand."""
-    from tactile_hand_ros.orchestrator.execute import check_environment, full_namespace, ros_context
-    from tactile_hand_ros.orchestrator.steering import HandClient, user_node
+    from tactile_hand_ros.compiled import run_interpreted
 
-    check_environment(os.environ)
-    with ros_context() as context, user_node(context, full_namespace(namespace)) as node:
+    run_interpreted()  # a few rotations do not justify loading Numba
+    from tactile_hand_ros.orchestrator import participation
+    from tactile_hand_ros.orchestrator.steering import HandClient
+
+    participation.check_environment(os.environ)
+    place, name = participation.full_namespace(namespace), f"user_{os.getpid()}"
+    with (
+        participation.ros_context() as context,
+        participation.graph_node(context, name, place) as node,
+    ):
         yield HandClient(node, timeout)
 
 

@@ -107,6 +107,6 @@ class Rate:
         if stamp == before:
             return self._rate
         self._stamp, self._time = stamp, now
-        if before is not None and since > 0.0:
+        if before is not None and stamp > before and since > 0.0:  # a reset sets time back
             self._rate = (stamp - before) / self._tick / since
         return self._rate

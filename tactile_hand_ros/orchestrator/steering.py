@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import ArrayLike, NDArray
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -36,13 +33,18 @@ from tactile_hand_ros.rotations import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
 
 Array = NDArray[np.float64]
 
 _SLICE = 0.02  # s
 _AGAIN = 1.0  # s without an answer after which a command is sent again
 _MODE_WAIT = 0.5  # s for the mode of the regulator, which only a hint needs
+
+
+_UNDISCOVERED = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node rmw has not discovered yet
 
 
 class SteeringError(TactileHandError):
@@ -169,17 +171,6 @@ def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
     return f"tactile-hand move {position}{where}"
 
 
-@contextlib.contextmanager
-def user_node(context: Context, namespace: str) -> Iterator[Node]:
-    """Provide a node of this process; its name is its own, so that users do not collide."""
-    name = f"user_{os.getpid()}"
-    node = Node(name, namespace=namespace, context=context, start_parameter_services=False)
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-
-
 class HandClient:
     """Commands of a user to one hand; each returns when the hand has answered.
 
@@ -273,8 +264,9 @@ class HandClient:
         def is_known() -> bool:
             topic = self._node.resolve_topic_name(names.JOINT_STATES)
             found = self._node.get_publishers_info_by_topic(topic)
+            senders.clear()
             senders.update(each.node_name for each in found)
-            return bool(senders) and "_NODE_NAME_UNKNOWN_" not in senders
+            return bool(senders) and _UNDISCOVERED not in senders
 
         self._wait(is_known, "nothing publishes joint_states; is the driver of the hand running?")
         if names.PLANT in senders:

@@ -18,7 +18,7 @@ import tactile_hand_ros
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.execute import check_environment
+from tactile_hand_ros.orchestrator.participation import check_environment
 from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
