@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One command to a hand: it arrives, and its own answer comes back, also while others steer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
+from rclpy.context import Context
+from rclpy.node import Node
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+from support.messages import force_message, pose_message
+from support.spinning import spinning
+
+from tactile_hand_ros import names
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.orchestrator import steering as module
+from tactile_hand_ros.orchestrator.participation import graph_node
+from tactile_hand_ros.orchestrator.steering import HandClient, SteeringError
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+
+STAMP = 12_500_000_000
+NOW = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
+OTHER = pose_message((9.0, 9.0, 9.0), np.eye(3), 1)
+
+
+class Hand:
+    """What a user meets of a hand: commands are accepted or refused as the test says."""
+
+    def __init__(self, context: Context, namespace: str, *, plant: bool) -> None:
+        self.node = node = Node("hand", context=context, namespace=namespace)
+        self.reason: str | None = ""  # why commands are refused, empty if they are accepted
+        self.ignored = 0  # commands of which the answer is lost
+        self.poses: list[PoseStamped] = []
+        self.forces: list[float] = []
+        self.calls: list[tuple[str, Any]] = []
+        self._answers = {
+            names.DESIRED_POSE: node.create_publisher(
+                PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
+            ),
+            names.USER_GRASP_FORCE: node.create_publisher(
+                WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+            ),
+        }
+        self._refusals = {
+            topic: node.create_publisher(DiagnosticArray, names.rejected(owner), qos.user_qos())
+            for topic, owner in (
+                (names.DESIRED_POSE, names.CONTROLLER),
+                (names.USER_GRASP_FORCE, names.REGULATOR),
+            )
+        }
+        node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, qos.user_qos())
+        node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, qos.user_qos())
+        services = [(names.CONTROLLER, "grasp", SetBool), (names.CONTROLLER, "reset", Trigger)]
+        services += [(names.REGULATOR, "reset", Trigger)]
+        services += [(names.PLANT, "reset", Trigger)] if plant else []
+        for owner, name, kind in services:
+            node.create_service(kind, f"{owner}/{name}", self._service(f"{owner}/{name}"))
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.poses.append(message)
+        accepted = PoseStamped(header=OTHER.header, pose=message.pose)
+        accepted.header.stamp = force_message((0.0, 0.0, 0.0), STAMP, "").header.stamp
+        self._answer(names.DESIRED_POSE, accepted, OTHER)
+
+    def _on_force(self, message: Float64) -> None:
+        self.forces.append(message.data)
+        accepted, other = ((0.0, y, 0.0) for y in (message.data, message.data + 1.0))
+        self._answer(
+            names.USER_GRASP_FORCE,
+            force_message(accepted, STAMP, "palm"),
+            force_message(other, 1, "palm"),
+        )
+
+    def _answer(self, topic: str, accepted: Any, other: Any) -> None:
+        """Publish what became of a command, behind the answer to another user."""
+        self._answers[topic].publish(other)
+        if self.ignored:
+            self.ignored -= 1
+        elif self.reason == "":
+            self._answers[topic].publish(accepted)
+        else:
+            values = [KeyValue(key="other", value="of another topic")]
+            values += [KeyValue(key=topic, value=self.reason)] if self.reason else []
+            status = DiagnosticStatus(values=values)
+            self._refusals[topic].publish(DiagnosticArray(status=[status]))
+
+    def _service(self, name: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            self.calls.append((name, getattr(request, "data", None)))
+            response.success, response.message = self.reason == "", self.reason or f"done: {name}"
+            return response
+
+        return answer
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Context]:
+    with isolated_domain() as number, private_context(number) as own:
+        yield own
+
+
+@pytest.fixture(scope="module")
+def served(context: Context) -> Iterator[dict[str, Hand]]:
+    """Serve a simulated hand without a namespace, and a real one, which has no plant."""
+    hands = {"": Hand(context, "/", plant=True), "real": Hand(context, "/real", plant=False)}
+    senders = [
+        Node(names.PLANT, context=context, namespace="/"),
+        Node("driver", context=context, namespace="/real"),
+    ]
+    for sender in senders:
+        sender.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
+    node = hands[""].node
+    publisher = node.create_publisher(PoseStamped, names.AUXILIARY_POSE, qos.tick_qos())
+    now = pose_message((0.0, 0.0, 0.0), NOW.as_matrix(), 1)
+    node.create_timer(0.01, lambda: publisher.publish(now))
+    with spinning(*(hand.node for hand in hands.values())):
+        yield hands
+    for node in (*senders, *(hand.node for hand in hands.values())):
+        node.destroy_node()
+
+
+@pytest.fixture
+def hand(served: dict[str, Hand]) -> Hand:
+    """Return the simulated hand, as if nothing had happened to it."""
+    for each in served.values():
+        each.reason, each.ignored = "", 0
+        each.poses, each.forces, each.calls = [], [], []
+    return served[""]
+
+
+@pytest.fixture
+def client(context: Context) -> Iterator[HandClient]:
+    with graph_node(context, "user", "/") as node:
+        yield HandClient(node, 30.0)
+
+
+def turn_of(message: PoseStamped) -> Rotation:
+    q = message.pose.orientation
+    return Rotation.from_quat([q.x, q.y, q.z, q.w])
+
+
+def test_a_pose_is_asked_for_once_and_has_the_time_from_which_it_is_the_target(
+    hand: Hand, client: HandClient
+) -> None:
+    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3])
+    since, vector = client.move([0.1, 0.2, 0.3], [0.1, -0.2, 0.3], absolute=True)
+    assert since == pytest.approx(12.5) and vector == pytest.approx([0.1, -0.2, 0.3])
+    [pose] = hand.poses
+    point = pose.pose.position
+    assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
+    assert (turn_of(pose) * wanted.inv()).magnitude() < 1e-9
+    assert (pose.header.stamp.sec, pose.header.stamp.nanosec) == (0, 0)  # from now on
+
+
+def test_a_turn_counts_from_the_present_orientation_about_the_axes_of_the_palm(
+    hand: Hand, client: HandClient
+) -> None:
+    _, vector = client.move([0.0, 0.0, 0.0], [0.1, -0.2, 0.3], absolute=False)
+    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3]) * NOW
+    assert (Rotation.from_rotvec(vector) * wanted.inv()).magnitude() < 1e-9
+    assert (turn_of(hand.poses[0]) * wanted.inv()).magnitude() < 1e-9
+
+
+@pytest.mark.parametrize("mode", ["auto", "user", ""])
+def test_a_force_has_the_time_at_which_it_takes_effect_and_the_mode_of_the_regulator(
+    hand: Hand, client: HandClient, mode: str
+) -> None:
+    """In mode auto it changes nothing, which the command says."""
+    value = ParameterValue(string_value=mode)
+    event = ParameterEvent(changed_parameters=[Parameter(name="mode", value=value)])
+    latched = hand.node.create_publisher(
+        ParameterEvent, names.accepted_parameters(names.REGULATOR), qos.configuration_qos()
+    )
+    if mode:
+        latched.publish(event)
+    since, found = client.grasp_force(7.25)
+    assert since == pytest.approx(12.5) and found == mode
+    assert hand.forces == [7.25]
+    hand.node.destroy_publisher(latched)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_number_that_is_not_finite_is_refused_before_anything_is_sent(
+    hand: Hand, client: HandClient, wrong: float
+) -> None:
+    with pytest.raises(ConfigurationError, match="is not a finite number"):
+        client.move([wrong, 0.0, 0.0], [0.0] * 3, absolute=True)
+    with pytest.raises(ConfigurationError, match="is not a finite number"):
+        client.grasp_force(wrong)
+    assert (hand.poses, hand.forces) == ([], [])
+
+
+def test_what_stays_without_an_answer_is_sent_again(
+    hand: Hand, client: HandClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert module._AGAIN == 1.0  # s
+    monkeypatch.setattr(module, "_AGAIN", 0.05)
+    hand.ignored = 2
+    assert client.grasp_force(3.0)[0] == pytest.approx(12.5)
+    assert hand.forces[:3] == [3.0, 3.0, 3.0]
+
+
+def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
+    hand.reason = "too far"
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], absolute=True)
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.grasp_force(7.0)
+    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        client.grasp(True)
+    hand.reason = None
+    with pytest.raises(SteeringError, match="the hand refuses: it does not say why$"):
+        client.grasp_force(7.0)
+
+
+def test_fingers_are_closed_and_opened(hand: Hand, client: HandClient) -> None:
+    assert client.grasp(True) == "done: manipulation_controller/grasp"
+    client.grasp(False)
+    assert [data for _, data in hand.calls] == [True, False]
+
+
+def test_a_simulation_begins_at_its_start(hand: Hand, client: HandClient) -> None:
+    assert client.reset() == "time, hand and object are back at the start"
+    assert [name for name, _ in hand.calls] == ["plant/reset"]
+
+
+def test_a_real_hand_begins_with_its_present_grasp(
+    hand: Hand, served: dict[str, Hand], context: Context
+) -> None:
+    with graph_node(context, "user", "/real") as node:
+        assert HandClient(node, 30.0).reset() == "done: manipulation_controller/reset"
+    called = [name for name, _ in served["real"].calls]
+    assert called == ["slip_regulator/reset", "manipulation_controller/reset"]
+    assert hand.calls == []
+
+
+def test_a_hand_that_is_paused_does_not_answer(
+    hand: Hand, client: HandClient, context: Context
+) -> None:
+    client.grasp_force(1.0)  # by now everything has been found
+    hand.ignored, hand.forces = 100, []
+    with graph_node(context, "user", "/") as node:
+        with pytest.raises(SteeringError, match="has not answered within 0.5 s; is it paused?"):
+            HandClient(node, 0.5).grasp_force(2.0)
+    assert len(hand.forces) == 1
+
+
+def test_a_hand_that_does_not_know_its_pose_cannot_turn_from_it(
+    hand: Hand, served: dict[str, Hand], context: Context
+) -> None:
+    with graph_node(context, "user", "/real") as node:
+        client = HandClient(node, 0.3)
+        HandClient(node, 30.0).grasp_force(1.0)
+        with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
+            client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
+    assert served["real"].poses == []
+
+
+@pytest.fixture
+def half(context: Context) -> Iterator[Node]:
+    """Return a node where a part of a hand may be."""
+    node = Node("half", context=context, namespace="/half")
+    yield node
+    node.destroy_node()
+
+
+def absent_for_a_user(context: Context, command: Callable[[HandClient], Any]) -> None:
+    with (
+        graph_node(context, "user", "/half") as node,
+        pytest.raises(SteeringError, match="no hand is"),
+    ):
+        command(HandClient(node, 0.1))
+
+
+@pytest.mark.parametrize("missing", ["command", "accepted", "rejected"])
+def test_a_squeeze_is_sent_only_where_it_is_taken_and_answered(
+    half: Node, context: Context, missing: str
+) -> None:
+    if missing != "command":
+        half.create_subscription(Float64, names.USER_GRASP_FORCE, id, qos.user_qos())
+    if missing != "accepted":
+        half.create_publisher(WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos())
+    if missing != "rejected":
+        half.create_publisher(DiagnosticArray, names.rejected(names.REGULATOR), qos.user_qos())
+    absent_for_a_user(context, lambda client: client.grasp_force(1.0))
+
+
+def test_nothing_is_reset_before_the_controller_is_there(half: Node, context: Context) -> None:
+    """It is reset last: what began without it would stay half done."""
+    called: list[Any] = []
+
+    def answer(request: Any, response: Trigger.Response) -> Trigger.Response:
+        called.append(request)
+        response.success = True
+        return response
+
+    half.create_service(Trigger, f"{names.PLANT}/reset", answer)
+    with spinning(half):
+        absent_for_a_user(context, lambda client: client.reset())
+    assert called == []
+
+
+def test_nothing_is_reset_before_it_is_known_whose_joints_the_hand_follows(
+    half: Node, context: Context
+) -> None:
+    """With a plant that is discovered late, half of a reset would be reported as a reset."""
+    called: list[str] = []
+
+    def answer(name: str) -> Callable[[Any, Trigger.Response], Trigger.Response]:
+        def reset(_: Any, response: Trigger.Response) -> Trigger.Response:
+            called.append(name)
+            response.success = True
+            return response
+
+        return reset
+
+    for name in (names.CONTROLLER, names.REGULATOR, names.PLANT):
+        half.create_service(Trigger, f"{name}/reset", answer(name))
+    with spinning(half), graph_node(context, "user", "/half") as node:
+        with pytest.raises(SteeringError, match="nothing publishes joint_states"):
+            HandClient(node, 0.3).reset()
+        assert called == []
+        plant = Node(names.PLANT, context=context, namespace="/half")
+        plant.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
+        HandClient(node, 30.0).reset()
+        assert called == [names.PLANT]
+        plant.destroy_node()
+
+
+def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
+    """It says where none was found."""
+    domain = context.get_domain_id()
+    absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
+    with graph_node(context, "user", "/nowhere") as node:
+        client = HandClient(node, 0.02)
+        for command in (
+            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=True),
+            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=False),
+            lambda: client.grasp_force(1.0),
+            lambda: client.grasp(True),
+            client.reset,
+        ):
+            with pytest.raises(SteeringError, match=absent):
+                command()
