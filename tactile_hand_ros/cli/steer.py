@@ -112,10 +112,12 @@ def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
     from tactile_hand_ros.compiled import run_interpreted
 
     run_interpreted()  # a few rotations do not justify loading Numba
+    from tactile_hand_ros.ros.middleware import check_environment
+
+    check_environment(os.environ)
     from tactile_hand_ros.orchestrator import participation
     from tactile_hand_ros.orchestrator.steering import HandClient
 
-    participation.check_environment(os.environ)
     place, name = participation.full_namespace(namespace), f"user_{os.getpid()}"
     with (
         participation.ros_context() as context,

@@ -6,6 +6,7 @@ Only what the help needs is loaded here; `execute` loads the rest.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -37,6 +38,9 @@ def run(context: typer.Context, options: RunOptions) -> None:
 
 def _run(options: RunOptions, signals: Signals, ros_arguments: Sequence[str], program: str) -> int:
     """Load what runs a scenario, do so and return the exit code."""
+    from tactile_hand_ros.ros.middleware import check_environment
+
+    check_environment(os.environ)
     # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.
     from tactile_hand_ros.compiled import run_interpreted
 

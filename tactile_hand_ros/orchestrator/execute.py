@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
-import os
 import socket
 import sys
 import time
@@ -24,7 +23,6 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import ORCHESTRATOR
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.participation import (
-    check_environment,
     full_namespace,
     graph_node,
     ros_context,
@@ -56,7 +54,6 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
         TactileHandError: If it was refused; nothing was started.
         Interrupted: If a signal came before anything was started.
     """
-    check_environment(os.environ)
     scenario, scheduling = _checked(options), _scheduling(options)
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
     if not is_complete():

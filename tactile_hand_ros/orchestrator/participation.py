@@ -1,48 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Taking part in a ROS graph: environment, namespace, context and node of a command."""
+"""Taking part in a ROS graph: namespace, context and node of a command."""
 
 from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import rclpy
-from ament_index_python.packages import get_resources
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.middleware import use_sockets
-
-_HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
-
-
-def check_environment(environment: Mapping[str, str]) -> None:
-    """Refuse settings with which the nodes could never find each other.
-
-    Raises:
-        ConfigurationError: If the domain does not exist, discovery is off, or the middleware is
-            not installed.
-    """
-    domain = environment.get("ROS_DOMAIN_ID", "") or "0"
-    if not domain.isascii() or not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
-        raise ConfigurationError(
-            f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to {_HIGHEST_DOMAIN}"
-        )
-    if environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "OFF":
-        raise ConfigurationError(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so that the nodes cannot find each other; set "
-            "it to LOCALHOST or SUBNET"
-        )
-    middleware = environment.get("RMW_IMPLEMENTATION", "")
-    installed = sorted(set(get_resources("rmw_typesupport")) - {"rmw_implementation"})
-    if middleware and installed and middleware not in installed:
-        raise ConfigurationError(
-            f"RMW_IMPLEMENTATION is '{middleware}', which is not installed here; expected "
-            f"{' or '.join(installed)}, or nothing"
-        )
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:

@@ -13,6 +13,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from ament_index_python.packages import get_resources
+
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import ConfigurationError
 
@@ -20,6 +22,7 @@ _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _ONE_PROCESS = "_one_process"  # ends the name of a profile for nodes that share a process
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _ALONE = "ROS_LOCALHOST_ONLY"
+_HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
 _MIDDLEWARE, _FAST_DDS = "RMW_IMPLEMENTATION", "rmw_fastrtps"
 
 
@@ -78,3 +81,31 @@ def share_process() -> bool:
 def use_sockets() -> None:
     """Let this process, which has no ROS context yet, and its children use sockets only."""
     os.environ.update(socket_settings(os.environ))
+
+
+def check_environment(environment: Mapping[str, str]) -> None:
+    """Refuse settings with which the nodes could never find each other.
+
+    Call it before rclpy is imported, which ends the process if the middleware is missing.
+
+    Raises:
+        ConfigurationError: If the domain does not exist, discovery is off, or the middleware is
+            not installed.
+    """
+    domain = environment.get("ROS_DOMAIN_ID", "") or "0"
+    if not domain.isascii() or not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
+        raise ConfigurationError(
+            f"ROS_DOMAIN_ID is '{domain}', expected a whole number from 0 to {_HIGHEST_DOMAIN}"
+        )
+    if environment.get(_RANGE, "").upper() == "OFF":
+        raise ConfigurationError(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so that the nodes cannot find each other; set "
+            "it to LOCALHOST or SUBNET"
+        )
+    middleware = environment.get(_MIDDLEWARE, "")
+    installed = sorted(set(get_resources("rmw_typesupport")) - {"rmw_implementation"})
+    if middleware and installed and middleware not in installed:
+        raise ConfigurationError(
+            f"RMW_IMPLEMENTATION is '{middleware}', which is not installed here; expected "
+            f"{' or '.join(installed)}, or nothing"
+        )

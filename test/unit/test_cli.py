@@ -16,9 +16,9 @@ from support.recorded import random_record, write_record
 
 import tactile_hand_ros
 from tactile_hand_ros.cli import main
+from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.participation import check_environment
+from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executables import executable_path
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
@@ -223,7 +223,7 @@ def refused_after_output(capsys: pytest.CaptureFixture[str], *arguments: str | P
     return refused(capsys, *arguments)
 
 
-@pytest.mark.parametrize("command", ["summary", "figures", "recover", "audit"])
+@pytest.mark.parametrize("command", ["summary", "figures", "recover"])
 def test_missing_run(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "nowhere does not exist" in refused(capsys, command, tmp_path / "nowhere")
 
@@ -259,24 +259,75 @@ def test_folder_that_cannot_be_made(run: Path, capsys: pytest.CaptureFixture[str
     assert "Nothing can be written to" in text
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300', expected a whole number from 0 to 232"),
-        ("ROS_DOMAIN_ID", "one", "ROS_DOMAIN_ID is 'one'"),
-        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "set it to LOCALHOST or SUBNET"),
-    ],
-)
-def test_run_refuses_settings_with_which_nodes_never_meet(
-    name: str, value: str, message: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        check_environment({name: value})
-
-
 def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
     assert "--no-report" in refused(capsys, "run", "--open", "--no-report")
+    assert "the scenario is ''" in refused(capsys, "run", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["squeeze", "-3"], "no hand is running"),  # and not: there is no option -3
+        (["move", "-1", "-0.1", "0.4"], "no hand is running"),
+        (["move", "nan", "0", "0"], "nan is not a finite number"),
+        (["squeeze", "inf"], "inf is not a finite number"),
+    ],
+)
+def test_steering_takes_any_number_and_refuses_what_is_none(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with isolated_domain():
+        assert said in refused(capsys, *words, "--timeout", "0.1")
+
+
+def without_hand(**changes: str | None) -> tuple[int, str]:
+    """Steer without a hand in a changed environment; return the exit code and the errors."""
+    with isolated_domain():
+        environment = {**os.environ, **changes}
+        done = subprocess.run(
+            [*COMMAND, "squeeze", "1", "--timeout", "0.1"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env={key: text for key, text in environment.items() if text is not None},
+        )
+    return done.returncode, done.stderr
+
+
+def test_a_command_starts_without_a_home() -> None:
+    code, errors = without_hand(HOME=None)
+    assert code == 2 and "no hand is running" in errors and errors.count("\n") == 1
+
+
+def test_a_middleware_that_is_missing_is_one_sentence() -> None:
+    code, errors = without_hand(RMW_IMPLEMENTATION="rmw_none_cpp")
+    assert code == 2 and "which is not installed here" in errors and errors.count("\n") == 1
+
+
+def test_a_sourced_ros_does_not_replace_the_rclpy_of_a_virtual_environment(
+    tmp_path: Path,
+) -> None:
+    """Its prefix is left out of the paths, and the command starts again."""
+    packages = tmp_path / "opt" / "lib" / "python" / "site-packages"
+    (packages / "rclpy").mkdir(parents=True)
+    (packages / "rclpy" / "__init__.py").write_text("raise ImportError('another Python')\n")
+    (tmp_path / "opt" / "share" / "ament_index").mkdir(parents=True)
+    sourced = {"PYTHONPATH": packages, "AMENT_PREFIX_PATH": tmp_path / "opt"}
+    paths = {k: f"{path}{os.pathsep}{os.environ.get(k, '')}" for k, path in sourced.items()}
+    code, errors = without_hand(**paths)
+    assert code == 2 and "no hand is running" in errors and errors.count("\n") == 1
+
+
+def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def load() -> None:
+        raise ImportError("No module named 'rclpy._rclpy_pybind11'", name="rclpy._rclpy_pybind11")
+
+    assert run_command("hand", load) == 2
+    said = capsys.readouterr().err
+    assert "has this shell sourced another ROS" in said and said.count("\n") == 1
 
 
 def test_reproduce_writes_figures_and_report(

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the options to the exit code: what is refused, and that nothing is started then."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER
+from tactile_hand_ros.orchestrator.command import main, split_ros_arguments
+from tactile_hand_ros.orchestrator.execute import (
+    RunInProgressError,
+    execute,
+    shares_process,
+    single_run_lock,
+)
+from tactile_hand_ros.orchestrator.options import RunOptions
+from tactile_hand_ros.orchestrator.participation import (
+    full_namespace,
+    graph_node,
+    ros_context,
+)
+from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
+from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import check_environment
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+SCENARIO = load_scenario("paper", {"duration": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [({}, "paper"), ({"named": "pull"}, "pull"), ({"scenario": "pull"}, "pull")],
+)
+def test_a_scenario_is_an_argument_or_an_option(options: dict[str, str], wanted: str) -> None:
+    assert RunOptions(**options).wanted == wanted  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"scenario": ""}, "the scenario is '', expected its name or a YAML file"),
+        ({"scenario": "paper", "named": "pull"}, "the scenario is given twice"),
+        ({"scenario": "papr"}, "did you mean 'paper'"),
+        ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
+        ({"duration": -1.0}, "--duration"),
+        ({"changes": ["plant.rte=500"]}, "did you mean 'rate'"),
+        ({"changes": ["targets=[{position: [9, 9, 9]}]"]}, "out of reach"),
+        ({"namespace": "1st"}, "the namespace is '1st'"),
+        ({"priority": 100}, "--priority is '100'"),
+        ({"cpus": "all"}, "--cpus is 'all'"),
+        ({"cpus": "0,9999"}, "'0,9999', but this machine has no processor 9999"),
+    ],
+)
+def test_what_is_refused_starts_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], complaint: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("broken.yaml").write_text("extends: paper\nplant: {rate: 500\n")
+    with pytest.raises(TactileHandError, match=complaint):
+        execute(RunOptions(out=tmp_path / "runs", **options), Signals())
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_second_run_in_the_same_place_is_refused(tmp_path: Path) -> None:
+    with isolated_domain() as domain, single_run_lock(domain, "/left"):
+        with pytest.raises(RunInProgressError, match=f"in ROS domain {domain} and namespace"):
+            execute(RunOptions(namespace="left", out=tmp_path / "runs"), Signals())
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.fixture
+def interrupted() -> Iterator[Signals]:
+    """Return signals of which one has come."""
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signals = Signals()
+    signals.install()
+    os.kill(os.getpid(), signal.SIGINT)
+    yield signals
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_signal_before_the_start_leaves_no_directory(
+    tmp_path: Path, interrupted: Signals
+) -> None:
+    with isolated_domain(), pytest.raises(Interrupted, match="SIGINT"):
+        execute(RunOptions(out=tmp_path / "runs"), interrupted)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_one_run_has_a_domain_and_namespace_until_it_ends() -> None:
+    place = "/locked_by_a_test"
+    with single_run_lock(231, place):
+        with single_run_lock(230, place), single_run_lock(231, f"{place}/too"):
+            expected = f"in ROS domain 231 and namespace '{place}'"
+            with pytest.raises(RunInProgressError, match=re.escape(expected)):
+                single_run_lock(231, place)
+    single_run_lock(231, place).close()
+
+
+def test_a_long_namespace_is_not_a_run_in_progress() -> None:
+    """The name of a socket has 107 bytes."""
+    long = f"/{'a' * 200}"
+    with single_run_lock(231, long), single_run_lock(231, f"{long}b"):
+        with pytest.raises(RunInProgressError):
+            single_run_lock(231, long)
+
+
+@pytest.mark.parametrize(
+    ("pacing", "asked", "expected"),
+    [
+        ("realtime", None, True),
+        ("lockstep", None, False),
+        ("realtime", False, False),
+        ("lockstep", True, True),
+    ],
+)
+def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(
+    pacing: str, asked: bool | None, expected: bool
+) -> None:
+    scenario = load_scenario("paper", {"plant.pacing": pacing})
+    assert shares_process(scenario, asked) is expected
+
+
+@pytest.mark.parametrize(
+    ("composed", "apart", "controller", "recorder"),
+    [
+        (False, False, CONTROLLER, RECORDER),
+        (False, True, CONTROLLER, RECORDER),
+        (True, False, "composed", "composed"),
+        (True, True, "composed", RECORDER),
+    ],
+)
+def test_the_recorder_shares_the_process_of_the_nodes_unless_asked_otherwise(
+    composed: bool, apart: bool, controller: str, recorder: str
+) -> None:
+    plan = Plan(SCENARIO, composed=composed, separate_recorder=apart)
+    assert (plan.process(CONTROLLER), plan.process(RECORDER)) == (controller, recorder)
+
+
+def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends_last() -> None:
+    assert Plan(SCENARIO).end == 100_000_000
+    assert Plan(SCENARIO, interactive=True).end is None
+    assert STOP_ORDER[-1] == (RECORDER,) and PLANT in STOP_ORDER[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "arguments", "expected"),
+    [
+        ("", [], "/"),
+        ("/", [], "/"),
+        ("left", [], "/left"),
+        ("/left/", [], "/left"),
+        ("/a/b_2", [], "/a/b_2"),
+        ("", ["x", "--ros-args", "-r", "__ns:=/right"], "/right"),
+        ("left", ["x", "--ros-args", "-r", "__ns:=/right"], "/left"),
+    ],
+)
+def test_a_namespace_is_an_option_or_a_ros_argument(
+    given: str, arguments: list[str], expected: str
+) -> None:
+    assert full_namespace(given, arguments) == expected
+
+
+@pytest.mark.parametrize("given", ["1st", "a-b", "a//b", "a b"])
+def test_a_bad_namespace_is_refused(given: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"'{given}'"):
+        full_namespace(given)
+
+
+@pytest.mark.parametrize("domain", ["", "0", "232"])
+def test_domains_that_exist_are_accepted(domain: str) -> None:
+    check_environment({"ROS_DOMAIN_ID": domain})
+    check_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    check_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "complaint"),
+    [
+        *(
+            ("ROS_DOMAIN_ID", wrong, "expected a whole number from 0 to 232")
+            for wrong in ("233", "-1", "x", "1.0", "²")
+        ),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "off", "set it to LOCALHOST or SUBNET"),
+        ("RMW_IMPLEMENTATION", "rmw_none_cpp", "'rmw_none_cpp', which is not installed here"),
+    ],
+)
+def test_settings_with_which_nodes_never_meet_are_refused(
+    name: str, value: str, complaint: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(complaint)):
+        check_environment({name: value})
+
+
+def test_a_node_takes_part_without_parameter_services() -> None:
+    with isolated_domain() as domain, ros_context() as context:
+        assert context.get_domain_id() == domain
+        with graph_node(context, "someone", "/left") as node:
+            assert node.get_fully_qualified_name() == "/left/someone"
+            offered = node.get_service_names_and_types_by_node("someone", "/left")
+            assert not [name for name, _ in offered if "parameters" in name]
+    assert not context.ok()
+
+
+def test_ros_arguments_that_cannot_be_used_are_one_line() -> None:
+    with (
+        isolated_domain(),
+        pytest.raises(ConfigurationError, match="ROS arguments cannot be used: ") as caught,
+        ros_context(["x", "--ros-args", "-p", "gain"]),
+    ):
+        pass
+    assert "\n" not in str(caught.value) and ", at " not in str(caught.value)
+
+
+def test_ros_arguments_are_taken_out() -> None:
+    line = ["orchestrator", "--quiet", "--ros-args", "-r", "a:=b", "--", "--duration", "1"]
+    assert split_ros_arguments(line) == (["--quiet", "--duration", "1"], line)
+    assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
+
+
+def test_the_executable_refuses_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        assert main(["orchestrator", "--open", "--no-report"]) == 2
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    printed = capsys.readouterr()
+    assert printed.err.startswith("orchestrator: --open") and printed.err.count("\n") == 1

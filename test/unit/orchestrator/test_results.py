@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run is judged by goal, completeness, failures and signals, in an exit code with reasons."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from support.recorded import random_record, write_record
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.orchestrator.results import (
+    RunResults,
+    RunVerdict,
+    deadlines_of,
+    in_words,
+    judge,
+    open_report,
+    read_results,
+    report_line,
+    table,
+    write_summary,
+)
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+TICKS = 51
+PLAN = Plan(load_scenario("paper", {"duration": 0.1, "targets": []}))
+STEERED = Plan(PLAN.scenario, interactive=True)
+REAL_TIME = Plan(load_scenario("paper", {"plant.pacing": "realtime", "duration": 0.1}))
+GOOD = {"final_position_error_m": 1e-5, "final_rotation_error_rad": 1e-5}
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> RunDirectory:
+    """Return the directory of a recorded run of the plan."""
+    made = RunDirectory(tmp_path)
+    write_record(made.bag, ClosedLoop(PLAN.scenario).run())
+    made.write_scenario(PLAN.scenario)
+    return made
+
+
+def results(*problems: str, **changes: Any) -> RunResults:
+    """Return good results with some values changed."""
+    return RunResults(metrics={**GOOD, **changes}, problems=list(problems))
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (results(), RunVerdict("goal reached", [], 0)),
+        (
+            results(final_position_error_m=2e-4),
+            RunVerdict(
+                "goal not reached",
+                ["the final position error is 0.0002 m, the goal is 0.0001 m"],
+                1,
+            ),
+        ),
+        (
+            results(final_position_error_m=None),
+            RunVerdict(
+                "goal not reached",
+                ["the final position error is unknown m, the goal is 0.0001 m"],
+                1,
+            ),
+        ),
+        (
+            results(final_rotation_error_rad=0.5),
+            RunVerdict(
+                "goal not reached",
+                ["the final rotation error is 0.5 rad, the goal is 0.001 rad"],
+                1,
+            ),
+        ),
+        (
+            results("the recorder lost 3 messages"),
+            RunVerdict("incomplete", ["the recorder lost 3 messages"], 1),
+        ),
+    ],
+)
+def test_a_run_is_judged_by_its_goal_and_its_bag(found: RunResults, expected: RunVerdict) -> None:
+    assert judge(PLAN, RunOutcome(), found, 128) == expected
+    assert in_words(expected, found) == expected.outcome
+
+
+@pytest.mark.parametrize("plan", [PLAN, STEERED])
+def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
+    found, outcome = results(dropped_at_s=2.16), RunOutcome(interrupted=plan.interactive)
+    verdict = judge(plan, outcome, found, 130)
+    assert (verdict.outcome, verdict.exit_code) == ("object dropped", 3)
+    assert verdict.reasons == ["the object was dropped at t = 2.160 s"]
+    assert in_words(verdict, found) == "object dropped at 2.160 s"
+
+
+def test_a_failure_comes_first() -> None:
+    outcome = RunOutcome(failure="plant ended", complaints=["recorder did not end well"])
+    verdict = judge(PLAN, outcome, results("no bag"), 128)
+    assert verdict == RunVerdict("failed", [outcome.failure, "no bag", *outcome.complaints], 1)
+
+
+@pytest.mark.parametrize(
+    ("plan", "code", "outcome", "exit_code"),
+    [
+        (PLAN, 130, "interrupted", 130),
+        (PLAN, 143, "interrupted", 143),
+        (STEERED, 130, "finished", 0),
+        (STEERED, 143, "interrupted", 143),
+    ],
+)
+def test_ctrl_c_is_the_regular_end_of_an_interactive_run_alone(
+    plan: Plan, code: int, outcome: str, exit_code: int
+) -> None:
+    verdict = judge(plan, RunOutcome(interrupted=True), results(), code)
+    assert verdict == RunVerdict(outcome, [], exit_code)
+
+
+def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
+    stopped = RunOutcome(interrupted=True, complaints=["plant did not end well"])
+    nothing = RunResults(problems=["no bag"])
+    assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not end well"]
+    started = results("no bag")
+    assert judge(PLAN, stopped, started, 130).reasons == ["no bag", "plant did not end well"]
+    assert judge(STEERED, stopped, started, 130).exit_code == 1
+
+
+@pytest.mark.parametrize(("error", "code"), [(1e-5, 0), (1e-3, 1), (math.nan, 1)])
+def test_without_a_bag_the_last_pose_that_was_seen_decides(error: float, code: int) -> None:
+    outcome = RunOutcome(position_error=error)
+    assert judge(PLAN, outcome, RunResults(), 128).exit_code == code
+
+
+@pytest.mark.parametrize(("record", "problems"), [(True, 1), (False, 0)])
+def test_a_bag_that_is_not_there_is_a_problem_of_a_recorded_run(
+    tmp_path: Path, record: bool, problems: int
+) -> None:
+    plan = Plan(PLAN.scenario, record=record)
+    found = read_results(plan, RunDirectory(tmp_path), finished=True)
+    assert (found.run, found.metrics, len(found.problems)) == (None, {}, problems)
+
+
+def test_a_complete_bag_has_no_problem(directory: RunDirectory) -> None:
+    found = read_results(PLAN, directory, finished=True)
+    assert found.run is not None and found.metrics == found.run.metrics.to_dict()
+    assert found.recording["expected_ticks"] == found.metrics["ticks"] == TICKS
+
+
+def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
+    directory: RunDirectory,
+) -> None:
+    longer = load_scenario("paper", {"duration": 0.102, "targets": []})
+    short = f"the bag holds {TICKS} ticks, expected {TICKS + 1}"
+    assert short in read_results(Plan(longer), directory, finished=True).problems
+    assert short not in read_results(Plan(longer), directory, finished=False).problems
+    late = Plan(longer.changed({"plant": longer.plant.changed({"pacing": "realtime"})}))
+    found = read_results(late, directory, finished=True)
+    assert found.recording["expected_ticks"] is None and found.problems == []
+
+
+def shown(plan: Plan, outcome: RunOutcome, found: RunResults) -> dict[str, list[str]]:
+    """Return the rows of the table by their first cell."""
+    columns = [list(column.cells) for column in table(plan, outcome, found).columns]
+    return {str(name): [str(cell) for cell in rest] for name, *rest in zip(*columns, strict=True)}
+
+
+def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
+    started = RunOutcome(startup={"first_tick_answered": 2.5})
+    found = read_results(PLAN, directory, finished=True)
+    rows = shown(PLAN, started, found)
+    assert rows["final position error"][1:] == ["< 0.1 mm", "pass"]
+    assert rows["lost messages"] == ["0", "none", "pass"]
+    assert rows["start to first tick"] == ["2.5 s", "", ""]
+    assert "deadlines missed" not in rows and "goal" not in rows
+    steered = shown(STEERED, started, found)
+    assert steered["final position error"][1:] == ["", ""]
+    text = io.StringIO()
+    Console(width=80, file=text).print(table(PLAN, started, found))
+    assert "…" not in text.getvalue()  # nothing is cut at 80 columns
+
+
+def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
+    scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.3})
+    directory = RunDirectory(tmp_path)
+    write_record(directory.bag, ClosedLoop(scenario).run())
+    directory.write_scenario(scenario)
+    found = read_results(Plan(scenario), directory, finished=True)
+    rows = shown(Plan(scenario), RunOutcome(), found)
+    assert rows["object"][0].startswith("dropped at")
+    assert not {"final position error", "settling time"} & set(rows)
+    assert judge(Plan(scenario), RunOutcome(), found, 128).exit_code == 3
+
+
+def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
+    directory: RunDirectory,
+) -> None:
+    """Of a run that stood still before its end, what never came was missed."""
+    plant = {"late_commands": "1", "missed_ticks": "2", "lost_s": "0", "time_s": "0.05"}
+    outcome = RunOutcome(last_tick=50_000_000, plant=plant)
+    asked = deadlines_of(REAL_TIME, outcome)
+    assert asked is not None and (asked.due, asked.given_up) == (50.0, 25.0)
+    steered = deadlines_of(Plan(REAL_TIME.scenario, interactive=True), outcome)
+    assert steered is not None and (steered.due, steered.given_up) == (25.0, 0.0)
+    assert deadlines_of(REAL_TIME, RunOutcome(last_tick=-1, plant=plant)) is None
+    assert deadlines_of(PLAN, outcome) is None
+    found = read_results(REAL_TIME, directory, finished=True)
+    counts = shown(REAL_TIME, outcome, found)["deadlines missed"][0]
+    assert counts.endswith("%, 1 late, 2 skipped")
+    verdict = judge(REAL_TIME, outcome, found, 128)
+    write_summary(REAL_TIME, directory, outcome, found, verdict)
+    assert json.loads(directory.summary.read_text())["real_time"]["late"] == 1.0
+
+
+def test_a_summary_holds_for_every_number_that_is_missing(tmp_path: Path) -> None:
+    """NaN becomes null."""
+    record = ClosedLoop(PLAN.scenario).run()
+    record.auxiliary_position[-1] = math.nan
+    directory = RunDirectory(tmp_path)
+    write_record(directory.bag, record)
+    directory.write_scenario(PLAN.scenario)
+    found = read_results(PLAN, directory, finished=True)
+    write_summary(PLAN, directory, RunOutcome(), found, judge(PLAN, RunOutcome(), found, 128))
+    read = json.loads(directory.summary.read_text())
+    assert read["metrics"]["final_position_error_m"] is None
+    assert read["versions"]["tactile_hand_ros"] and read["assumptions"]
+    assert (read["scenario"], read["seed"], read["exit_code"]) == ("paper", 1, 1)
+    assert shown(PLAN, RunOutcome(), found)["final position error"][0] == "unknown"
+
+
+def test_a_report_that_fails_does_not_cost_the_run(tmp_path: Path) -> None:
+    write_record(tmp_path / "bag", random_record(5))
+    assert report_line(Run(tmp_path)) == f"report: {tmp_path / 'report.html'}"
+    (tmp_path / "report.html").unlink()
+    (tmp_path / "report.html").mkdir()
+    line = report_line(Run(tmp_path))
+    assert line.startswith("the report was not written: ") and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("exists", "opens", "line"),
+    [
+        (False, True, "there is no report to open"),
+        (True, True, "opened file:///"),
+        (True, False, "no browser was found here; open file:///"),
+    ],
+)
+def test_a_report_is_opened_where_there_is_one(
+    exists: bool, opens: bool, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(webbrowser, "open", lambda _: opens)
+    if exists:
+        (tmp_path / "report.html").touch()
+    assert open_report(RunDirectory(tmp_path)).startswith(line)
