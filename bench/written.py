@@ -47,9 +47,9 @@ def written_calls(scenario: Scenario, ticks: int) -> float:
     hand = loop.plant.hand
     record = Record.empty(ticks, hand.finger_names, hand.joint_names)
     messages = TickMessages(record)
-    writer, channels = WriterProcess(), dict[str, int]()
+    channels: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as folder:
-        writer.begin(Path(folder) / "bag", compression="zstd")
+        writer = WriterProcess(Path(folder) / "bag", compression="zstd")
         writer.check()
         began = time.perf_counter()
         for row in range(ticks):

@@ -157,13 +157,12 @@ def _written(file: Path, data: bytes) -> Path:
 
 
 def write_sample_bag(folder: Path) -> Path:
-    """Write a bag of two files in small chunks, and return its folder."""
+    """Write a bag of small chunks, and return its folder."""
     with BagWriter(folder, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
         for name in ("Float64", "String"):
             channel = writer.add_channel(f"/{name}", f"std_msgs/msg/{name}")
             for i in range(20):
                 writer.write(channel, b"\0\1\0\0\4\0\0\0abc\0" + bytes(4), i, i)
-            writer.split()
     return folder
 
 

@@ -6,18 +6,23 @@ Source: ``rosbag2_storage`` (Jazzy), ``BagMetadata`` and its YAML conversion.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from tactile_hand_ros.bag.qos import OfferedQos
-from tactile_hand_ros.bag.yaml_text import dump
+import yaml
 
 VERSION = 9
 NO_START = 2**63 - 1  # ns, the starting time of a bag without messages
 FILE_NAME = "metadata.yaml"
 RECORD_NAME = "rosbag2"
 RECORD_KEY = "serialized_metadata"
+
+OfferedQos = Mapping[str, Any]
+"""What one publisher offers, nested as in the metadata."""
+
+_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*")
 
 
 @dataclass(frozen=True)
@@ -26,10 +31,9 @@ class TopicMetadata:
 
     name: str
     type: str
-    offered_qos_profiles: tuple[OfferedQos, ...] = ()
-    type_description_hash: str = ""
+    offers: Sequence[OfferedQos] = ()
+    type_hash: str = ""
     message_count: int = 0
-    serialization_format: str = "cdr"
 
     def as_tree(self) -> dict[str, Any]:
         """Return the mapping as rosbag2 nests it."""
@@ -37,72 +41,55 @@ class TopicMetadata:
             "topic_metadata": {
                 "name": self.name,
                 "type": self.type,
-                "serialization_format": self.serialization_format,
-                "offered_qos_profiles": [qos.as_tree() for qos in self.offered_qos_profiles],
-                "type_description_hash": self.type_description_hash,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [dict(offer) for offer in self.offers],
+                "type_description_hash": self.type_hash,
             },
             "message_count": self.message_count,
         }
 
 
 @dataclass(frozen=True)
-class FileMetadata:
-    """One file of the bag; times in ns since the epoch."""
+class BagMetadata:
+    """A bag of one MCAP file.
+
+    Attributes:
+        path: Name of the file in the folder.
+        start: Log time of the first message [ns since the epoch], `NO_START` without messages.
+        duration: Time from the first to the last message [ns].
+        topics: The recorded topics.
+        custom_data: Texts by name.
+        ros_distro: Name of the ROS distribution.
+    """
 
     path: str
     start: int = NO_START
     duration: int = 0
-    message_count: int = 0
-
-    def as_tree(self) -> dict[str, Any]:
-        """Return the mapping as rosbag2 nests it."""
-        return {
-            "path": self.path,
-            "starting_time": {"nanoseconds_since_epoch": self.start},
-            "duration": {"nanoseconds": self.duration},
-            "message_count": self.message_count,
-        }
-
-
-@dataclass(frozen=True)
-class BagMetadata:
-    """A whole bag: its files in order and its topics."""
-
-    files: Sequence[FileMetadata]
     topics: Sequence[TopicMetadata] = ()
     custom_data: Mapping[str, str] = field(default_factory=dict)
     ros_distro: str = "jazzy"
-    storage_identifier: str = "mcap"
 
     @property
     def message_count(self) -> int:
-        """Number of messages in all files."""
-        return sum(file.message_count for file in self.files)
-
-    @property
-    def start(self) -> int:
-        """Log time of the first message in ns, `NO_START` without messages."""
-        return min((file.start for file in self.files), default=NO_START)
-
-    @property
-    def duration(self) -> int:
-        """Time from the first to the last message in ns."""
-        ends = [file.start + file.duration for file in self.files if file.message_count]
-        return max(ends) - self.start if ends else 0
+        """Number of messages on all topics."""
+        return sum(topic.message_count for topic in self.topics)
 
     def as_tree(self) -> dict[str, Any]:
         """Return the mapping in the order in which rosbag2 writes it."""
-        return {
-            "version": VERSION,
-            "storage_identifier": self.storage_identifier,
+        totals = {
             "duration": {"nanoseconds": self.duration},
             "starting_time": {"nanoseconds_since_epoch": self.start},
             "message_count": self.message_count,
+        }
+        return {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **totals,
             "topics_with_message_count": [topic.as_tree() for topic in self.topics],
-            "compression_format": "",  # these two mean compressed files or messages,
-            "compression_mode": "",  # chunk compression is the MCAP file's own affair
-            "relative_file_paths": [file.path for file in self.files],
-            "files": [file.as_tree() for file in self.files],
+            "compression_format": "",  # these two mean compressed files or messages;
+            "compression_mode": "",  # MCAP itself compresses the chunks
+            "relative_file_paths": [self.path],
+            "files": [{"path": self.path, **totals}],
             "custom_data": dict(self.custom_data),
             "ros_distro": self.ros_distro,
         }
@@ -116,11 +103,45 @@ class BagMetadata:
         return {RECORD_KEY: dump(self.as_tree())}
 
 
-def merge_topics(topics: Iterable[TopicMetadata]) -> list[TopicMetadata]:
-    """Return topics in order of their names, those of one name with the sum of their messages."""
-    found: dict[str, TopicMetadata] = {}
-    for topic in topics:
-        if (before := found.get(topic.name)) is not None:
-            topic = replace(before, message_count=before.message_count + topic.message_count)
-        found[topic.name] = topic
-    return [found[name] for name in sorted(found)]
+def offered_qos(profile: Any) -> OfferedQos:
+    """Return an ``rclpy.qos.QoSProfile``, as the graph reports it, nested as in the metadata."""
+    return {
+        "history": profile.history.name.lower(),
+        "depth": profile.depth,
+        "reliability": profile.reliability.name.lower(),
+        "durability": profile.durability.name.lower(),
+        "deadline": _duration(profile.deadline),
+        "lifespan": _duration(profile.lifespan),
+        "liveliness": profile.liveliness.name.lower(),
+        "liveliness_lease_duration": _duration(profile.liveliness_lease_duration),
+        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
+    }
+
+
+def _duration(duration: Any) -> dict[str, int]:
+    seconds, rest = divmod(duration.nanoseconds, 10**9)
+    return {"sec": seconds, "nsec": rest}
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lays text out as yaml-cpp does: lists inside mappings are indented, texts have one line."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        super().increase_indent(flow, False)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = None if _PLAIN.fullmatch(text) else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+def dump(tree: Any) -> str:
+    """Return YAML text in the layout of rosbag2, without a newline at the end."""
+    text = yaml.dump(tree, Dumper=_Dumper, sort_keys=False, width=float("inf"), allow_unicode=True)
+    return text.strip()

@@ -7,7 +7,6 @@ import contextlib
 import io
 import mmap
 import struct
-import zlib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,34 +16,19 @@ from typing import Any, NamedTuple
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Metadata
+from mcap.records import Channel, Chunk
+from mcap.stream_reader import get_chunk_data_stream
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, storage_mcap
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_hand_ros.bag.decompression import LARGEST, unpack
 from tactile_hand_ros.bag.metadata import FILE_NAME
-from tactile_hand_ros.bag.metadata_file import check_metadata, check_regular
 from tactile_hand_ros.bag.provenance import RECORD_NAME
-from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.errors import BagError
 
 _BAGS = (".mcap", ".db3")
-
-
-def _bounded(compression: str) -> Callable[[bytes, int], bytes]:
-    """Return a decompressor of chunks for rosbags, which by itself knows no limit."""
-
-    def decompress(packed: bytes, size: int) -> bytes:
-        if size > LARGEST:
-            raise ValueError(f"a chunk announces {size} bytes, at most {LARGEST} are read")
-        return unpack(packed, compression, size)
-
-    return decompress
-
-
-storage_mcap.DECOMPRESSORS.update({name: _bounded(name) for name in ("lz4", "zstd")})
+_LARGEST = 2**24  # bytes of metadata.yaml that are read
 
 
 class RecordedMessage(NamedTuple):
@@ -88,7 +72,6 @@ def open_bag(path: Path | str) -> Iterator[AnyReader]:
     """
     path = Path(path)
     _check_present(path)
-    _check_content(path)
     reader = _open(path)
     try:
         yield reader
@@ -247,12 +230,8 @@ def _stream(data: bytes) -> ReadDataStream:
 
 def _unpacked(chunk: Chunk) -> bytes:
     """Return the records of a chunk."""
-    data = _bounded(chunk.compression)(chunk.data, chunk.uncompressed_size)
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"a chunk has {len(data)} bytes, expected {chunk.uncompressed_size}")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("the checksum of a chunk is wrong")
-    return data
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
 
 
 _MAGIC = 8  # bytes at both ends of a file
@@ -331,6 +310,7 @@ def _open(path: Path) -> AnyReader:
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
+        _check_values(reader)
     except PermissionError as error:
         raise BagError(
             f"The bag {path} cannot be read: {error.strerror}; check its mode."
@@ -343,7 +323,16 @@ def _open(path: Path) -> AnyReader:
 def _check_present(path: Path) -> None:
     if not path.exists():
         raise BagError(f"The bag {path} does not exist; check the path.")
-    if not path.is_dir() or (path / FILE_NAME).exists():
+    if not path.is_dir():
+        check_regular(path)
+        return
+    for entry in path.iterdir():
+        if not entry.is_dir():
+            check_regular(entry)
+    metadata = path / FILE_NAME
+    if metadata.exists():
+        if metadata.stat().st_size > _LARGEST:
+            raise BagError(f"{metadata} is larger than {_LARGEST} bytes.")
         return
     if not any(path.glob("*.mcap")):
         raise BagError(
@@ -356,14 +345,32 @@ def _check_present(path: Path) -> None:
     )
 
 
-def _check_content(path: Path) -> None:
-    if not path.is_dir():
-        check_regular(path)
-        return
-    try:
-        check_metadata(path)
-    except BagError as error:
-        raise _broken(path, error) from None
+def check_regular(file: Path) -> None:
+    """Refuse what would block or never end when it is read.
+
+    Raises:
+        BagError: If it is a device, pipe or socket.
+    """
+    if file.exists() and not file.is_file():
+        raise BagError(f"{file} is a folder, device, pipe or socket, expected a file of a bag.")
+
+
+def _check_values(reader: AnyReader) -> None:
+    """Check what others compute with: rosbags takes it from metadata.yaml as it is.
+
+    Raises:
+        ValueError: If something is not what it should be.
+    """
+    counts = [connection.msgcount for connection in reader.connections]
+    numbers = [reader.message_count, reader.start_time, reader.end_time, *counts]
+    if any(type(number) is not int or not 0 <= number <= 2**64 for number in numbers):
+        raise ValueError(f"{FILE_NAME} has a number that is not a whole one of at most 64 bits")
+    texts = [text for each in reader.connections for text in (each.topic, each.msgtype)]
+    for part in reader.readers:
+        custom = part.storage.metadata.custom if isinstance(part, Reader) else None
+        texts += [text for item in dict(custom or {}).items() for text in item]
+    if not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"{FILE_NAME} has a name, type or custom text that is not a text")
 
 
 def _broken(path: object, error: Exception) -> BagError:
@@ -375,7 +382,7 @@ def _broken(path: object, error: Exception) -> BagError:
             f"{' or '.join(_BAGS)}."
         )
     return BagError(
-        f"The bag {path} is empty, cut off or damaged ({reason}); "
+        f"The bag {path} is empty, cut off or damaged ({reason[:200]}); "
         f"run `tactile-hand recover {path}`."
     )
 
@@ -392,10 +399,7 @@ def _provenance_inside(path: Path) -> dict[str, str]:
         return {}
     try:
         with path.open("rb") as file:
-            reader = make_reader(file)
-            # Without a summary mcap would decompress chunks of any size.
-            found = reader.iter_metadata() if reader.get_summary() else salvage(path, Tally())
-            records = (each for each in found if isinstance(each, Metadata))
+            records = make_reader(file).iter_metadata()
             return next((dict(each.metadata) for each in records if each.name == RECORD_NAME), {})
     except Exception as error:  # damaged data can fail anywhere in the parsers
         raise _broken(path, error) from error

@@ -1,64 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing of a rosbag2 folder with one or more MCAP files."""
+"""Writing of a rosbag2 folder with one MCAP file."""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.bag.bag_file import CHUNK_SIZE, COMPRESSIONS, BagFile
+from mcap.writer import CompressionType, Writer
+
 from tactile_hand_ros.bag.metadata import (
     FILE_NAME,
+    NO_START,
     RECORD_NAME,
     BagMetadata,
-    FileMetadata,
+    OfferedQos,
     TopicMetadata,
-    merge_topics,
+    dump,
 )
-from tactile_hand_ros.bag.qos import OfferedQos, qos_text
 from tactile_hand_ros.bag.schema import MessageDefinition, message_definition
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.files import replace_text
 
-
-@dataclass
-class _Channel:
-    """What schema, channel and metadata say about one topic."""
-
-    topic: str
-    type_name: str
-    offers: tuple[OfferedQos, ...]
-    type_hash: str
-    definition: MessageDefinition
-    count: int = 0
-
-    def metadata(self) -> TopicMetadata:
-        return TopicMetadata(
-            self.topic, self.type_name, self.offers, self.type_hash, message_count=self.count
-        )
+CHUNK_SIZE = 2**20  # bytes
+LIBRARY = "tactile_hand_ros"
+COMPRESSIONS = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
 
 
 @dataclass
 class BagWriter:
     """Writes serialized messages to a new bag, as rosbag2 (Jazzy) would.
 
-    Every finished chunk is handed to the operating system at once, so that a killed process
-    loses the messages since the last chunk or `flush` and nothing else. A failed write (a full
-    disk) cuts the file back to its last whole chunk and closes it; what is there can be recovered.
-    ``metadata.yaml`` is there if and only if all files in the folder are whole.
+    A killed process loses the messages since the last `flush`. After a failed write (a full disk)
+    the bag is closed; what has reached the disk can be recovered. ``metadata.yaml`` exists if and
+    only if the bag is complete.
 
     Attributes:
-        folder: Folder to create; the files in it have the same name and a number.
-        compression: ``none``, ``lz4`` or ``zstd``, of whole chunks.
+        folder: Folder to create; the file in it has the same name.
+        compression: ``none``, ``lz4`` or ``zstd``, of chunks.
         chunk_size: Size at which a chunk is written, in bytes before compression.
         custom_data: Texts for the bag's metadata; may be filled until `close`.
-        max_size: Size on the disk at which the next file is begun, in bytes; 0 for never.
-        max_duration: Recorded time after which the next file is begun, in ns; 0 for never.
-        earlier: Files and topics of a bag in the folder that is continued; the folder exists then.
-        lazy: Whether the first file is created with the first message.
+        ros_distro: Name of the ROS distribution.
     """
 
     folder: Path
@@ -66,13 +55,9 @@ class BagWriter:
     chunk_size: int = CHUNK_SIZE
     custom_data: dict[str, str] = field(default_factory=dict)
     ros_distro: str = field(default_factory=lambda: os.environ.get("ROS_DISTRO") or "jazzy")
-    max_size: int = 0
-    max_duration: int = 0
-    earlier: BagMetadata | None = None
-    lazy: bool = False
 
     def __post_init__(self) -> None:
-        """Create the folder and open the file.
+        """Create folder and file.
 
         Raises:
             BagError: If the folder exists, cannot be created, or the compression is unknown.
@@ -82,71 +67,30 @@ class BagWriter:
             raise BagError(
                 f"Compression is '{self.compression}', expected one of {', '.join(COMPRESSIONS)}."
             )
-        self._channels: list[_Channel] = []
-        self._records: list[tuple[str, dict[str, str]]] = []
-        self._files: list[FileMetadata] = list(self.earlier.files) if self.earlier else []
-        self._file: BagFile | None = None
-        self._closed = False
-        self._finished_count = 0
-        self.bytes_received = 0
-        if self.earlier is None:
-            _create(self.folder)
-        if not self.lazy:
-            self._open()
-
-    def _open(self) -> BagFile:
-        """Begin the next file, with all that was announced so far."""
-        name = self.folder.resolve().name
-        number = len(self._files)
-        while (path := self.folder / f"{name}_{number}.mcap").exists():
-            number += 1
-        try:
-            (self.folder / FILE_NAME).unlink(missing_ok=True)
-            file = BagFile(path, self.compression, self.chunk_size)
-            self._file = file
-            file.add_metadata(RECORD_NAME, self.metadata().record())
-            for record in self._records:
-                file.add_metadata(*record)
-            self._announce(file, self._channels)
-        except OSError as error:
-            raise self._failure(error) from error
-        return file
-
-    @staticmethod
-    def _announce(file: BagFile, channels: Iterable[_Channel]) -> None:
-        """Register channels, in the same order in every file so that their numbers are equal."""
-        for channel in channels:
-            definition = channel.definition
-            schema = file.add_schema(
-                channel.type_name, definition.encoding, definition.text.encode()
-            )
-            texts = {
-                "offered_qos_profiles": qos_text(channel.offers),
-                "topic_type_hash": channel.type_hash,
-            }
-            file.add_channel(channel.topic, "cdr", schema, texts)
-
-    @property
-    def path(self) -> Path:
-        """The file in progress, or the last one."""
-        return self._file.path if self._file else self.folder / self._files[-1].path
-
-    @property
-    def is_open(self) -> bool:
-        """Whether messages are accepted."""
-        return not self._closed
-
-    @property
-    def message_count(self) -> int:
-        """Number of messages accepted so far."""
-        return self._finished_count + (self._file.span.count if self._file else 0)
+        _create(self.folder)
+        self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
+        self.is_open = True
+        self.message_count = 0
+        self._start, self._end = NO_START, 0
+        self._topics: list[TopicMetadata] = []
+        self._counts: list[int] = []
+        self._schemas: dict[tuple[str, MessageDefinition], int] = {}
+        self._file = self.path.open("xb")
+        self._writer = Writer(
+            self._file,
+            chunk_size=self.chunk_size,
+            compression=COMPRESSIONS[self.compression],
+        )
+        self._do(self._writer.start, "ros2", LIBRARY)
+        self.add_metadata(RECORD_NAME, self.metadata().record())
+        self.flush()
 
     def add_channel(
         self,
         topic: str,
         type_name: str,
         *,
-        offers: Iterable[OfferedQos] = (),
+        offers: Sequence[OfferedQos] = (),
         type_hash: str = "",
         definition: MessageDefinition | None = None,
     ) -> int:
@@ -160,26 +104,24 @@ class BagWriter:
             definition: Schema; that of the installed package if None.
 
         Returns:
-            Number of the channel for `write`.
+            Number of the channel for `write`; they count from 1.
 
         Raises:
             BagError: If the bag is closed or the type's definition is not installed.
         """
-        self._check_open()
-        definition = definition or message_definition(type_name)
-        channel = _Channel(topic, type_name, tuple(offers), type_hash, definition)
-        for known in self.earlier.topics if self.earlier else ():
-            # Readers take a topic with other offers in a later file for another topic.
-            if (known.name, known.type) == (topic, type_name):
-                channel.offers = known.offered_qos_profiles
-                channel.type_hash = known.type_description_hash
-        if self._file is not None:
-            self._guard(self._announce, self._file, [channel])
-        self._channels.append(channel)
-        return len(self._channels)
+        key = type_name, definition or message_definition(type_name)
+        if key not in self._schemas:
+            name, schema = key
+            register = self._writer.register_schema
+            self._schemas[key] = self._do(register, name, schema.encoding, schema.text.encode())
+        texts = {"offered_qos_profiles": dump(list(offers)), "topic_type_hash": type_hash}
+        self._do(self._writer.register_channel, topic, "cdr", self._schemas[key], texts)
+        self._topics.append(TopicMetadata(topic, type_name, tuple(offers), type_hash))
+        self._counts.append(0)
+        return len(self._topics)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to every MCAP file, which any MCAP reader shows.
+        """Add a metadata record to the MCAP file, which any MCAP reader shows.
 
         Args:
             name: Name of the record.
@@ -188,10 +130,7 @@ class BagWriter:
         Raises:
             BagError: If the bag is closed or the disk refuses the data.
         """
-        self._check_open()
-        self._records.append((name, dict(values)))
-        if self._file is not None:
-            self._guard(self._file.add_metadata, name, dict(values))
+        self._do(self._writer.add_metadata, name, dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Append one serialized message.
@@ -205,57 +144,19 @@ class BagWriter:
         Raises:
             BagError: If the bag is closed or the disk refuses the data.
         """
-        self._check_open()
-        file = self._file or self._open()
-        try:
-            file.write(channel, data, log_time, publish_time)
-        except OSError as error:
-            raise self._failure(error) from error
-        self._channels[channel - 1].count += 1
-        self.bytes_received += len(data)
-        if self._is_full(file):
-            self.split()
-
-    def _is_full(self, file: BagFile) -> bool:
-        if self.max_size and file.size >= self.max_size:
-            return True
-        return bool(self.max_duration and file.span.end - file.span.start >= self.max_duration)
+        self._do(self._writer.add_message, channel, log_time, data, publish_time)
+        self._counts[channel - 1] += 1
+        self.message_count += 1
+        self._start = min(self._start, log_time)
+        self._end = max(self._end, log_time)
 
     def flush(self) -> None:
         """Finish the chunk in progress, so that its messages survive the death of the process.
 
         Raises:
-            BagError: If the disk refuses the data.
+            BagError: If the bag is closed or the disk refuses the data.
         """
-        if self._file is not None and self.is_open:
-            self._guard(self._file.flush)
-
-    def split(self) -> None:
-        """Finish the present file; the next message begins another one.
-
-        Raises:
-            BagError: If the disk refuses the data.
-        """
-        if self._file is None:
-            return
-        file, metadata = self._file, self.metadata()
-        self._guard(file.flush)
-        self._guard(file.add_metadata, RECORD_NAME, metadata.record())
-        self._guard(file.finish)
-        self._finished_count += file.span.count
-        self._files.append(file.metadata)
-        self._file = None
-
-    def checkpoint(self) -> BagMetadata:
-        """Finish the present file and make the folder a whole bag, which may still go on.
-
-        Raises:
-            BagError: If the disk refuses the data.
-        """
-        self.split()
-        metadata = self.metadata()
-        self._write_metadata(metadata.file_text())
-        return metadata
+        self._do(self._writer.flush)
 
     def close(self) -> BagMetadata:
         """Write index and metadata; repeated calls change nothing.
@@ -266,60 +167,45 @@ class BagWriter:
         Raises:
             BagError: If the disk refuses the data.
         """
-        if self._closed:
-            return self.metadata()
-        if self._file is None and not self._files:
-            self._open()
-        metadata = self.checkpoint()
-        self._closed = True
+        metadata = self.metadata()
+        if self.is_open:
+            self.flush()
+            self.add_metadata(RECORD_NAME, metadata.record())
+            self._do(self._writer.finish)
+            self._do(self._file.close)
+            self._do(replace_text, self.folder / FILE_NAME, metadata.file_text())
+            self.is_open = False
         return metadata
-
-    def _write_metadata(self, text: str) -> None:
-        """Write ``metadata.yaml`` whole or not at all."""
-        try:
-            replace_text(self.folder / FILE_NAME, text)
-        except OSError as error:
-            raise self._failure(error) from error
 
     def metadata(self) -> BagMetadata:
         """Return what is known of the bag now; topics in order of their names."""
-        earlier = self.earlier.topics if self.earlier else ()
-        files = [*self._files, *([self._file.metadata] if self._file else [])]
+        topics = [
+            replace(topic, message_count=count)
+            for topic, count in zip(self._topics, self._counts, strict=True)
+        ]
         return BagMetadata(
-            files=files,
-            topics=merge_topics([*earlier, *(channel.metadata() for channel in self._channels)]),
-            custom_data=self.custom_data,
+            path=self.path.name,
+            start=self._start,
+            duration=self._end - self._start if self.message_count else 0,
+            topics=sorted(topics, key=lambda topic: topic.name),
+            custom_data=dict(self.custom_data),
             ros_distro=self.ros_distro,
         )
 
-    def counts(self) -> Mapping[str, int]:
-        """Return the number of messages by topic."""
-        return {channel.topic: channel.count for channel in self._channels}
-
-    def _check_open(self) -> None:
-        if self._closed:
+    def _do(self, call: Callable[..., Any], *args: Any) -> Any:
+        """Call what writes; close the bag if that fails."""
+        if not self.is_open:
             raise BagError(f"The bag {self.folder} is closed, nothing can be added to it.")
-
-    def _guard(self, call: Callable[..., Any], *args: Any) -> Any:
         try:
             return call(*args)
         except OSError as error:
-            raise self._failure(error) from error
-
-    def _failure(self, error: OSError) -> BagError:
-        """Close the bag at its last whole record."""
-        if self._file is not None:
-            self._file.abandon()
-            self._files.append(self._file.metadata)
-            self._finished_count += self._file.span.count
-            self._file = None
-        count = self._finished_count
-        self._closed = True
-        return BagError(
-            f"The bag {self.folder} could not be written: {error.strerror or error}; recording "
-            f"ended after {count} messages, free some space and run "
-            f"`tactile-hand recover {self.folder}`."
-        )
+            self.is_open = False
+            with contextlib.suppress(OSError):
+                self._file.close()
+            raise BagError(
+                f"The bag {self.folder} could not be written: {error.strerror or error}; free some "
+                f"space and run `tactile-hand recover {self.folder}`."
+            ) from error
 
     def __enter__(self) -> BagWriter:
         """Return the open writer."""

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from tactile_hand_ros.cli.output import BagArgument
-from tactile_hand_ros.errors import TactileHandError
 
 
 def recover(
@@ -17,21 +16,15 @@ def recover(
     out: Annotated[
         Path | None, typer.Option(help="Folder to create; by default beside the bag.")
     ] = None,
-    in_place: Annotated[
-        bool,
-        typer.Option("--in-place", help="Repair the folder itself; keeps broken files as *.broken"),
-    ] = False,
 ) -> None:
-    """Repair a bag that was cut off, from any recorder."""
+    """Recover a bag that was cut off, from any recorder."""
     from tactile_hand_ros.bag import recover as r
 
-    if in_place and out is not None:
-        raise TactileHandError("--in-place and --out were given, expected one of them.")
     found = r.find_bag(bag)
     if out is None and r.is_whole(found):
         print(f"{found} is whole, there is nothing to recover")
         return
-    print(r.recover(found, out, in_place=in_place).sentence)
+    print(r.recover(found, out).sentence)
 
 
 COMMANDS = (recover,)

@@ -24,6 +24,7 @@ from tactile_hand_ros.names import (
     RECORDER,
     REGULATOR,
     SENSOR,
+    USER_COMMANDS,
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.orchestrator.graph import GraphReadiness, MissingEndpoint
@@ -220,6 +221,7 @@ class Session:
             configs[RECORDER] = RecorderConfig(
                 output=str(self.directory.bag.resolve()),
                 topics=_recorded(self.plan.namespace),
+                exclude=_not_recorded(self.plan.namespace),
                 scenario=scenario_text,
             )
         return configs
@@ -335,6 +337,11 @@ def _recorded(namespace: str) -> list[str]:
     if namespace == "/":
         return [".*"]
     return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
+
+
+def _not_recorded(namespace: str) -> list[str]:
+    """Return the run's commands of users: accepted/... and rejected/... say what became of them."""
+    return [f"{namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS]
 
 
 def _stall(monitor: Monitor) -> str:

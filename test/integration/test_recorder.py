@@ -15,25 +15,21 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
-from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.highlevel import AnyReader
+from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
 from support.kills import RATE, kill, talker
 
 import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.bag.salvage import Tally, salvage
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executables import executable_path
@@ -141,15 +137,19 @@ def joint_state(i: int) -> JointState:
     return JointState(name=["a"] * (i % 5), position=[float(i)] * (i % 7), effort=[0.5 * i])
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("how", "compression"), [(signal.SIGINT, "zstd"), (signal.SIGTERM, "lz4")])
 def test_everything_sent_before_the_end_is_in_the_bag(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path, how: signal.Signals
+    start: Callable[..., CapturedProcess],
+    node: Node,
+    tmp_path: Path,
+    how: signal.Signals,
+    compression: str,
 ) -> None:
     """The signal follows the last message at once; count, order and bytes are complete."""
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
     wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
     clock = node.create_publisher(Clock, "/clock", DEEP)
-    recorder = start(tmp_path / "bag")
+    recorder = start(tmp_path / "bag", f"compression:={compression}")
     wait_for_recorder(joints, wrench, clock)
 
     def publish(i: int) -> None:
@@ -167,29 +167,12 @@ def test_everything_sent_before_the_end_is_in_the_bag(
     assert [deserialize_message(data, JointState) for data in raw] == [
         joint_state(i) for i in range(COUNT)
     ]
+    expected = [0.5 * i for i in range(COUNT)]
     read = read_messages(tmp_path / "bag", ["/left/joint_states"])
-    assert [m.message.effort[0] for m in read] == [0.5 * i for i in range(COUNT)]
-
-
-def test_bytes_are_those_on_the_wire(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """A raw subscription beside the recorder gets the same bytes."""
-    heard: list[bytes] = []
-    publisher = node.create_publisher(JointState, "joint_states", DEEP)
-    subscription = node.create_subscription(
-        JointState, "joint_states", heard.append, DEEP, raw=True
-    )
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    recorder = start(tmp_path / "bag")
-    wait_until(lambda: publisher.get_subscription_count() == 2)
-    for i in range(100):
-        publisher.publish(joint_state(i))
-    wait_until(lambda: executor.spin_once(timeout_sec=0.1) or len(heard) == 100)
-    end_well(recorder)
-    assert [m.data for m in read_raw(tmp_path / "bag", ["/joint_states"])] == heard
-    node.destroy_subscription(subscription)
+    assert [m.message.effort[0] for m in read] == expected
+    file = str(tmp_path / "bag" / "bag_0.mcap")
+    others = read_ros2_messages(file, topics=["/left/joint_states"])
+    assert [m.ros_msg.effort[0] for m in others] == expected
 
 
 def test_offers_hash_and_times_are_recorded(
@@ -246,63 +229,6 @@ def test_publisher_that_appears_later_finds_the_subscription_waiting(
     assert summarize(tmp_path / "bag").counts["/later"] == 1
 
 
-def test_best_effort_publisher_on_a_topic_that_waited_is_recorded(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """The waiting subscription asked for more than is offered and gives way."""
-    node.create_subscription(Float64, "late", print, SENSOR)
-    recorder = start(tmp_path / "bag")
-    wait_until(lambda: node.count_subscribers("/late") == 2)
-    publisher = node.create_publisher(Float64, "late", SENSOR)
-    wait_until(lambda: publisher.get_subscription_count() == 2)
-    wait_until_heard(node, {"/late": 1})
-    publisher.publish(Float64(data=1.0))
-    end_well(recorder, signal.SIGTERM)
-    assert summarize(tmp_path / "bag").counts["/late"] == 1
-
-
-def test_topics_are_chosen_by_patterns(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """Only what is included and not excluded is in the bag."""
-    names = ("left/a", "left/b", "right/a")
-    publishers = [node.create_publisher(Float64, name, DEEP) for name in names]
-    chosen = ("topics:=['/left/.*']", "exclude:=['.*/b']", "compression:=lz4")
-    recorder = start(tmp_path / "bag", *chosen)
-    wait_for_recorder(publishers[0])
-    for publisher in publishers:
-        publisher.publish(Float64(data=1.0))
-    assert publishers[0].wait_for_all_acked(Duration(seconds=30))
-    end_well(recorder)
-    assert summarize(tmp_path / "bag").counts == {"/left/a": 1}
-
-
-def test_diagnostics_tell_what_was_recorded(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """Counters appear on /diagnostics, which is recorded, too."""
-    publisher = node.create_publisher(Float64, "value", DEEP)
-    reports: list[dict[str, str]] = []
-    node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda m: reports.extend(_recorder_values(m)), 10
-    )
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    recorder = start(tmp_path / "bag")
-    wait_for_recorder(publisher)
-    for _ in range(50):
-        publisher.publish(Float64(data=1.0))
-
-    def reported() -> bool:
-        executor.spin_once(timeout_sec=0.1)
-        return bool(reports) and int(reports[-1]["messages"]) >= 50
-
-    wait_until(reported)
-    assert int(reports[-1]["lost_messages"]) == 0
-    end_well(recorder)
-    assert summarize(tmp_path / "bag").counts["/diagnostics"] >= 1
-
-
 def _recorder_values(message: DiagnosticArray) -> list[dict[str, str]]:
     return [
         {pair.key: pair.value for pair in status.values}
@@ -333,105 +259,6 @@ def test_killed_at_random_moments_nothing_but_the_last_moment_is_lost(
             assert outcome.recovered > RATE * max(0.0, life - bound)
 
 
-def test_recorder_continues_after_it_was_killed(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """Both halves are in one bag, which opens everywhere; the broken file is kept."""
-    bag = tmp_path / "bag"
-    publisher = node.create_publisher(Float64, "value", LATCHED)
-    first = start(bag)
-    wait_for_recorder(publisher)
-    publisher.publish(Float64(data=1.0))
-    wait_until(lambda: _on_disk(bag / "bag_0.mcap").get("/value"))
-    first.send(signal.SIGKILL)
-    assert first.wait() == -signal.SIGKILL
-    second = start(bag)
-    wait_until(lambda: _on_disk(bag / "bag_1.mcap").get("/value"), 30.0)
-    publisher.publish(Float64(data=2.0))
-    wait_until(lambda: _on_disk(bag / "bag_1.mcap").get("/value", 0) >= 2)
-    end_well(second)
-    assert "going on after a recorder died" in second.stderr
-    values = [m.message.data for m in read_messages(bag, ["/value"])]
-    assert values == [1.0, 1.0, 2.0]  # the latched one comes to each recorder
-    assert (bag / "bag_0.mcap.broken").exists()
-
-
-def _on_disk(file: Path) -> dict[str, int]:
-    """Return the number of messages by topic that are in a file now."""
-    tally = Tally()
-    for _ in salvage(file, tally) if file.exists() else ():
-        pass
-    return tally.by_topic
-
-
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_split_and_compressed_bag_opens_in_everything(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path, compression: str
-) -> None:
-    """Folder by rosbags, each file by mcap-ros2-support; all messages in order."""
-    publisher = node.create_publisher(JointState, "joint_states", DEEP)
-    bag = tmp_path / "bag"
-    recorder = start(
-        bag, f"compression:={compression}", "split_size:=20000", "topics:=['/joint_states']"
-    )
-    wait_for_recorder(publisher)
-    at_1_khz(node, lambda i: publisher.publish(joint_state(i)), 1000)
-    end_well(recorder)
-    files = sorted(bag.glob("*.mcap"), key=lambda file: int(file.stem.rpartition("_")[2]))
-    assert len(files) >= 2
-    with AnyReader([bag]) as reader:
-        found = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages()
-        ]
-    assert [float(sum(m.effort)) for m in found] == [0.5 * i for i in range(1000)]
-    decoded = [
-        message.ros_msg.effort[0]
-        for file in files
-        for message in read_ros2_messages(str(file), topics=["/joint_states"])
-    ]
-    assert decoded == [0.5 * i for i in range(1000)]
-
-
-def test_snapshot_writes_the_last_seconds(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """Each call gives a file of a whole bag; what is older than the memory is gone."""
-    bag = tmp_path / "bag"
-    publisher = node.create_publisher(Float64, "value", DEEP)
-    latched = node.create_publisher(String, "robot_description", LATCHED)
-    latched.publish(String(data="<robot/>"))
-    client = node.create_client(Trigger, "/recorder/snapshot")
-    recorder = start(bag, "snapshot_duration:=0.3", "topics:=['/value', '/robot_description']")
-    wait_for_recorder(publisher, latched)
-    wait_until(client.service_is_ready)
-    at_1_khz(node, lambda i: publisher.publish(Float64(data=float(i))), 1000)
-    reply = call(node, client)
-    assert reply.success and str(bag) in reply.message
-    values = [m.message.data for m in read_messages(bag, ["/value"])]
-    assert values == [float(i) for i in range(1000 - len(values), 1000)]
-    assert 0 < len(values) < 1000
-    assert summarize(bag).counts["/robot_description"] == 1
-    publisher.publish(Float64(data=-1.0))
-    at_1_khz(node, lambda i: publisher.publish(Float64(data=-2.0)), 10)
-    assert call(node, client).success
-    later = [m.message.data for m in read_messages(bag, ["/value"])][len(values) :]
-    assert later == [-1.0] + 10 * [-2.0]
-    end_well(recorder)
-    assert len(list(bag.glob("*.mcap"))) == 2
-
-
-def call(node: Node, client: Client) -> Trigger.Response:
-    """Call a service and return its answer."""
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    future = client.call_async(Trigger.Request())
-    executor.spin_until_future_complete(future, timeout_sec=20.0)
-    executor.remove_node(node)
-    response: Trigger.Response = future.result()
-    return response
-
-
 def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
     domain: int, node: Node, tmp_path: Path
 ) -> None:
@@ -455,30 +282,6 @@ def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
     values = [m.message.position[0] for m in read_messages(recovery.target, ["/joint_states"])]
     assert len(values) > 100
     assert values == [values[0] + i for i in range(len(values))]
-
-
-def test_nothing_is_lost_at_a_high_rate_over_twelve_topics(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """Counts match; the bag says that nothing is missing."""
-    publishers = [
-        node.create_publisher(Float64, f"t{i}", QoSProfile(depth=2000)) for i in range(12)
-    ]
-    recorder = start(tmp_path / "bag")
-    wait_for_recorder(*publishers)
-    data = [serialize_message(Float64(data=float(i))) for i in range(1000)]
-
-    def publish(i: int) -> None:
-        for publisher in publishers:
-            publisher.publish(data[i])
-
-    at_1_khz(node, publish, 1000)
-    end_well(recorder)
-    summary = summarize(tmp_path / "bag")
-    assert summary.custom_data["lost_messages"] == "0"
-    assert {topic: summary.counts[topic] for topic in summary.counts if topic[1] == "t"} == {
-        f"/t{i}": 1000 for i in range(12)
-    }
 
 
 def test_output_is_required(domain: int) -> None:

@@ -22,8 +22,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
-
 from tactile_hand_ros.bag.qos import OfferedQos
+
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.ros.domains import isolated_domain, private_context

@@ -168,7 +168,7 @@ def test_urdf(folder: Path, text: str) -> None:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a bag of two files."""
+    """Return a bag of two topics."""
     return write_sample_bag(tmp_path_factory.mktemp("bag") / "bag")
 
 
@@ -185,7 +185,6 @@ def use(bag: Path) -> None:
         lambda: summarize(bag),
         lambda: list(read_messages(bag)),
         lambda: recover(bag, bag.parent / "out"),
-        lambda: recover(bag, in_place=True),
     ]
     for call in calls:
         with refused_in_time():
@@ -209,7 +208,7 @@ def test_metadata(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
 def test_mcap(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
     """Bytes and the sizes that they announce are changed, parts are missing or come twice."""
     copy = copied(bag, tmp_path / "work")
-    file = copy / data.draw(st.sampled_from(["bag_0.mcap", "bag_1.mcap"]))
+    file = copy / "bag_0.mcap"
     content = bytearray(file.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(content) - 1))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -23,7 +24,7 @@ from std_msgs.msg import Int64
 
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.bag.salvage import Tally, salvage
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
@@ -96,19 +97,22 @@ def kill(folder: Path, diary: Path, delay: float, bound: float) -> Outcome:
         wait_until(lambda: recorder.returncode is not None or _has_begun(bag), 30.0)
         assert recorder.returncode is None, recorder.stderr
         signal.sigtimedwait([], delay)
+        writers = psutil.Process(recorder.pid).children()
         killed = time.time_ns()
         recorder.send(signal.SIGKILL)
         assert recorder.wait() == -signal.SIGKILL
+        psutil.wait_procs(writers, 30.0)
     return _outcome(bag, diary, killed, bound)
 
 
 def _has_begun(bag: Path) -> bool:
     """Return whether all topics are on the disk."""
-    tally = Tally()
-    for file in bag.glob("*.mcap"):
-        for _ in salvage(file, tally):
-            pass
-    return set(TOPICS) <= set(tally.by_topic)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            counts = summarize(recover(bag, Path(folder) / "bag").target).counts
+        except BagError:
+            return False
+    return all(counts.get(topic) for topic in TOPICS)
 
 
 def _outcome(bag: Path, diary: Path, killed: int, bound: float) -> Outcome:

@@ -10,7 +10,6 @@ from pydantic import field_validator
 from tactile_hand_ros.bag.selection import compile_patterns
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.names import USER_COMMANDS
 
 Compression = Literal["none", "lz4", "zstd"]
 
@@ -20,18 +19,14 @@ class RecorderConfig(Config):
 
     output: str = param(
         ...,
-        "rosbag2 folder to create; it must not exist, its parents may; a broken bag that a recorder"
-        " left there is recovered and continued",
+        "rosbag2 folder to create; it must not exist, its parents may",
         min_length=1,
     )
     topics: list[str] = param(
         [".*"], "regular expressions; a topic is recorded if one matches its whole name"
     )
     exclude: list[str] = param(
-        [f"(?!.*/accepted/).*/({'|'.join(USER_COMMANDS)})"],
-        "regular expressions; a topic is not recorded if one matches its whole name. Commands of "
-        "users are for the nodes that act on them; accepted/… and rejected/… say what became of "
-        "them",
+        [], "regular expressions; a topic is not recorded if one matches its whole name"
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
     chunk_size: int = param(
@@ -43,23 +38,6 @@ class RecorderConfig(Config):
         unit="s",
         ge=0.01,
         le=60,
-    )
-    split_size: int = param(
-        0, "size of a file on the disk at which the next one is begun, 0 for never", unit="B", ge=0
-    )
-    split_duration: float = param(
-        0.0,
-        "recorded time in a file after which the next one is begun, 0 for never",
-        unit="s",
-        ge=0.0,
-    )
-    snapshot_duration: float = param(
-        0.0,
-        "keep only this much in memory and write it when the service ~/snapshot is called, 0 to "
-        "record everything",
-        unit="s",
-        ge=0.0,
-        le=3600.0,
     )
     drain_period: float = param(
         0.01,

@@ -1,36 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A `BagWriter` that does its work in another process."""
+"""A `BagWriter` in a process of its own, so that packing, compression and disk delay nobody.
+
+Python runs one thread at a time: a thread that packs messages would hold up the ticks of a hand in
+the same process. The writing process gets its orders, pickled, through a pipe. It ignores signals
+and ends when the pipe does; what is in the pipe is written even if the sender was killed.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import pickle
-import select
+import signal
 import subprocess
 import sys
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.bag.metadata import BagMetadata
+from tactile_hand_ros.bag.metadata import BagMetadata, OfferedQos
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.nodes.recorder import bag_process
-from tactile_hand_ros.nodes.recorder.bag_process import FRAME
 
+# Before anything is imported, take back what the hand's process was given: this one may be late.
 # What lies in the working directory must not be taken for a library.
 _PROGRAM = f"""
-import sys
+import os, sys
+try:
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+except OSError:
+    pass
 sys.path = [path for path in sys.path if path]
-from {bag_process.__name__} import main
-sys.exit(main())
+from {__name__} import main
+sys.exit(main(int(sys.argv[1])))
 """
 _PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to any user
-_MOST_WAITING = 64 << 20
-"""Bytes that wait here while the pipe is full; what comes then is lost, and counted."""
+_MOST_WAITING = 64 << 20  # bytes that wait while the pipe is full; what comes then is lost
 
-_PATIENCE = 30.0  # s, longest wait for an answer
+Message = tuple[int, bytes, int, int]
+"""Channel, CDR, times of reception and publication [ns]."""
 
 
 class WriterProcess:
@@ -45,8 +55,13 @@ class WriterProcess:
         is_open: Whether messages are accepted.
     """
 
-    def __init__(self) -> None:
-        """Start the process; `begin` says what to write."""
+    def __init__(self, folder: Path, **options: Any) -> None:
+        """Start the process; `check` says whether the bag could be created.
+
+        Args:
+            folder: Folder to create.
+            **options: For `BagWriter`.
+        """
         answers, replies = os.pipe()
         self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, str(replies)],
@@ -56,29 +71,24 @@ class WriterProcess:
         )
         os.close(replies)
         assert self._process.stdin is not None
-        self._pipe, self._answers = self._process.stdin.fileno(), answers
+        self._pipe, self._answers = self._process.stdin.fileno(), os.fdopen(answers, "rb")
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         os.set_blocking(self._pipe, False)
-        self._frames: list[bytes] = []
-        self._waiting: deque[memoryview] = deque()
-        self._waiting_bytes = 0
+        self._messages: list[Message] = []
+        self._waiting = bytearray()
         self._channels = 0
-        self.custom_data: dict[str, str] = {}
+        self.folder = folder
+        self.custom_data: dict[str, str] = dict(options.get("custom_data", {}))
         self.message_count = self.bytes_received = 0
         self.lost: Counter[int] = Counter()
         self.is_open = True
+        self._order("begin", folder=folder, **options)
+        self.send()
 
     @property
     def process_id(self) -> int:
         """Number of the process."""
         return self._process.pid
-
-    def begin(self, folder: Path, **options: Any) -> None:
-        """Create the bag with the options of `BagWriter`; `check` says whether that worked."""
-        self.folder = folder
-        self.custom_data = dict(options.get("custom_data", {}))
-        self._append(pickle.dumps({"folder": folder, **options}))
-        self.send()
 
     def check(self) -> None:
         """Wait for the bag.
@@ -88,24 +98,32 @@ class WriterProcess:
         """
         self._answer()
 
-    def add_channel(self, topic: str, type_name: str, **options: Any) -> int:
+    def add_channel(
+        self, topic: str, type_name: str, offers: Sequence[OfferedQos] = (), type_hash: str = ""
+    ) -> int:
         """Announce a topic and return its number; see `BagWriter.add_channel`."""
-        self._call("add_channel", topic=topic, type_name=type_name, **options)
+        self._order(
+            "add_channel", topic=topic, type_name=type_name, offers=offers, type_hash=type_hash
+        )
         self._channels += 1
         return self._channels
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        self._call("add_metadata", name=name, values=dict(values))
+        self._order("add_metadata", name=name, values=dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Append one serialized message, which is on its way after the next `send`; times in ns."""
-        if self._waiting_bytes > _MOST_WAITING:
+        if len(self._waiting) > _MOST_WAITING or not self.is_open:
             self.lost[channel] += 1
             return
-        self._frames += (FRAME.pack(channel, len(data), log_time, publish_time), data)
+        self._messages.append((channel, data, log_time, publish_time))
         self.message_count += 1
         self.bytes_received += len(data)
+
+    def flush(self) -> None:
+        """Let the process finish its chunk, so that the messages survive its death, too."""
+        self._order("flush")
 
     def send(self) -> None:
         """Put into the pipe what fits, without waiting.
@@ -113,37 +131,15 @@ class WriterProcess:
         Raises:
             BagError: If the process has ended.
         """
-        if self._frames:
-            piece = b"".join(self._frames)
-            self._frames.clear()
-            self._waiting.append(memoryview(piece))
-            self._waiting_bytes += len(piece)
-        while self._waiting:
-            try:
-                written = os.write(self._pipe, self._waiting[0])
-            except BlockingIOError:
-                return
-            except OSError:
-                raise self._failure() from None
-            self._waiting_bytes -= written
-            if written == len(self._waiting[0]):
-                self._waiting.popleft()
-            else:
-                self._waiting[0] = self._waiting[0][written:]
-
-    def flush(self) -> None:
-        """Let the process finish its chunk, so that the messages survive its death, too."""
-        self._call("flush")
-        self.send()
-
-    def checkpoint(self) -> None:
-        """Finish the present file and wait until the folder is a whole bag.
-
-        Raises:
-            BagError: If the disk refuses the data.
-        """
-        self._call("checkpoint", is_answered=True)
-        self._answer()
+        self._pack_messages()
+        try:
+            while self._waiting:
+                del self._waiting[: os.write(self._pipe, self._waiting)]
+        except BlockingIOError:
+            return
+        except OSError:
+            self.is_open = False
+            raise self._reason() from None
 
     def close(self) -> BagMetadata:
         """Write index and metadata, and wait for them.
@@ -151,62 +147,88 @@ class WriterProcess:
         Raises:
             BagError: If the disk refuses the data.
         """
-        self._call("close", custom_data=self.custom_data, is_answered=True)
+        self._order("close", custom_data=self.custom_data)
         self.is_open = False
         metadata = self._answer()
-        self._end()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+        self._answers.close()
         assert isinstance(metadata, BagMetadata)
         return metadata
 
-    def _call(self, method: str, *, is_answered: bool = False, **arguments: Any) -> None:
-        self._append(pickle.dumps((method, arguments, is_answered)))
+    def _order(self, order: str, /, **arguments: Any) -> None:
+        self._pack_messages()
+        self._waiting += pickle.dumps((order, arguments))
 
-    def _append(self, data: bytes) -> None:
-        self._frames += (FRAME.pack(0, len(data), 0, 0), data)
+    def _pack_messages(self) -> None:
+        if self._messages:
+            self._waiting += pickle.dumps(("write", self._messages))
+            self._messages.clear()
 
     def _answer(self) -> Any:
-        """Send everything and return the next answer.
+        """Send everything and wait for the next answer.
 
         Raises:
             BagError: If the answer is one, or there is none.
         """
+        os.set_blocking(self._pipe, True)
         self.send()
-        while self._waiting and select.select([], [self._pipe], [], _PATIENCE)[1]:
-            self.send()
-        if not select.select([self._answers], [], [], _PATIENCE)[0]:
-            raise BagError(
-                f"The process that writes {self.folder} has not answered for {_PATIENCE:g} s;"
-                f" `tactile-hand recover {self.folder}` saves what it has written."
-            )
-        return self._received()
+        os.set_blocking(self._pipe, False)
+        answer = self._received()
+        if isinstance(answer, BagError):
+            self.is_open = False
+            raise answer
+        return answer
 
     def _received(self) -> Any:
-        parts = []
-        while part := os.read(self._answers, _PIPE_SIZE):
-            parts.append(part)
-            try:
-                result = pickle.loads(b"".join(parts))
-            except (EOFError, pickle.UnpicklingError):
-                continue
-            if isinstance(result, BagError):
-                raise result
-            return result
-        raise BagError(
-            f"The process that writes {self.folder} has ended; run "
-            f"`tactile-hand recover {self.folder}`."
-        )
-
-    def _failure(self) -> BagError:
-        """Return why the process has ended."""
-        self.is_open = False
         try:
-            self._received()
-        except BagError as error:
-            return error
-        return BagError(f"The bag {self.folder} was not written to its end.")
+            return pickle.load(self._answers)
+        except (EOFError, pickle.UnpicklingError):
+            return BagError(
+                f"The process that writes {self.folder} has ended; run "
+                f"`tactile-hand recover {self.folder}`."
+            )
 
-    def _end(self) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait(_PATIENCE)
-        os.close(self._answers)
+    def _reason(self) -> BagError:
+        """Return why the process has ended; an answer that nobody waited for may come first."""
+        while not isinstance(answer := self._received(), BagError):
+            pass
+        return answer
+
+
+def main(replies: int) -> int:
+    """Write until the pipe ends; return 0 if the bag was closed."""
+    from tactile_hand_ros.bag.writer import BagWriter
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    writer: BagWriter | None = None
+    try:
+        while True:
+            name, arguments = pickle.load(sys.stdin.buffer)
+            if name == "begin":
+                writer = BagWriter(**arguments)
+                _reply(replies, None)
+            elif writer is None:
+                return 1
+            elif name == "write":
+                for message in arguments:
+                    writer.write(*message)
+            elif name == "close":
+                writer.custom_data.update(arguments["custom_data"])
+                _reply(replies, writer.close())
+                return 0
+            else:
+                getattr(writer, name)(**arguments)
+    except BagError as error:
+        _reply(replies, error)
+    except (EOFError, pickle.UnpicklingError):  # the sender was killed
+        if writer is not None:
+            writer.flush()
+    return 1
+
+
+def _reply(replies: int, result: Any) -> None:
+    with contextlib.suppress(BrokenPipeError):
+        os.write(replies, pickle.dumps(result))

@@ -3,8 +3,15 @@
 
 from __future__ import annotations
 
-from tactile_hand_ros.bag.metadata import BagMetadata, FileMetadata, TopicMetadata
-from tactile_hand_ros.bag.qos import OfferedQos
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.rosbag2.metadata import parse_qos
+
+from tactile_hand_ros.bag.metadata import BagMetadata, TopicMetadata, dump, offered_qos
 
 # What rosbag2 writes when it opens a file, as `mcap list metadata` shows it.
 AT_OPEN = """\
@@ -15,20 +22,19 @@ duration:
 starting_time:
   nanoseconds_since_epoch: 9223372036854775807
 message_count: 0
-topics_with_message_count:
-  []
+topics_with_message_count: []
 compression_format: ""
 compression_mode: ""
 relative_file_paths:
   - run_0.mcap
 files:
   - path: run_0.mcap
-    starting_time:
-      nanoseconds_since_epoch: 9223372036854775807
     duration:
       nanoseconds: 0
+    starting_time:
+      nanoseconds_since_epoch: 9223372036854775807
     message_count: 0
-custom_data: ~
+custom_data: {}
 ros_distro: jazzy"""
 
 AT_CLOSE = """\
@@ -67,40 +73,75 @@ rosbag2_bagfile_information:
   compression_mode: ""
   relative_file_paths:
     - run_0.mcap
-    - run_1.mcap
   files:
     - path: run_0.mcap
+      duration:
+        nanoseconds: 25
       starting_time:
         nanoseconds_since_epoch: 1000
-      duration:
-        nanoseconds: 10
-      message_count: 2
-    - path: run_1.mcap
-      starting_time:
-        nanoseconds_since_epoch: 1015
-      duration:
-        nanoseconds: 10
-      message_count: 3
+      message_count: 5
   custom_data:
     scenario: "paper 1"
   ros_distro: jazzy"""
 
 
+OFFERED = {
+    "history": "unknown",
+    "depth": 0,
+    "reliability": "reliable",
+    "durability": "volatile",
+    "deadline": {"sec": 9223372036, "nsec": 854775807},
+    "lifespan": {"sec": 9223372036, "nsec": 854775807},
+    "liveliness": "automatic",
+    "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+    "avoid_ros_namespace_conventions": False,
+}
+
+
 def test_record_of_a_bag_without_messages() -> None:
     """The record has no outer key and no messages yet."""
-    metadata = BagMetadata(files=[FileMetadata("run_0.mcap")])
+    metadata = BagMetadata("run_0.mcap")
     assert metadata.record() == {"serialized_metadata": AT_OPEN}
 
 
 def test_file_of_a_finished_bag() -> None:
-    """Totals come from the files; the last file may end before another."""
-    metadata = BagMetadata(
-        files=[FileMetadata("run_0.mcap", 1000, 10, 2), FileMetadata("run_1.mcap", 1015, 10, 3)],
-        topics=[
-            TopicMetadata(
-                "/left/wrench", "geometry_msgs/msg/WrenchStamped", (OfferedQos(),), "RIHS01_00ff", 5
-            )
-        ],
-        custom_data={"scenario": "paper 1"},
+    """Totals are those of the topics, in rosbag2's order and layout."""
+    wrench = TopicMetadata(
+        "/left/wrench", "geometry_msgs/msg/WrenchStamped", (OFFERED,), "RIHS01_00ff", 5
     )
-    assert metadata.file_text() == AT_CLOSE
+    custom = {"scenario": "paper 1"}
+    assert BagMetadata("run_0.mcap", 1000, 25, [wrench], custom).file_text() == AT_CLOSE
+
+
+@pytest.mark.parametrize("text", ["a\nb: c\n", "0", "", "true", "~", '"\\', "é\x85", "x " * 99])
+def test_any_text_has_one_line_and_reads_back(text: str) -> None:
+    assert dump({"key": text}).count("\n") == 0
+    assert yaml.safe_load(dump({"key": text})) == {"key": text}
+
+
+@given(st.dictionaries(st.text(), st.text() | st.lists(st.integers() | st.booleans(), max_size=3)))
+def test_what_is_written_reads_back(tree: dict[str, object]) -> None:
+    """No text is mistaken for a number, a boolean or a structure."""
+    assert yaml.safe_load(dump(tree)) == tree
+
+
+def test_a_profile_of_the_graph_keeps_all_its_policies() -> None:
+    """Rosbags reads what the channel of a topic says."""
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=7,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        lifespan=Duration(seconds=2, nanoseconds=5),
+        avoid_ros_namespace_conventions=True,
+    )
+    plain, parsed = parse_qos(dump([OFFERED, offered_qos(profile)]))
+    assert (plain.reliability.name, plain.durability.name) == ("RELIABLE", "VOLATILE")
+    assert (parsed.history.name, parsed.depth) == ("KEEP_LAST", 7)
+    assert (parsed.reliability.name, parsed.durability.name) == ("BEST_EFFORT", "TRANSIENT_LOCAL")
+    assert (parsed.lifespan.sec, parsed.lifespan.nsec) == (2, 5)
+    assert parsed.avoid_ros_namespace_conventions and parsed.liveliness.name == "SYSTEM_DEFAULT"
+
+
+def test_topics_of_which_nothing_is_known_offer_an_empty_list() -> None:
+    assert dump([]) == "[]"

@@ -4,17 +4,14 @@
 from __future__ import annotations
 
 import struct
-import tracemalloc
 from pathlib import Path
 
-import lz4.frame
 import pytest
-import zstandard
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.provenance import RECORD_NAME
-from tactile_hand_ros.bag.qos import OfferedQos
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
-from tactile_hand_ros.bag.salvage import MAGIC
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 
@@ -69,9 +66,14 @@ def test_single_file_still_knows_where_it_comes_from(tmp_path: Path) -> None:
 def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: Path) -> None:
     """Two publishers with different offers are two connections in a file of its own."""
     with BagWriter(tmp_path / "run") as writer:
-        kinds = [OfferedQos(), OfferedQos(reliability="best_effort")]
+        kinds = (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
         first, second = [
-            writer.add_channel("/x", "std_msgs/msg/Float64", offers=[kind]) for kind in kinds
+            writer.add_channel(
+                "/x",
+                "std_msgs/msg/Float64",
+                offers=[offered_qos(QoSProfile(depth=1, reliability=kind))],
+            )
+            for kind in kinds
         ]
         for time, channel in enumerate((first, second, first, second, first)):
             writer.write(channel, FLOAT, time, time)
@@ -165,36 +167,37 @@ def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
     assert next(read_raw(tmp_path / "run")).data == data
 
 
-INFORMATION = "rosbag2_bagfile_information"
-
-
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new"),
     [
-        ("message_count: 20", "message_count: x", "message_count is 'x', expected a whole number"),
-        ("message_count: 20", "message_count: true", "message_count is True"),
-        ("message_count: 20", "message_count: -1", "message_count is -1"),
-        ("message_count: 20", f"message_count: {10**30}", "message_count is 1000.*63 bits"),
-        ("message_count: 20", f"message_count: 0x{'f' * 9999}", "is a number of 39996 bits"),
-        ("message_count: 10", "message_count: [1]", r"count\[0\].message_count is \[1\]"),
-        ("name: /even", "name: [a]", r"topic_metadata.name is \['a'\], expected a text"),
-        ("type: std_msgs/msg/Float64", "type: 7", "topic_metadata.type is 7"),
-        ("nanoseconds: 19", "nanoseconds: 1.5", "duration.nanoseconds is 1.5"),
-        ("- run_0.mcap", "- ../run_0.mcap", "relative_file_paths is '../run_0.mcap', expected"),
-        ("- run_0.mcap", "- /etc/passwd", "relative_file_paths is '/etc/passwd', expected"),
-        ("- run_0.mcap", "- {a: b}", "expected a list of file names"),
-        ("custom_data: ~", "custom_data: {a: [b]}", "custom_data is .*, expected texts by name"),
-        (f"{INFORMATION}:", f"{INFORMATION}: {50_000 * '['}", "nested more than 50 deep"),
-        (f"{INFORMATION}:", f"a: &a [1, 2]\nb: &b [{'*a, ' * 60_000}]\nc:", "100000 values"),
+        ("message_count: 20", "message_count: x"),
+        ("message_count: 20", "message_count: -1"),
+        ("message_count: 20", f"message_count: 0x{'f' * 9999}"),
+        ("message_count: 10", "message_count: [1]"),
+        ("name: /even", "name: [a]"),
+        ("type: std_msgs/msg/Float64", "type: 7"),
+        ("nanoseconds: 19", "nanoseconds: 1.5"),
+        ("- run_0.mcap", "- ../other.mcap"),
+        ("- run_0.mcap", "- {a: b}"),
+        ("custom_data: {}", "custom_data: {a: [b]}"),
+        ("custom_data: {}", "custom_data: [a]"),
+        ("rosbag2_bagfile_information:", f"rosbag2_bagfile_information: {50_000 * '['}"),
     ],
 )
-def test_hostile_metadata_is_refused(bag: Path, old: str, new: str, message: str) -> None:
-    """Numbers that are none, names that lead elsewhere, text that expands to much."""
+def test_hostile_metadata_is_refused(bag: Path, old: str, new: str) -> None:
+    """Numbers that are none, names that lead elsewhere, text that is nested deeply."""
     file = bag / "metadata.yaml"
     text = file.read_text()
     assert old in text
-    file.write_text(text.replace(old, new, 1))
-    with pytest.raises(BagError, match=message):
+    file.write_text(text.replace(old, new))
+    with pytest.raises(BagError, match="damaged"):
+        summarize(bag)
+
+
+def test_metadata_of_any_size_are_not_read(bag: Path) -> None:
+    with (bag / "metadata.yaml").open("r+b") as file:
+        file.truncate(2**24 + 1)
+    with pytest.raises(BagError, match="is larger than"):
         summarize(bag)
 
 
@@ -205,24 +208,3 @@ def test_a_device_is_not_read(bag: Path) -> None:
     for path in (bag, bag / "run_0.mcap"):
         with pytest.raises(BagError, match="run_0.mcap is a folder, device, pipe or socket"):
             summarize(path)
-
-
-@pytest.mark.parametrize("compression", ["zstd", "lz4"])
-@pytest.mark.parametrize("announced", [2**10, 2**33])
-def test_a_chunk_that_decompresses_to_too_much(
-    tmp_path: Path, compression: str, announced: int
-) -> None:
-    """Decompression stops at the announced size, and that is bounded."""
-    packed = {"zstd": zstandard, "lz4": lz4.frame}[compression].compress(bytes(2**26))
-    body = struct.pack("<QQQII", 0, 1, announced, 0, len(compression)) + compression.encode()
-    body += struct.pack("<Q", len(packed)) + packed
-    header = struct.pack("<BQI4sI", 1, 12, 4, b"ros2", 0)
-    footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0)
-    file = tmp_path / "bomb.mcap"
-    file.write_bytes(MAGIC + header + struct.pack("<BQ", 6, len(body)) + body + footer + MAGIC)
-    tracemalloc.start()
-    with pytest.raises(BagError, match="announces 8589934592 bytes|size mismatch"):
-        summarize(file)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 40e6

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import importlib
-import signal
 import sys
 from typing import Any
 
@@ -40,25 +39,7 @@ def test_the_recorder_may_be_late(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "use_batch_scheduling", lambda: given.append("batch"))
     monkeypatch.setattr(recorder, "run_node", lambda *args: given.extend(args) or 5)
     assert recorder.main(["program"]) == 5
-    assert given == ["batch", recorder._node_that_ends_with_a_signal, ["program"]]
-    assert given[1].__doc__ == recorder.RecorderNode.__doc__
-
-
-def test_a_signal_lets_the_recorder_finish_its_bag(monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[Any] = []
-    monkeypatch.setattr(recorder, "uninstall_signal_handlers", lambda: done.append("rclpy"))
-    monkeypatch.setattr(recorder, "RecorderNode", lambda is_over: is_over)
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        for number in before:
-            is_over: Any = recorder._node_that_ends_with_a_signal()
-            assert done.pop() == "rclpy" and not is_over()
-            signal.raise_signal(number)
-            signal.raise_signal(number)
-            assert is_over()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    assert given == ["batch", recorder.RecorderNode, ["program"]]
 
 
 @pytest.mark.parametrize("records", [False, True])

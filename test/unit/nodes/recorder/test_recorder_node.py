@@ -1,71 +1,104 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node of the recorder: its rhythm, its diagnostics, its end; alone and beside a hand."""
+"""The recorder as a node: what it takes, what it reports, how it ends; alone and beside a hand."""
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import psutil
 import pytest
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
-from std_srvs.srv import Trigger
 
-from tactile_hand_ros.bag.reader import read_raw
-from tactile_hand_ros.config.model import Config
+from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.nodes.recorder import recording as recording_module
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
-from tactile_hand_ros.nodes.recorder.shared_recording import SharedRecording
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.direct.delivery import deliver_directly, direct_delivery
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.node import TactileNode
-
-FULL = BagError("the disk is full, make room.")
-
-
-def said(node: Any) -> dict[str, str]:
-    return {pair.key: pair.value for pair in node.diagnostics.status().values}
+from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.publishing import TickPublisher
 
 
-@pytest.fixture(autouse=True)
-def _soon_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording_module, "QUIET", 0.005)
-    monkeypatch.setattr(recording_module, "LAST_CALL", 0.05)
+class Stage:
+    """Recorders in a context, and a node that publishes in another."""
 
+    def __init__(self, here: Context, there: Context, bag: Path) -> None:
+        self.context, self.bag = here, bag
+        self.talker = Node("talker", context=there)
+        self.hand = Node("hand", context=here, namespace="left")
+        self.recorder: RecorderNode
+        self._executor = SingleThreadedExecutor(context=here)
+        self._publishers: dict[str, Publisher] = {}
 
-@pytest.fixture(params=["alone"])
-def context(request: pytest.FixtureRequest) -> Iterator[Any]:
-    with isolated_domain() as domain, private_context(domain) as made:
-        if request.param == "shared":
-            deliver_directly(made)
-        yield made
+    def record(self, *local: TickPublisher, **options: Any) -> RecorderNode:
+        values = {"output": str(self.bag), "topics": ["/left/.*"], **options}
+        overrides = [Parameter(name, value=value) for name, value in values.items()]
+        self.recorder = RecorderNode(local, context=self.context, parameter_overrides=overrides)
+        self.recorder.check_ready()
+        self._executor.add_node(self.recorder)
+        return self.recorder
+
+    def publish(self, topic: str, *numbers: int) -> Publisher:
+        if topic not in self._publishers:
+            profile = QoSProfile(depth=1000)
+            self._publishers[topic] = self.talker.create_publisher(Int64, topic, profile)
+        for number in numbers:
+            self._publishers[topic].publish(Int64(data=number))
+        return self._publishers[topic]
+
+    def spin_until(self, condition: Callable[[], bool]) -> None:
+        def done() -> bool:
+            self._executor.spin_once(timeout_sec=0.01)
+            return condition()
+
+        wait_until(done)
+
+    def meet(self, *topics: str) -> None:
+        """Spin until the recorder has subscribed to topics."""
+        for topic in topics:
+            self.spin_until(lambda t=topic: self.publish(t).get_subscription_count() == 1)
+
+    def report(self) -> dict[str, str]:
+        self.recorder.publish_diagnostics()
+        return {pair.key: pair.value for pair in self.recorder.diagnostics.status().values}
+
+    def recorded(self) -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        for message in read_raw(self.bag):
+            number = int.from_bytes(message.data[4:12], "little")
+            found.setdefault(message.topic, []).append(number)
+        return found
 
 
 @pytest.fixture
-def make(context: Any, tmp_path: Path) -> Iterator[Callable[..., RecorderNode]]:
-    made: list[Any] = []
-
-    def _make(*is_over: Callable[[], bool], **options: Any) -> RecorderNode:
-        values = {"output": str(tmp_path / "bag"), "topics": ["/left/.*"], **options}
-        overrides = [Parameter(name, value=value) for name, value in values.items()]
-        made.append(RecorderNode(*is_over, context=context, parameter_overrides=overrides))
-        return made[-1]
-
-    yield _make
-    for node in made:
-        if node._recording._writer.is_open:
-            node._recording.close()
-        node.destroy_node()
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    with (
+        isolated_domain() as domain,
+        private_context(domain) as here,
+        private_context(domain) as there,
+    ):
+        made = Stage(here, there, tmp_path / "bag")
+        yield made
+        with suppress(BagError):
+            made.recorder.close()
+        for node in (made.recorder, made.hand, made.talker):
+            node.destroy_node()
 
 
-shared = pytest.mark.parametrize("context", ["shared"], indirect=True)
+def number(value: int) -> bytes:
+    return bytes(serialize_message(Int64(data=value)))
 
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])
@@ -75,173 +108,122 @@ def test_a_pattern_that_is_none_is_refused(key: str) -> None:
     assert getattr(RecorderConfig(output="x", **{key: ["a.*"]}), key) == ["a.*"]
 
 
-@pytest.mark.parametrize(
-    ("came", "is_calm", "period"),
-    [(0, True, 0.1), (9, True, 0.1), (10, True, 0.02), (0, False, 0.02), (11, False, 0.02)],
-)
-def test_queues_are_visited_less_often_while_next_to_nothing_comes(
-    make: Callable[..., RecorderNode],
-    monkeypatch: pytest.MonkeyPatch,
-    came: int,
-    is_calm: bool,
-    period: float,
+def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
+    for topic in ("/left/a", "/left/b", "/right/a"):
+        stage.publish(topic)
+    stage.record(exclude=["/left/b"], scenario="name: x", compression="lz4")
+    stage.meet("/left/a")
+    for topic in ("/left/a", "/left/b", "/right/a"):
+        stage.publish(topic, 3, 4)
+    stage.spin_until(lambda: stage.report()["messages"] == "2")
+    report = stage.report()
+    assert [report[key] for key in ("bytes", "topics", "lost_messages")] == ["24", "1", "0"]
+    assert report["output"] == str(stage.bag) and report["refused_topics"] == "0"
+    stage.publish("/left/a", 5)  # on its way when it ends
+    stage.recorder.close()
+    assert stage.recorded() == {"/left/a": [3, 4, 5]}
+    told = summarize(stage.bag).custom_data
+    assert told["lost_messages"] == "0" and told["scenario"] == "name: x"
+
+
+def test_the_desired_pose_of_any_robot_is_recorded_unless_excluded(stage: Stage) -> None:
+    stage.record(topics=["/(left|right)/.*"], exclude=["/right/desired_pose"])
+    stage.meet("/left/desired_pose", "/left/user_grasp_force")
+    stage.publish("/right/desired_pose", 1)
+    stage.publish("/left/desired_pose", 1)
+    stage.spin_until(lambda: stage.report()["messages"] == "1")
+    stage.recorder.close()
+    assert stage.recorded() == {"/left/desired_pose": [1]}
+
+
+def test_what_is_missing_is_a_warning_and_in_the_bag(stage: Stage) -> None:
+    stage.record(queue_depth=10, drain_period=0.1)
+    stage.meet("/left/a")
+    stage.publish("/left/a", 0)
+    stage.spin_until(lambda: stage.report()["messages"] == "1")
+    publisher = stage.publish("/left/a", *range(1, 100))
+    assert publisher.wait_for_all_acked()
+    stage.publish("/left/a", 100)
+    stage.spin_until(lambda: int(stage.report()["lost_messages"]) > 0)
+    report = stage.report()
+    lost = int(report["lost_messages"])
+    assert report["fault lost_messages"].startswith(f"{lost} messages were lost")
+    assert stage.recorder.diagnostics.status().level == WARN
+    stage.recorder.close()
+    told = summarize(stage.bag)
+    assert int(told.custom_data["lost_messages"]) == 101 - told.counts["/left/a"]
+    assert told.custom_data["lost_messages/left/a"] == told.custom_data["lost_messages"]
+
+
+def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
+    """With what had arrived, also of a topic that had no publisher at the last look."""
+    stage.hand.create_subscription(Int64, "late", print, 1)
+    stage.record(discovery_period=1.0)
+    stage.meet("/left/a")
+    stage.spin_until(lambda: stage.talker.count_subscribers("/left/late") == 2)
+    for topic in ("/left/late", "/left/a"):
+        publisher = stage.publish(topic)
+        wait_until(lambda p=publisher: p.get_subscription_count() > 0)
+        stage.publish(topic, 1, 2)
+        assert publisher.wait_for_all_acked()
+    stage.context.try_shutdown()
+    stage.recorder.close()
+    assert stage.recorded() == {"/left/a": [1, 2], "/left/late": [1, 2]}
+    assert (stage.bag / "metadata.yaml").exists()
+
+
+def test_beside_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: Stage) -> None:
+    """From the first message on, and without a subscription; other topics are subscribed."""
+    inside = TickPublisher(stage.hand, Int64, "x")
+    outside = TickPublisher(stage.hand, Int64, "/right/x")
+    stage.record(inside, outside)
+    for value in range(3):
+        for publisher in (inside, outside):
+            publisher.publish(number, value)
+    stage.meet("/left/y")
+    stage.publish("/left/y", 7)
+    stage.spin_until(lambda: stage.report()["messages"] == "4")
+    assert inside.get_subscription_count() == 0
+    assert stage.recorder.peers()["subscriptions /left/x"] == 1
+    inside.publish(number, 3)  # since the last visit
+    stage.context.try_shutdown()
+    stage.recorder.close()
+    assert stage.recorded() == {"/left/x": [0, 1, 2, 3], "/left/y": [7]}
+    assert summarize(stage.bag).types["/left/x"] == "std_msgs/msg/Int64"
+    text = (stage.bag / "metadata.yaml").read_text()
+    assert text.count("type_description_hash: RIHS01_") == 2 and text.count("reliability: ") == 2
+
+
+def end_writer() -> None:
+    """Kill the process that writes the bag."""
+    (writer,) = psutil.Process(os.getpid()).children()
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+
+
+def test_beside_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(
+    stage: Stage,
 ) -> None:
-    node = make(drain_period=0.02)
-    assert node._visits.timer_period_ns == 20_000_000
-    node._visits.timer_period_ns = 77_000_000
-    monkeypatch.setattr(node._recording, "step", lambda: came)
-    monkeypatch.setattr(type(node._recording), "is_calm", property(lambda _: is_calm))
-    node._on_visit()
-    assert node._visits.timer_period_ns == round(1e9 * period)
-    assert node.diagnostics.ticks == (came > 0)
+    inside = TickPublisher(stage.hand, Int64, "x")
+    stage.record(inside)
+    end_writer()
+    inside.publish(number, 1)
+    stage.spin_until(lambda: stage.recorder.diagnostics.status().level == ERROR)
+    inside.publish(number, 2)
+    assert "tactile-hand recover" in stage.report()["fault recording"]
+    assert stage.context.ok()
+    with pytest.raises(BagError, match="tactile-hand recover"):
+        stage.recorder.close()
 
 
-def test_counters_are_reported_and_what_is_missing_is_a_warning(
-    make: Callable[..., RecorderNode], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make()
-    counts = dict(messages=5, size=60, topics=3, lost=0, refused=0)
-    status = SimpleNamespace(**counts)
-    monkeypatch.setattr(type(node._recording), "status", property(lambda _: status))
-    node.publish_diagnostics()
-    facts = said(node)
-    keys = ("messages", "bytes", "topics", "lost_messages", "refused_topics")
-    assert [facts[key] for key in keys] == ["5", "60", "3", "0", "0"]
-    assert facts["output"] == str(node._recording.folder)
-    assert not any(key.startswith("fault") for key in facts)
-    status.lost, status.refused = 1, 2
-    node.publish_diagnostics()
-    facts = said(node)
-    assert facts["fault lost_messages"] == "1 messages were lost before they were recorded"
-    assert facts["fault refused_topics"] == "2 topics have a type that is not installed"
-    assert node.diagnostics.status().level == WARN
+def test_a_recorder_alone_ends_with_the_error(stage: Stage) -> None:
+    stage.record()
+    end_writer()
+    with pytest.raises(BagError, match="tactile-hand recover"):
+        stage.spin_until(lambda: False)
 
 
-def test_when_it_is_over_the_bag_is_finished_and_the_context_ends(
-    make: Callable[..., RecorderNode], tmp_path: Path
-) -> None:
-    over = [False]
-    node = make(lambda: over[0])
-    node._on_visit()
-    assert node.context.ok() and not (tmp_path / "bag" / "metadata.yaml").exists()
-    over[0] = True
-    node._on_visit()
-    assert not node.context.ok() and (tmp_path / "bag" / "metadata.yaml").exists()
-
-
-def test_a_recorder_alone_ends_with_the_error_of_its_disk(
-    make: Callable[..., RecorderNode], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make()
-
-    def fail() -> int:
-        raise FULL
-
-    monkeypatch.setattr(node._recording, "step", fail)
-    with pytest.raises(BagError, match="make room"):
-        node._on_visit()
-    with pytest.raises(BagError, match="make room"):
-        monkeypatch.setattr(node._recording, "rest", fail)
-        node._on_rest()
-
-
-def test_a_snapshot_is_answered_with_its_size_or_the_reason(
-    make: Callable[..., RecorderNode], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    node = make(snapshot_duration=1.0)
-    services = {service.srv_name for service in node.services}
-    assert "/recorder/snapshot" in services or "~/snapshot" in services
-
-    def ask() -> tuple[bool, str]:
-        answer = node._on_snapshot(Trigger.Request(), Trigger.Response())
-        return answer.success, answer.message
-
-    monkeypatch.setattr(node._recording, "snapshot", lambda: 2)
-    assert ask() == (True, f"2 messages went to {node._recording.folder}")
-
-    def fail() -> int:
-        raise FULL
-
-    monkeypatch.setattr(node._recording, "snapshot", fail)
-    assert ask() == (False, str(FULL))
-
-
-def test_without_a_snapshot_there_is_no_service_for_it(
-    make: Callable[..., RecorderNode],
-) -> None:
-    assert not any("snapshot" in service.srv_name for service in make().services)
-
-
-@shared
-def test_beside_a_hand_it_notes_what_publishers_of_its_process_send(
-    make: Callable[..., RecorderNode], context: Any, tmp_path: Path
-) -> None:
-    """From the first message on; they are written when all have answered each other."""
-    node = make()
-    node.check_ready()
-    recording = node._recording
-    assert isinstance(recording, SharedRecording)
-    hand = TactileNode("hand", Config, context=context, namespace="left")
-    publisher = hand.create_publisher(Int64, "x", QoSProfile(depth=5))
-    other = hand.create_publisher(Int64, "/right/x", QoSProfile(depth=5))
-    data = [bytes(serialize_message(Int64(data=value))) for value in range(4)]
-    for each in data[:2]:
-        publisher.publish(each)
-        other.publish(each)
-    topic = recording._topics["/left/x"]
-    assert [d for t, d, _ in recording._tapped if t is topic] == data[:2]
-    assert recording.status.messages == 0 and not topic.is_remote
-    between = node._between.spent.copy()
-    delivery = direct_delivery(context)
-    assert delivery is not None
-    delivery.rest()
-    assert recording.status.messages == 2 and recording._tapped == []
-    assert node._between.spent["recorder"] > between["recorder"]
-    publisher.publish(data[2])
-    assert recording._drain() == 0 and recording.status.messages == 3
-    publisher.publish(data[3])
-    recording._writer.lost[topic.channel or 0] += 2
-    assert recording.lost() == {"/left/x": 2}
-    node.close()
-    found = [message for message in read_raw(tmp_path / "bag") if message.topic == "/left/x"]
-    assert [message.data for message in found] == data
-    hand.destroy_node()
-
-
-@shared
-def test_beside_a_hand_a_full_disk_ends_the_recording_and_nothing_else(
-    make: Callable[..., RecorderNode], monkeypatch: pytest.MonkeyPatch, context: Any
-) -> None:
-    node, lines, told = make(), list[str](), list[int]()
-    node.check_ready()
-    logger = node.get_logger()
-    monkeypatch.setattr(logger, "error", lines.append)
-    monkeypatch.setattr(node, "get_logger", lambda: logger)
-    monkeypatch.setattr(node, "publish_diagnostics", lambda: told.append(1))
-
-    def fail() -> int:
-        raise FULL
-
-    monkeypatch.setattr(node._recording, "rest", fail)
-    node._recording._consider("/left/x", "std_msgs/msg/Int64")
-    assert node._recording._topics
-    node._on_rest()
-    node._on_rest()
-    assert lines == [str(FULL)] and told == [1]
-    assert node._visits.is_canceled() and not node._recording._topics
-    status = node.diagnostics.status()
-    assert (status.level, status.message) == (ERROR, str(FULL)) and node.context.ok()
-    with pytest.raises(BagError, match="make room"):
-        node.close()
-
-
-@shared
-def test_beside_a_hand_a_bag_that_exists_is_refused_before_the_first_tick(
-    make: Callable[..., RecorderNode], tmp_path: Path
-) -> None:
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "file").write_text("x")
-    node = make()
+def test_a_bag_that_exists_is_refused_before_anything_is_recorded(stage: Stage) -> None:
+    stage.bag.mkdir()
     with pytest.raises(BagError, match="exists"):
-        node.check_ready()
-    node._recording._writer.is_open = False
+        stage.record()

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int64
 from std_srvs.srv import SetBool
-
 from tactile_hand_ros.bag.qos import OfferedQos
+
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import BagError
