@@ -22,8 +22,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
-from tactile_hand_ros.bag.qos import OfferedQos
 
+from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
@@ -83,10 +83,10 @@ def bag(tmp_path: Path) -> Path:
     """Return a bag of a second."""
     folder = tmp_path / "bag"
     with BagWriter(folder) as writer:
-        latched = OfferedQos(durability="transient_local")
+        latched = offered_qos(LATCHED)
         robot = writer.add_channel("/robot_description", "std_msgs/msg/String", offers=[latched])
-        values = writer.add_channel("/value", "std_msgs/msg/Float64", offers=[OfferedQos()])
-        fast = OfferedQos(reliability="best_effort")
+        values = writer.add_channel("/value", "std_msgs/msg/Float64", offers=[offered_qos(DEEP)])
+        fast = offered_qos(QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
         sensor = writer.add_channel("/sensor", "std_msgs/msg/Float64", offers=[fast])
         writer.write(robot, serialize_message(String(data="<robot/>")), 10**18, 0)
         for i in range(COUNT):

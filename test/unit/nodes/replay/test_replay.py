@@ -12,11 +12,12 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int64
 from std_srvs.srv import SetBool
-from tactile_hand_ros.bag.qos import OfferedQos
 
+from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import BagError
@@ -28,7 +29,8 @@ from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
-LATCHED = OfferedQos(durability="transient_local")
+LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+DEEP = offered_qos(QoSProfile(depth=1))
 
 
 @pytest.fixture
@@ -38,7 +40,7 @@ def bag(tmp_path: Path) -> Path:
     with BagWriter(folder) as writer:
         robot = writer.add_channel("/robot", TYPE, offers=[LATCHED])
         clock = writer.add_channel("/clock", "rosgraph_msgs/msg/Clock")
-        number = writer.add_channel("/number", TYPE, offers=[OfferedQos()])
+        number = writer.add_channel("/number", TYPE, offers=[DEEP])
         gone = writer.add_channel("/gone", TYPE)
         for channel, value in ((robot, 7), (robot, 8), (gone, 9)):
             writer.write(channel, serialize_message(Int64(data=value)), BEGIN, BEGIN)
