@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
@@ -21,7 +20,6 @@ from tactile_hand_ros.control.grasp import (
     grasp_map,
 )
 from tactile_hand_ros.control.loads import LoadMarginConfig
-from tactile_hand_ros.control.optimizer.active_set import solve_exactly
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import (
     Cones,
@@ -30,13 +28,16 @@ from tactile_hand_ros.control.optimizer.cones import (
     followed,
     imbalance,
 )
-from tactile_hand_ros.control.optimizer.warm_solver import INFEASIBLE, SOLVED, WarmSolver
+from tactile_hand_ros.control.optimizer.quadratic_program import (
+    Problem,
+    QuadraticProgram,
+    Solution,
+)
 from tactile_hand_ros.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
-_MAX_RESIDUAL = 1e-6  # OSQP's own tolerance; polishing goes far below it
-_GOOD_RESIDUAL = 1e-10  # above it polishing has missed the active bounds
+_MAX_RESIDUAL = 1e-6  # beyond, there is no answer
 _MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
 
 
@@ -138,12 +139,7 @@ class OptimalForces(NamedTuple):
         status: SOLVED, or why there is no answer.
         reason: One sentence for people; empty when solved.
         forces: f* on the object in the contact frames C_i, shape (k, 3); NaN unless solved.
-        balance_residual: Largest component of G~ f*, relative to the largest force above 1 N, as
-            the next two.
-        sum_residual: |sum f_n - 1|.
-        stationarity_residual: Largest component of the Lagrangian's gradient, scaled by max W.
-        bound_residual: Largest force that a lower bound is missed by, or that a bound pulls from
-            afar, weighted by its share of the largest multiplier.
+        residual: Largest violation of the optimality conditions, with G~ f* = 0 and sum f_n = 1.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
         cone_margin: Minimum of mu f_n - |f_t| per unit of internal force, with the load and the
@@ -155,10 +151,7 @@ class OptimalForces(NamedTuple):
     status: Status
     reason: str
     forces: Array
-    balance_residual: float = np.nan
-    sum_residual: float = np.nan
-    stationarity_residual: float = np.nan
-    bound_residual: float = np.nan
+    residual: float = np.nan
     iterations: int = 0
     solve_time: float = 0.0
     cone_margin: float = np.nan
@@ -170,23 +163,14 @@ class OptimalForces(NamedTuple):
         """Whether f* exists."""
         return self.status is Status.SOLVED
 
-    @property
-    def residual(self) -> float:
-        """The largest of the four residuals; NaN if one is."""
-        values = self[3:7]
-        return math.nan if any(map(math.isnan, values)) else max(values)
-
 
 class ForceOptimizer:
     """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
 
-    The answer is found by exchanging active bounds, exactly and mostly in one linear system, and is
-    taken when it meets the optimality conditions. Where that fails, there is no answer, or the
-    configuration says so, OSQP decides: it is set up once, gets the numbers of G~ and starts from
-    its last answer. Torques in G~ are divided by the size of the grasp, which leaves the solution
-    as it is and makes all rows of one magnitude.
+    Torques in G~ are divided by the size of the grasp, which leaves the solution as it is and makes
+    all rows of one magnitude. See `quadratic_program` for how the answer is found and judged.
 
-    Source: Shaw-Cortez et al., equation (13); Stellato et al., OSQP, 2020.
+    Source: Shaw-Cortez et al., equation (13).
     """
 
     def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
@@ -196,8 +180,6 @@ class ForceOptimizer:
             ConfigurationError: If the weights do not fit.
         """
         self._k = fingers
-        self._columns = 3 * fingers
-        self._shaper: ConeOptimizer | None = None
         self._shape: Array | None = None
         self._tracker = ConeTracker(config, fingers)
         self.configure(config)
@@ -264,62 +246,47 @@ class ForceOptimizer:
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
             )
-        balance, margin, forces, residuals, systems = _exact_answer(
-            contacts.positions,
-            contacts.rotations,
-            self._weights,
-            self.config.minimum_normal,
-            self._held,
-        )
+        points, rotations = contacts.positions, contacts.rotations
+        problem, balance, margin = _balance_problem(self._fixed, points, rotations)
         if margin < MIN_COLLINEARITY_MARGIN:
             return self._without_answer(
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        solved = OptimalForces(Status.SOLVED, "", forces, *residuals, systems)
-        is_exact = systems > 0 and solved.residual < _GOOD_RESIDUAL
-        if not is_exact or self.config.solver == "osqp":
-            solved = self._by_osqp(balance, solved)
-        if cones is None or not solved.ok:
+        found = self._program.solve(problem)
+        if not found.residual < _MAX_RESIDUAL:
             self._shape = None
-            return solved
-        forces, residual, shaped = self._inside(solved, balance, cones)
-        forces = self._steadied(forces, balance, cones)
-        unbalanced, excess = imbalance(forces, balance)
-        # Not by _replace, whose tuple the collector would count as made and not as freed.
-        return OptimalForces(
-            Status.SOLVED,
-            "",
-            forces,
-            unbalanced,
-            excess,
-            residual,
-            solved.bound_residual,
-            solved.iterations,
-            solved.solve_time,
-            cones.margin(forces),
+            return self._unsolved(found)
+        forces, residual, shaped, inside = (
+            found.x.reshape(self._k, 3),
+            found.residual,
+            False,
             np.nan,
-            shaped,
         )
+        if cones is None:
+            self._shape = None
+        else:
+            forces, residual, shaped = self._inside(forces, residual, balance, cones)
+            forces = self._steadied(forces, balance, cones)
+            residual = max(residual, *imbalance(forces, balance))
+            inside = cones.margin(forces)
+        how = found.iterations, found.solve_time
+        return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, np.nan, shaped)
 
     def _inside(
-        self, solved: OptimalForces, balance: Array, cones: Cones
+        self, forces: Array, residual: float, balance: Array, cones: Cones
     ) -> tuple[Array, float, bool]:
         """Keep an answer inside its cones, where it is optimal too, and reshape any other.
 
         Returns:
-            The optimum, its stationarity residual, and whether the cones changed it.
+            The optimum, its residual, and whether the cones changed it.
         """
-        if cones.holds(solved.forces):
-            return solved.forces, solved.stationarity_residual, False
-        if self._shaper is None:
-            c = self.config
-            self._shaper = ConeOptimizer(self._weights, c.minimum_normal, c.solver == "exact")
-        forces, residual = self._shaper.solve(balance, cones)
-        if not residual < _MAX_CONE_RESIDUAL:
-            self._shaper = None
-            return solved.forces, solved.stationarity_residual, False
-        return forces, residual, True
+        if cones.holds(forces):
+            return forces, residual, False
+        shaped, missing = self._shaper.solve(balance, cones)
+        if not missing < _MAX_CONE_RESIDUAL:
+            return forces, residual, False
+        return shaped, missing, True
 
     def _steadied(self, optimum: Array, balance: Array, cones: Cones) -> Array:
         """Follow an optimum steadily, see `steady`; the first one is followed at once."""
@@ -333,80 +300,29 @@ class ForceOptimizer:
         return forces
 
     def _set_up(self) -> None:
-        k, n = self._k, self._columns
-        normals = np.arange(1, n, 3)
-        # Constraint rows: 6 of balance (dense, filled in by solve), the sum, the lower bounds.
-        rows = np.zeros((7 + k, n))
-        rows[:6] = 1.0
-        rows[6, normals] = 1.0
-        rows[7 + np.arange(k), normals] = 1.0
-        matrix = sparse.csc_matrix(rows)
-        self._values = matrix.data.copy()
-        self._balance_slots = np.flatnonzero(matrix.indices < 6)
-        self._shaper = None
+        k, least = self._k, self.config.minimum_normal
+        equal, right, rows = np.zeros((7, 3 * k)), np.zeros(7), np.zeros((k, 3 * k))
+        equal[6, 1::3] = right[6] = 1.0
+        rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
+        bounds = np.full(k, -least)
+        self._fixed = Problem(self._weights, np.zeros(3 * k), equal, right, rows, bounds)
+        example = self._fixed._replace(equal=np.vstack([np.ones((6, 3 * k)), equal[6:]]))
+        is_exact = self.config.solver == "exact"
+        self._program = QuadraticProgram(example, is_exact)
+        self._shaper = ConeOptimizer(self._weights, least, is_exact)
         self._shape = None
-        self._held = np.zeros(k, dtype=np.bool_)
-        lower = np.concatenate([np.zeros(6), [1.0], np.full(k, self.config.minimum_normal)])
-        upper = np.concatenate([np.zeros(6), [1.0], np.full(k, np.inf)])
-        self._solver = WarmSolver(
-            2.0 * self._weights,
-            np.zeros(n),
-            matrix,
-            lower,
-            upper,
-            eps_abs=_MAX_RESIDUAL,
-            eps_rel=_MAX_RESIDUAL,
-            polishing=True,
-            warm_starting=True,
-            max_iter=4000,
-            check_termination=5,
-            adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
-        )
 
-    def _by_osqp(self, balance: Array, exact: OptimalForces) -> OptimalForces:
-        """Solve for G~^T of shape (3k, 6) from OSQP's last answer.
-
-        The residuals decide, not how OSQP ends: at its limit of iterations, or where forces are so
-        large that it takes the problem for infeasible, the better answer may still be the optimum.
-        """
-        self._values[self._balance_slots] = balance.ravel()
-        x, y, info = self._solver.solve(self._values)
-        solved = self._measured(x, y, balance, info)
-        if not solved.residual < _GOOD_RESIDUAL:
-            candidates = [solved, exact]
-            if sharp := self._sharpened(x, y, balance):
-                candidates.append(self._measured(*sharp, balance, info))
-            solved = min(candidates, key=lambda forces: np.nan_to_num(forces.residual, nan=np.inf))
-        if info.status_val != SOLVED:
-            self._set_up()  # where OSQP has ended is a bad start for the next grasp
-        return solved if solved.residual < _MAX_RESIDUAL else self._unsolved(solved, info)
-
-    def _unsolved(self, best: OptimalForces, info: Any) -> OptimalForces:
-        if info.status_val in INFEASIBLE:
+    def _unsolved(self, best: Solution) -> OptimalForces:
+        if best.is_infeasible:
             return self._without_answer(
                 Status.UNBALANCED,
                 "no pushing forces at these contacts balance; place a finger on an opposing face",
             )
-        self._set_up()
         return self._without_answer(
             Status.FAILED,
-            f"OSQP ended with '{info.status}' after {info.iter} iterations, and the best residual "
-            f"is {best.residual:.1e}; the last answer is not used",
+            f"OSQP ended with '{best.ending}' after {best.iterations} iterations, and the best "
+            f"residual is {best.residual:.1e}; the last answer is not used",
         )
-
-    def _measured(self, x: Array, y: Array, balance: Array, info: Any) -> OptimalForces:
-        residuals = optimality(x, y, balance, self._weights, self.config.minimum_normal)
-        forces = np.array(x).reshape(self._k, 3)
-        return OptimalForces(
-            Status.SOLVED, "", forces, *residuals, int(info.iter), float(info.run_time)
-        )
-
-    def _sharpened(self, x: Array, y: Array, balance: Array) -> tuple[Array, Array] | None:
-        """Solve exactly from the bounds that OSQP's answer touches, where its polishing missed."""
-        least = self.config.minimum_normal
-        held = x[1::3] - least < -y[7:]
-        x, y, systems = solve_exactly(balance, self._weights, least, held)
-        return (x, y) if systems else None
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
         return OptimalForces(status, reason, np.full((self._k, 3), np.nan))
@@ -429,53 +345,11 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
 
 
 @compiled
-def _exact_answer(
-    points: Array, rotations: Array, weights: Array, least: float, held: NDArray[np.bool_]
-) -> tuple[Array, float, Array, tuple[float, float, float, float], int]:
-    """Return G~^T, the collinearity margin, f*, its residuals and the number of systems.
-
-    Without systems, or on a line, f* is of no use. For `held` see `solve_exactly`.
-    """
-    balance, margin = scaled_balance(points, rotations), collinearity_margin(points)
-    x, y, systems = solve_exactly(balance, weights, least, held)
-    residuals = optimality(x, y, balance, weights, least)
-    return balance, margin, x.reshape(-1, 3), residuals, systems
-
-
-@compiled
-def optimality(
-    x: Array, y: Array, balance: Array, weights: Array, least: float
-) -> tuple[float, float, float, float]:
-    """Return the residuals of (13): balance, sum, stationarity and bounds.
-
-    (13) is strictly convex: what has none is the optimum. They are relative to the largest force
-    where that is above 1 N, since rounding is.
-
-    Args:
-        x: Forces in contact frames, shape (3k,).
-        y: Multipliers of balance, sum and lower bounds, shape (7 + k,).
-        balance: G~^T, shape (3k, 6).
-        weights: Diagonal of W, shape (3k,).
-        least: Lower bound of the normal forces.
-    """
-    unbalanced, total, slope, bound = np.zeros(6), -1.0, 0.0, 0.0
-    pull = max(np.abs(y).max(), weights.max())
-    for i in range(len(x)):
-        gradient = 2.0 * weights[i] * x[i]
-        for j in range(6):
-            unbalanced[j] += balance[i, j] * x[i]
-            gradient += balance[i, j] * y[j]
-        if i % 3 == 1:
-            push = min(y[7 + i // 3], 0.0)  # a bound can only push upwards
-            total += x[i]
-            gradient += y[6] + push
-            above = x[i] - least
-            bound = max(bound, -above, abs(push * above) / pull)
-        slope = max(slope, abs(gradient))
-    size = max(np.abs(x).max(), 1.0)
-    return (
-        np.abs(unbalanced).max() / size,
-        abs(total) / size,
-        slope / weights.max() / size,
-        bound / size,
-    )
+def _balance_problem(
+    fixed: Problem, points: Array, rotations: Array
+) -> tuple[Problem, Array, float]:
+    """Return (13) with the balance of these contacts, G~^T and the collinearity margin."""
+    balance, equal = scaled_balance(points, rotations), fixed.equal.copy()
+    equal[:6] = balance.T
+    problem = Problem(fixed.weights, fixed.price, equal, fixed.right, fixed.rows, fixed.bounds)
+    return problem, balance, collinearity_margin(points)

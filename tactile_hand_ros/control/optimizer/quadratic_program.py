@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A strictly convex problem with many inequalities, few of them active, solved at every tick.
+
+    min x^T W x + q^T x   s.t.  E x = e,  R x <= b
+
+`solve_problem` is the dual method of Goldfarb and Idnani (1983): from an optimum under some
+inequalities, the one that it violates most enters, and those whose multipliers reach zero on the
+way leave. It starts with the inequalities that were active in the last tick, so that it nearly
+always takes one linear system. Under active inequalities the optimality conditions
+2 W x + q + A^T y = 0 and A x = b are one linear system in y, A W^-1 A^T y = -2 b - A W^-1 q. All
+systems are small: their matrices are factorized again, keeping rounding errors from adding up.
+
+`QuadraticProgram` asks OSQP where that does not settle, and judges every answer by its residual.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from tactile_hand_ros.cholesky import factorize, substitute
+from tactile_hand_ros.compiled import compiled
+
+Array = NDArray[np.float64]
+
+
+_ROUNDING = 1e-12  # per largest unknown or multiplier above 1: no reason to exchange an inequality
+_DEPENDENT = 1e-13  # share of a row that is left when it depends on the active ones
+_MAX_SYSTEMS = 100
+_GOOD_RESIDUAL = 1e-10  # above it an answer has lost digits
+_TOLERANCE = 1e-6  # of OSQP; polishing goes far below it
+_SOLVED = int(osqp.SolverStatus.OSQP_SOLVED)
+_INFEASIBLE = (
+    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE),
+    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE),
+)
+
+
+class Problem(NamedTuple):
+    """The numbers of a problem with n unknowns.
+
+    Attributes:
+        weights: Diagonal of W, shape (n,).
+        price: q, shape (n,).
+        equal: E, shape (e, n).
+        right: e, shape (e,).
+        rows: R, shape (m, n).
+        bounds: b, shape (m,).
+    """
+
+    weights: Array
+    price: Array
+    equal: Array
+    right: Array
+    rows: Array
+    bounds: Array
+
+
+class Solution(NamedTuple):
+    """An answer, with the means to judge it.
+
+    Attributes:
+        x: The unknowns, shape (n,).
+        residual: See `residual`; infinite without an answer.
+        iterations: Linear systems that were solved, or iterations of OSQP.
+        solve_time: Time that OSQP reports where it was asked, s.
+        ending: How OSQP ended where it did not solve the problem; empty otherwise.
+        is_infeasible: Whether OSQP found that no x meets the constraints.
+    """
+
+    x: Array
+    residual: float
+    iterations: int
+    solve_time: float = 0.0
+    ending: str = ""
+    is_infeasible: bool = False
+
+
+class QuadraticProgram:
+    """Solves problems of one shape: exactly, and by OSQP where that fails or always.
+
+    Source: Goldfarb and Idnani, 1983; Stellato et al., OSQP, 2020.
+    """
+
+    def __init__(self, example: Problem, exact: bool) -> None:
+        """Start without a last answer.
+
+        Args:
+            example: A problem with weights, price and right sides of all; what is zero in its E
+                and R is zero in all.
+            exact: Whether to ask OSQP only where the exact answer fails.
+        """
+        self._example, self._exact = example, exact
+        self._held = np.zeros(len(example.rows), dtype=np.bool_)
+        self._osqp: Any = None
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the best answer found; its residual decides, not how OSQP ends.
+
+        At its limit of iterations, or where x is so large that it takes the problem for infeasible,
+        OSQP's answer may still be the optimum.
+        """
+        x, _, missing, systems = _solved(problem, self._held)
+        exact = Solution(x, missing if systems else np.inf, systems)
+        if exact.residual < _GOOD_RESIDUAL and self._exact:
+            return exact
+        return self._by_osqp(problem, exact)
+
+    def _by_osqp(self, problem: Problem, exact: Solution) -> Solution:
+        if self._osqp is None:
+            self._set_up()
+        values = np.vstack([problem.equal, problem.rows])[self._places]
+        self._osqp.update(u=np.append(problem.right, problem.bounds), Ax=values)
+        found = self._osqp.solve(raise_error=False)
+        info, x, y = found.info, np.array(found.x), np.array(found.y)
+        ending = "" if info.status_val == _SOLVED else str(info.status)
+        if ending:
+            self._osqp = None  # where OSQP has ended is a bad start for the next problem
+        how = int(info.iter), float(info.run_time), ending, info.status_val in _INFEASIBLE
+        best = Solution(x, residual(problem, x, y), *how)
+        if best.residual < _GOOD_RESIDUAL:
+            return best
+        # Polishing may miss the active set: solve exactly from the inequalities that x touches.
+        held = problem.bounds - problem.rows @ x < y[len(problem.equal) :]
+        sharp, _, missing, systems = _solved(problem, held)
+        candidates = (best, exact, Solution(sharp, missing if systems else np.inf, *how))
+        chosen = min(candidates, key=lambda each: each.residual)
+        return Solution(chosen.x, chosen.residual, *how)
+
+    def _set_up(self) -> None:
+        weights, price, equal, right, rows, bounds = self._example
+        matrix = sparse.csc_matrix((np.vstack([equal, rows]) != 0.0).astype(float))
+        self._places = matrix.indices, np.repeat(np.arange(len(price)), np.diff(matrix.indptr))
+        self._osqp = osqp.OSQP(algebra="builtin")
+        self._osqp.setup(
+            sparse.diags(2.0 * weights, format="csc"),
+            price,
+            matrix,
+            np.append(right, np.full(len(rows), -np.inf)),
+            np.append(right, bounds),
+            verbose=False,
+            eps_abs=_TOLERANCE,
+            eps_rel=_TOLERANCE,
+            polishing=True,
+            warm_starting=True,
+            max_iter=4000,
+            check_termination=5,
+            adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
+        )
+
+
+@compiled
+def _solved(problem: Problem, held: Flags) -> tuple[Array, Array, float, int]:
+    """Return the answer of `solve_problem`, its multipliers, its residual and its systems."""
+    x, multipliers, systems = solve_problem(problem, held)
+    return x, multipliers, residual(problem, x, multipliers), systems
+
+
+@compiled
+def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
+    """Return the optimum and the number of linear systems that it took.
+
+    Args:
+        problem: The problem.
+        held: Inequalities to begin with as active, shape (m,); becomes those that are.
+
+    Returns:
+        The unknowns, shape (n,), and the multipliers of equations and inequalities, shape (e + m,),
+        of no use where the number is 0: then there is no answer, or the inequalities do not settle.
+    """
+    e, systems = len(problem.equal), 0
+    x, multipliers = np.zeros(len(problem.price)), np.zeros(e + len(held))
+    y = multipliers[e:]
+    while systems < _MAX_SYSTEMS:
+        systems += 1
+        if not _optimum(problem, held, x, multipliers):
+            if not held.any():
+                break
+            held[:] = False  # so many leave nothing free; start again without
+            continue
+        pulling = int(np.argmin(y))
+        if y[pulling] < -_ROUNDING * max(1.0, np.abs(y).max()):
+            held[pulling] = False
+            continue
+        excess = problem.rows @ x - problem.bounds
+        excess[held] = 0.0
+        worst = int(np.argmax(excess))
+        if not excess[worst] > _ROUNDING * max(1.0, np.abs(x).max()):
+            return x, multipliers, systems
+        taken = _let_in(problem, held, worst, excess[worst], y)
+        systems += taken
+        if not taken:
+            break
+    held[:] = False
+    return x, multipliers, 0
+
+
+@compiled
+def residual(problem: Problem, x: Array, multipliers: Array) -> float:
+    """Return the largest violation of the optimality conditions; the problem is strictly convex.
+
+    Constraints, slope of the Lagrangian per largest weight, and inequalities that push from afar,
+    each relative to the largest unknown where that is above 1, since rounding is. Infinite where a
+    number is not finite.
+
+    Args:
+        problem: The problem.
+        x: The unknowns, shape (n,).
+        multipliers: Of equations and inequalities, shape (e + m,).
+    """
+    if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
+        return np.inf
+    e, worst = len(problem.equal), 0.0
+    pull = max(np.abs(multipliers).max(), problem.weights.max())
+    slopes = 2.0 * problem.weights * x + problem.price
+    for i in range(len(multipliers)):
+        row = problem.equal[i] if i < e else problem.rows[i - e]
+        push = multipliers[i] if i < e else max(multipliers[i], 0.0)
+        excess = -(problem.right[i] if i < e else problem.bounds[i - e])
+        for j in range(len(x)):
+            excess += row[j] * x[j]
+            slopes[j] += row[j] * push
+        worst = max(worst, abs(excess) if i < e else max(excess, abs(push * excess) / pull))
+    steepest: float = np.abs(slopes).max() / problem.weights.max()
+    relative: float = max(worst, steepest) / max(np.abs(x).max(), 1.0)
+    return relative
+
+
+@compiled
+def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> bool:
+    """Fill in the optimum under active inequalities; return whether it is determined."""
+    e = len(problem.equal)
+    rows, right = _active(problem, held)
+    found, determined = least_cost(rows, right, problem.weights, problem.price, x)
+    multipliers[:] = 0.0
+    multipliers[:e] = found[:e]
+    multipliers[e:][held] = found[e:]
+    return determined
+
+
+@compiled
+def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
+    """Return the rows that hold as equations, and their right sides."""
+    chosen = np.flatnonzero(held)
+    e, n = problem.equal.shape
+    rows, right = np.empty((e + len(chosen), n)), np.empty(e + len(chosen))
+    rows[:e], right[:e] = problem.equal, problem.right
+    for i in range(len(chosen)):
+        rows[e + i], right[e + i] = problem.rows[chosen[i]], problem.bounds[chosen[i]]
+    return rows, right
+
+
+@compiled
+def _let_in(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
+    """Make a violated inequality active; return how many systems that took, 0 if it cannot be.
+
+    Its multiplier grows until it holds. An active one whose multiplier has come to zero before is
+    let go.
+
+    Args:
+        problem: The problem.
+        held: The active inequalities, shape (m,); brought up to date.
+        entering: The violated one.
+        excess: By how much.
+        y: Multipliers, shape (m,), none of them negative but for rounding; brought up to date.
+    """
+    for systems in range(1, _MAX_SYSTEMS):
+        fall, gain = _direction(problem, held, problem.rows[entering])
+        step, leaving = excess / gain if gain > 0.0 else np.inf, -1
+        for j in range(len(held)):
+            if held[j] and fall[j] > 0.0 and y[j] < step * fall[j]:
+                step, leaving = max(y[j], 0.0) / fall[j], j
+        if step == np.inf:
+            return 0
+        y -= step * fall
+        if leaving < 0:
+            held[entering] = True
+            return systems
+        held[leaving], y[leaving] = False, 0.0
+        excess -= step * gain
+    return 0
+
+
+@compiled
+def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]:
+    """Return what becomes of the optimum as the multiplier of another row grows by one.
+
+    Returns:
+        By how much the active inequalities' multipliers fall, shape (m,), and by how much the
+        optimum goes back from beyond the row's bound, 0 where the active rows do not let it move.
+    """
+    rows, _ = _active(problem, held)
+    size, e, weights = len(rows), len(problem.equal), problem.weights
+    factor, determined = factorize(schur_complement(rows, weights))
+    fall = np.zeros(len(held))
+    if not determined:
+        return fall, 0.0
+    shares = np.zeros(size)
+    for i in range(size):
+        for j in range(len(row)):
+            shares[i] += rows[i, j] * row[j] / weights[j]
+    substitute(factor, shares.reshape(size, 1))
+    fall[held] = shares[e:]
+    gain, whole = 0.0, 0.0
+    for j in range(len(row)):
+        left = row[j]
+        for i in range(size):
+            left -= rows[i, j] * shares[i]
+        gain += 0.5 * left * left / weights[j]
+        whole += 0.5 * row[j] * row[j] / weights[j]
+    return fall, gain if gain > _DEPENDENT * whole else 0.0
+
+
+@compiled
+def least_cost(
+    rows: Array, right: Array, weights: Array, price: Array, x: Array
+) -> tuple[Array, bool]:
+    """Fill in the optimum; return its multipliers y, and whether both are determined.
+
+    Args:
+        rows: A, shape (m, n).
+        right: b, shape (m,).
+        weights: Diagonal of W, shape (n,).
+        price: q, shape (n,).
+        x: f, shape (n,).
+    """
+    size, n = rows.shape
+    multipliers = np.zeros(size)
+    factor, determined = factorize(schur_complement(rows, weights))
+    if not determined:
+        return multipliers, False
+    missing = _missing(rows, right, weights, price, multipliers, x)
+    for _ in range(2):  # the second time removes the rounding errors of the first
+        missing *= -2.0
+        substitute(factor, missing.reshape(size, 1))
+        multipliers += missing
+        missing = _missing(rows, right, weights, price, multipliers, x)
+    return multipliers, True
+
+
+@compiled
+def _missing(
+    rows: Array, right: Array, weights: Array, price: Array, multipliers: Array, x: Array
+) -> Array:
+    """Fill in the f that belongs to multipliers; return by how much it misses b, shape (m,)."""
+    size, n = rows.shape
+    for j in range(n):
+        total = price[j]
+        for i in range(size):
+            total += rows[i, j] * multipliers[i]
+        x[j] = -0.5 * total / weights[j]
+    missing = right.copy()
+    for i in range(size):
+        for j in range(n):
+            missing[i] -= rows[i, j] * x[j]
+    return missing
+
+
+@compiled
+def schur_complement(rows: Array, weights: Array) -> Array:
+    """Return A W^-1 A^T, of which the upper triangle is filled in."""
+    size, n = rows.shape
+    out = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i, size):
+            total = 0.0
+            for c in range(n):
+                total += rows[i, c] * rows[j, c] / weights[c]
+            out[i, j] = total
+    return out
+
+
+Flags = NDArray[np.bool_]
