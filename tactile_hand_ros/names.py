@@ -92,10 +92,3 @@ def rejected(node: str) -> str:
 def contact_frame(finger: str) -> str:
     """Return the name of the contact frame C_i of a finger."""
     return f"{finger}_contact"
-
-
-LATE_FOR = "late: "
-"""With a cause behind it, a key of the plant's diagnostics: how many ticks were late for it."""
-
-TOO_SLOW = "too_slow"
-"""Key of the plant's diagnostics: a sentence, once the computer has been too slow for the rate."""

@@ -20,7 +20,7 @@ from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.page import REPORT, write_report
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.run.recording import Deadlines, read_deadlines
+from tactile_hand_ros.run.recording import RealTimeCounts, real_time_counts
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.run.verdict import (
     DROPPED,
@@ -105,13 +105,13 @@ def _incomplete(plan: Plan, recording: dict[str, Any], ticks: int) -> list[str]:
     return found
 
 
-def deadlines_of(plan: Plan, outcome: RunOutcome) -> Deadlines | None:
+def deadlines_of(plan: Plan, outcome: RunOutcome) -> RealTimeCounts | None:
     """Return how a run kept to real time, None in lockstep and where it did not start."""
     if _is_lockstep(plan) or outcome.last_tick < 0:
         return None
     reached = 1e-9 * outcome.last_tick
     asked = reached if plan.interactive else plan.scenario.duration
-    return read_deadlines(outcome.plant, plan.scenario.plant.rate, asked, reached)
+    return real_time_counts(outcome.plant, plan.scenario.plant.rate, asked, reached)
 
 
 @dataclass(frozen=True)

@@ -124,11 +124,12 @@ def plot_columns(run: RunData) -> dict[str, Array]:
     ``latency`` in s.
     """
     record = run.record
+    position_error, rotation_error = derived.pose_errors(record, run.metrics.dropped_at_s)
     return {
         "time": record.times,
         "rates": record.rates,
-        "position_error": np.linalg.norm(derived.position_error(record), axis=1),
-        "rotation_error": np.linalg.norm(derived.rotation_error(record), axis=1),
+        "position_error": position_error,
+        "rotation_error": rotation_error,
         "force": derived.contact_forces(record),
         "expected": derived.expected_normal_forces(record),
         "beta": derived.required_friction(record),

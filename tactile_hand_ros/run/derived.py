@@ -101,6 +101,20 @@ def rotation_error(record: Record) -> Array:
     )
 
 
+def pose_errors(record: Record, dropped: float) -> tuple[Array, Array]:
+    """Return |p_d - p| in m and |r_d| at every tick, both of shape (n,).
+
+    Args:
+        record: The run.
+        dropped: When the object was dropped, s; from then on there is no error. NaN if it was not.
+    """
+    position = np.linalg.norm(position_error(record), axis=1)
+    rotation = np.linalg.norm(rotation_error(record), axis=1)
+    gone = record.times >= dropped
+    position[gone] = rotation[gone] = np.nan
+    return position, rotation
+
+
 def _or_start(desired: Array, actual: Array) -> Array:
     known = np.flatnonzero(np.isfinite(actual).all(axis=1))
     if not len(known):

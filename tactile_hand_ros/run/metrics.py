@@ -173,8 +173,8 @@ def metrics(
         releases: When a user let the hand open, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal
-    position = np.linalg.norm(derived.position_error(record), axis=1)
-    rotation = np.linalg.norm(derived.rotation_error(record), axis=1)
+    dropped = derived.dropped_at(record, releases)
+    position, rotation = derived.pose_errors(record, dropped)
     inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
     lost = np.flatnonzero(derived.contact_lost(record))
     moved, turned = derived.motion_in_grasp(record)
@@ -195,7 +195,7 @@ def metrics(
         max_slip_distance_m=slid,
         slip_count=None if math.isnan(slid) else slip_count(record),
         slip_alarm_count=alarm_count(record),
-        dropped_at_s=derived.dropped_at(record, releases),
+        dropped_at_s=dropped,
         goal_reached=None,
     )
     return found if scenario is None else replace(found, goal_reached=reached(vars(found), goal))

@@ -128,7 +128,7 @@ def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.fl
 
 
 @dataclass(frozen=True)
-class Deadlines:
+class RealTimeCounts:
     """Ticks of a run in real time; NaN where the plant has not reported.
 
     Attributes:
@@ -137,8 +137,6 @@ class Deadlines:
         late: Ticks whose command came after the next tick was due, or not at all.
         skipped: Ticks that came due together with a later one.
         given_up: Ticks for which the machine stood still, or that a failed run never reached.
-        causes: How many ticks were late or skipped, by cause.
-        too_slow: What the plant says about a computer that is too slow; empty if it is not.
     """
 
     rate_hz: float
@@ -146,29 +144,20 @@ class Deadlines:
     late: float
     skipped: float
     given_up: float
-    causes: Mapping[str, int]
-    too_slow: str
 
     @property
     def missed_share(self) -> float:
-        """Share of the ticks that were not answered in time, from 0 to 1."""
+        """Fraction of the ticks that were not answered in time, from 0 to 1."""
         return float(np.minimum(1.0, (self.late + self.skipped + self.given_up) / self.due))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {**asdict(self), "missed_share": self.missed_share}
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Deadlines:
-        """Read what `to_dict` gave; numbers that JSON could not hold are NaN again."""
-        numbers = ("rate_hz", "due", "late", "skipped", "given_up")
-        known = {key: np.nan if data[key] is None else float(data[key]) for key in numbers}
-        return cls(**known, causes=data["causes"], too_slow=data["too_slow"])
 
-
-def read_deadlines(
+def real_time_counts(
     facts: Mapping[str, str], rate: float, asked: float, reached: float
-) -> Deadlines:
+) -> RealTimeCounts:
     """Read what a plant reported; its last report may be a little older than the end of the run.
 
     Args:
@@ -183,16 +172,10 @@ def read_deadlines(
 
     never_came = max(0.0, asked - max(reached, number("time_s"))) * rate
     stood_still = number("lost_s") * rate
-    return Deadlines(
+    return RealTimeCounts(
         rate_hz=rate,
         due=number("time_s") * rate + stood_still + never_came,
         late=number("late_commands"),
         skipped=number("missed_ticks"),
         given_up=stood_still + never_came,
-        causes={
-            key.removeprefix(names.LATE_FOR): int(value)
-            for key, value in facts.items()
-            if key.startswith(names.LATE_FOR) and int(value)
-        },
-        too_slow=facts.get(names.TOO_SLOW, ""),
     )

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.derived import dropped_at
+from tactile_hand_ros.run.derived import dropped_at, pose_errors
 from tactile_hand_ros.run.events import events
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.verdict import headline
@@ -48,6 +48,19 @@ def test_what_is_let_go_is_not_dropped() -> None:
     assert dropped_at(touched(3, 3, 0, 0), releases=[0.3]) == pytest.approx(0.2)
     lost = touched(3, 3, 0)
     assert math.isnan(dropped_at(lost, releases=[float(lost.times[2])]))
+
+
+def test_after_a_drop_there_is_no_pose_error() -> None:
+    """The pose that the hand saw last says nothing of an object that has fallen."""
+    record = touched(3, 3, 1, 1)
+    record.desired_position[:], record.auxiliary_position[:] = 0.0, [0.0, 0.0, 0.1]
+    record.desired_quaternion[:] = record.auxiliary_quaternion[:] = [0.0, 0.0, 0.0, 1.0]
+    found = metrics(record)
+    assert found.dropped_at_s == pytest.approx(0.2) and math.isnan(found.final_position_error_m)
+    position, rotation = pose_errors(record, found.dropped_at_s)
+    np.testing.assert_allclose(position, [0.1, 0.1, np.nan, np.nan])
+    np.testing.assert_allclose(rotation, [0.0, 0.0, np.nan, np.nan])
+    np.testing.assert_allclose(pose_errors(record, math.nan)[0], 0.1)
 
 
 def test_ticks_that_were_not_recorded_are_no_drop() -> None:
