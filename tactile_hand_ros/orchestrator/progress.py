@@ -55,6 +55,8 @@ class View:
 
     def show(self, progress: Progress, rate: float, fault: str) -> None:
         """Show progress, ticks per second and the first fault, empty if there is none."""
+        if self.period == math.inf:
+            return
         if self._bar is None:
             of = "" if self._duration is None else f" of {self._duration:g}"
             tail = f"  ! {fault}" if fault else ""

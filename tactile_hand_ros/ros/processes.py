@@ -19,6 +19,7 @@ _POLL_SECONDS = 0.002
 _STOP_SECONDS = 5.0
 # How long a signal may take until the next, harder one.
 _PATIENCE = ((signal.SIGINT, _STOP_SECONDS), (signal.SIGTERM, 2.0), (signal.SIGKILL, _STOP_SECONDS))
+_HAS_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 _HASTE = 1.0  # s for each, when it is urgent
 
 
@@ -82,7 +83,10 @@ class ChildProcess:
 
     @property
     def returncode(self) -> int | None:
-        """The exit code, None while the process runs."""
+        """The exit code, None while the process runs; with it, all that it has started ends."""
+        if self._process.returncode is None and os.waitid(os.P_PID, self.pid, _HAS_ENDED):
+            # Before it is reaped: then its number could be that of another group.
+            os.killpg(self.pid, signal.SIGKILL)
         return self._process.poll()
 
     def send(self, number: int) -> None:
@@ -91,7 +95,7 @@ class ChildProcess:
 
     def send_to_group(self, number: int) -> None:
         """Send a signal to the process and all that it has started, as a terminal does."""
-        with suppress(ProcessLookupError):
+        if self.returncode is None:
             os.killpg(self.pid, number)
 
 
@@ -106,11 +110,8 @@ def end_together(
     """
     for number, patience in _PATIENCE:
         for process in processes:
-            if process.returncode is None:
-                process.send_to_group(number)
+            process.send_to_group(number)
         _wait_for_end(processes, patience, is_urgent)
-    for process in processes:
-        process.send_to_group(signal.SIGKILL)  # whatever it has left in its session
 
 
 def _wait_for_end(
@@ -164,12 +165,13 @@ class CapturedProcess(ChildProcess):
             TimeoutError: With all output so far and where each of its threads stood.
         """
         try:
-            return int(self._process.wait(timeout))
-        except subprocess.TimeoutExpired:
+            wait_until(lambda: self.returncode is not None, timeout)
+        except TimeoutError:
             self.send(signal.SIGABRT)
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_STOP_SECONDS)
+            with suppress(TimeoutError):
+                wait_until(lambda: self.returncode is not None, _STOP_SECONDS)
             raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
+        return int(self._process.returncode)
 
     def wait_for_output(self, text: str, timeout: float = 20.0) -> None:
         """Wait until a text appears in the output or on stderr.

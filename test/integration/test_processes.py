@@ -12,7 +12,7 @@ from std_msgs.msg import Float64
 from support.spinning import spinning
 
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, end_together, wait_until
 
 
 def test_domains_are_never_shared_and_the_environment_is_restored():
@@ -46,19 +46,28 @@ def test_waiting_in_vain_says_for_what():
     assert wait_until(lambda: 3) == 3
 
 
-def test_the_whole_process_group_ends_even_if_it_ignores_signals():
+def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals():
+    """And no group is signaled when its leader has been reaped: its number may be another's."""
     program = (
-        "import os, signal, time\n"
-        "child = os.fork()\n"
+        "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        "if child: print(child, flush=True)\n"
-        "else: signal.pause()\n"
+        "child = os.fork()\n"
+        "if not child: signal.pause()\n"
+        "print(child, flush=True)\n"
+        "sys.stdin.read()\n"
     )
     with CapturedProcess([sys.executable, "-c", program]) as process:
         assert process.wait() == 0
-        child = psutil.Process(int(process.stdout))
-        assert child.is_running()
-    wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+        child = int(process.stdout)
+        wait_until(
+            lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == "zombie"
+        )
+        sent = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "killpg", lambda *_: sent.append(_))
+            process.send_to_group(signal.SIGTERM)
+            end_together([process])
+        assert sent == []
 
 
 def test_output_and_exit_code_are_kept():

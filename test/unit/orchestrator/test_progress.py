@@ -89,7 +89,11 @@ def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
 
 def test_quiet_means_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    assert View(console(force_terminal=True), 1.0, quiet=True).period == math.inf
+    where = console(force_terminal=True)
+    quiet = View(where, 1.0, quiet=True)
+    with quiet.shown():
+        quiet.show(NOW, 250.0, "a fault")
+    assert quiet.period == math.inf and written(where) == ""
     monkeypatch.setenv("TERM", "dumb")
     assert View(console(force_terminal=True), 1.0, quiet=False).period == 2.0
 
