@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -257,7 +258,10 @@ class TactileNode(Node, Generic[C]):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
     ) -> Service:
         """Create a service as rclpy does, with a guarded callback."""
-        guarded = self._guard.wrap_service(srv_name, with_known_types(srv_type, callback))
+        checked = callback
+        if srv_type in (SetParameters, SetParametersAtomically):
+            checked = with_known_types(callback)
+        guarded = self._guard.wrap_service(srv_name, checked)
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def reject(self, topic: str, error: TactileHandError | str) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import enum
-import functools
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -17,7 +17,6 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -33,7 +32,7 @@ from tactile_hand_ros.config.explanation import (
 )
 from tactile_hand_ros.config.model import Config, flatten, from_flat, is_config, leaves
 from tactile_hand_ros.config.plain_yaml import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
 from tactile_hand_ros.ros.guard import described
 
 C = TypeVar("C", bound=Config)
@@ -97,18 +96,33 @@ class ConfigParameters(Generic[C]):
         # rclpy offers no public way to see overrides before they are declared.
         overrides: Mapping[str, Parameter] = self._node._parameter_overrides
         source = self._node.get_fully_qualified_name()
-        for name in overrides:
-            known = name in self._fields or name in _OF_ROS or name.startswith(_QOS_PREFIX)
-            if not known:
-                hint = did_you_mean(name, self._fields)
-                raise ConfigurationError(
-                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
-                )
+        self._refuse_unknown(
+            [
+                name
+                for name in overrides
+                if name not in (*self._fields, *_OF_ROS) and not name.startswith(_QOS_PREFIX)
+            ],
+            list(self._fields),
+        )
         return {
             name: from_ros(field, overrides[name].value, f"{source}: {name}")
             for name, field in self._fields.items()
             if name in overrides
         }
+
+    def _refuse_unknown(self, unknown: list[str], known: list[str]) -> None:
+        """Refuse unknown parameters, but only warn of those that a file gives to all nodes."""
+        source = self._node.get_fully_qualified_name()
+        shared = _given_to_all(self._node) if unknown else set()
+        for name in unknown:
+            hint = did_you_mean(name, known)
+            if name not in shared:
+                raise ConfigurationError(
+                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
+                )
+            self._node.get_logger().warning(
+                f"ignored parameter '{name}', which is given to all nodes: unknown here{hint}"
+            )
 
     def _declare(self) -> None:
         """Declare the types, then set the values: only so an empty array keeps its type."""
@@ -166,58 +180,50 @@ class ConfigParameters(Generic[C]):
         Raises:
             ConfigurationError: With the names that can be overridden.
         """
-        source = self._node.get_fully_qualified_name()
-        for name in self._node._parameter_overrides:
-            if name.startswith(_QOS_PREFIX) and not self._node.has_parameter(name):
-                known = self._node.get_parameters_by_prefix("qos_overrides")
-                hint = did_you_mean(name, [_QOS_PREFIX + rest for rest in known])
-                raise ConfigurationError(
-                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
-                )
+        unknown = [
+            name
+            for name in self._node._parameter_overrides
+            if name.startswith(_QOS_PREFIX) and not self._node.has_parameter(name)
+        ]
+        known = self._node.get_parameters_by_prefix("qos_overrides")
+        self._refuse_unknown(unknown, [_QOS_PREFIX + rest for rest in known])
 
 
-def with_known_types(kind: Any, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a service callback that refuses parameters of a type that ROS does not have.
+def _given_to_all(node: Node) -> set[str]:
+    """Return the parameters that files give to nodes of any name, as below ``/**``.
 
-    Args:
-        kind: Type of the service; others than those that set parameters need nothing.
-        callback: The callback of rclpy, which raises at such a parameter.
+    ROS does not tell for whom a parameter was meant, so a node of another name is asked.
     """
-    if kind is SetParameters:
-        return functools.partial(_set_each, callback)
-    if kind is SetParametersAtomically:
-        return functools.partial(_set_together, callback)
-    return callback
-
-
-def _set_each(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    for parameter in request.parameters:
-        refused = _unknown_type(parameter)
-        if refused is None:
-            one = SetParameters.Request(parameters=[parameter])
-            response.results += callback(one, SetParameters.Response()).results
-        else:
-            response.results.append(refused)
-    return response
-
-
-def _set_together(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    for parameter in request.parameters:
-        refused = _unknown_type(parameter)
-        if refused is not None:
-            response.result = refused
-            return response
-    return callback(request, response)
-
-
-def _unknown_type(parameter: ParameterMessage) -> SetParametersResult | None:
-    if parameter.value.type in _TYPE_NUMBERS:
-        return None
-    return SetParametersResult(
-        successful=False,
-        reason=f"the value of '{parameter.name[:80]}' has type {parameter.value.type}, expected "
-        "one of rcl_interfaces/msg/ParameterType",
+    other = Node(
+        f"{node.get_name()}_other",
+        namespace=node.get_namespace(),
+        context=node.context,
+        enable_rosout=False,
+        start_parameter_services=False,
     )
+    shared = set(other._parameter_overrides)
+    other.destroy_node()
+    # On the command line, what names no node is meant for the one that is started.
+    return {name for name in shared if not any(w.startswith(f"{name}:=") for w in sys.argv)}
+
+
+def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Return a service callback that rejects parameters of a type that ROS does not have.
+
+    Raises:
+        MessageError: From the callback; that of rclpy raises ValueError, which is no refusal.
+    """
+
+    def checked(request: Any, response: Any) -> Any:
+        for parameter in getattr(request, "parameters", ()):
+            if parameter.value.type not in _TYPE_NUMBERS:
+                raise MessageError(
+                    f"the value of '{parameter.name[:80]}' has type {parameter.value.type}, "
+                    "expected one of rcl_interfaces/msg/ParameterType"
+                )
+        return callback(request, response)
+
+    return checked
 
 
 _TYPE_NUMBERS = {kind.value for kind in Type}
