@@ -17,10 +17,7 @@ from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.nodes.replay.options import ReplayOptions, ReplayProgress
-    from tactile_hand_ros.nodes.replay.replay import Replay
-
-_CLOCK = 100.0  # messages a second
+    from tactile_hand_ros.nodes.replay import Replay
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,6 @@ class ReplayRequest:
     ] = False
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
     paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False
-    delay: Annotated[float, typer.Option(min=0.0, help="Wait before the first message [s].")] = 0.0
     recompute: Annotated[
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
@@ -65,29 +61,6 @@ class ReplayRequest:
         ),
     ] = ""
 
-    def publishing(self) -> ReplayOptions:
-        """Return how the bag is published.
-
-        Raises:
-            TactileHandError: If the rate is not above zero.
-        """
-        from tactile_hand_ros.nodes.replay.options import ReplayOptions
-
-        if not 0.0 < self.rate < float("inf"):
-            raise TactileHandError(f"--rate is {self.rate}, expected a number above 0.")
-        namespace = self.namespace.strip("/")
-        return ReplayOptions(
-            rate=self.rate,
-            start_offset=self.start_offset,
-            loop=self.loop,
-            topics=self.topics or [".*"],
-            exclude=self.exclude,
-            clock=_CLOCK if self.clock else 0.0,
-            namespace=f"/{namespace}" if namespace else "",
-            paused=self.paused,
-            delay=self.delay,
-        )
-
 
 @with_options
 def replay(request: ReplayRequest) -> None:
@@ -103,8 +76,9 @@ def replay(request: ReplayRequest) -> None:
         raise TactileHandError("--set or --law was given, expected --recompute too.")
     from tactile_hand_ros.bag.recover import find_bag
 
-    options = request.publishing()
-    _publish(find_bag(request.bag), options)
+    if not 0.0 < request.rate < float("inf"):
+        raise TactileHandError(f"--rate is {request.rate}, expected a number above 0.")
+    _publish(find_bag(request.bag), request)
 
 
 def _recompute(request: ReplayRequest) -> None:
@@ -129,23 +103,34 @@ def _recompute(request: ReplayRequest) -> None:
         raise typer.Exit(EXIT_DIFFERS)
 
 
-def _publish(bag: Path, options: ReplayOptions) -> None:
+def _publish(bag: Path, request: ReplayRequest) -> None:
     try:
-        from tactile_hand_ros.nodes.replay.node import replaying
+        from tactile_hand_ros.nodes.replay import replaying
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
             "install its wheels."
         ) from None
 
-    with replaying(bag, options) as player, _line(player) as watch, _keyboard(player):
+    namespace = request.namespace.strip("/")
+    options = {
+        "rate": request.rate,
+        "start_offset": request.start_offset,
+        "loop": request.loop,
+        "topics": request.topics or [".*"],
+        "exclude": request.exclude,
+        "clock": request.clock,
+        "namespace": f"/{namespace}" if namespace else "",
+        "paused": request.paused,
+    }
+    with replaying(bag, **options) as player, _line(player) as watch, _keyboard(player):
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
-        print(f"publishing {len(player.topics)} topics of {bag}", file=sys.stderr)
+        print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
         try:
             player.run(watch)
         finally:
-            print(f"published {counted(player.progress.messages, 'message')}", file=sys.stderr)
+            print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
 
 
 @contextlib.contextmanager
@@ -158,13 +143,11 @@ def _line(player: Replay) -> Iterator[Any]:
     console = Console(stderr=True)
     text = TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[state]}")
     bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
-    task = bar.add_task("replay", total=player.progress.duration, state="")
+    task = bar.add_task("replay", total=player.duration, state="")
 
-    def watch(progress: ReplayProgress) -> None:
-        state = (
-            "paused, space goes on" if progress.paused else counted(progress.messages, "message")
-        )
-        bar.update(task, completed=progress.position, state=state)
+    def watch(player: Replay) -> None:
+        state = "paused, space goes on" if player.paused else counted(player.messages, "message")
+        bar.update(task, completed=player.position, state=state)
 
     with bar:
         yield watch
@@ -187,7 +170,7 @@ def _keyboard(player: Replay) -> Iterator[None]:
     def listen() -> None:
         while not done.is_set():
             if select.select([sys.stdin], [], [], 0.1)[0] and sys.stdin.read(1) == " ":
-                player.toggle()
+                player.pause(not player.paused)
 
     thread = threading.Thread(target=listen, daemon=True)
     try:

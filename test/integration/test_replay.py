@@ -144,9 +144,7 @@ def test_choice_of_topics_namespace_and_start(
     """What is latched before the start comes first."""
     listener.listen("/left/value", Float64, DEEP)
     listener.listen("/left/robot_description", String, LATCHED)
-    process = replay(
-        "--namespace=left", "--start-offset=0.5", "--exclude=/sensor", "--rate=20", "--delay=0.1"
-    )
+    process = replay("--namespace=left", "--start-offset=0.5", "--exclude=/sensor", "--rate=20")
     listener.until(heard_of(listener, "/left/value", "/left/robot_description"))
     assert listener.node.count_publishers("/left/sensor") == 0
     listener.call(paused=False)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A replay in this process: what is published, when, from where on, and how often."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Int64
+from std_srvs.srv import SetBool
+
+from tactile_hand_ros.bag.metadata import offered_qos
+from tactile_hand_ros.bag.reader import open_bag
+from tactile_hand_ros.bag.schema import MessageDefinition
+from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.cdr import to_nanoseconds
+from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.nodes import replay as replay_module
+from tactile_hand_ros.nodes.replay import Replay, replaying
+from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import wait_until
+
+TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
+LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+DEEP = offered_qos(QoSProfile(depth=1))
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A bag of 40 ms: latched messages and an old clock at its start, then five numbers."""
+    folder = tmp_path / "bag"
+    with BagWriter(folder) as writer:
+        robot = writer.add_channel("/robot", TYPE, offers=[LATCHED])
+        clock = writer.add_channel("/clock", "rosgraph_msgs/msg/Clock")
+        number = writer.add_channel("/number", TYPE, offers=[DEEP])
+        odd = MessageDefinition("ros2msg", "int64 data\n")
+        gone = writer.add_channel("/gone", "no_such_msgs/msg/Odd", definition=odd)
+        for channel, value in ((robot, 7), (robot, 8), (gone, 9)):
+            writer.write(channel, serialize_message(Int64(data=value)), BEGIN, BEGIN)
+        writer.write(clock, b"\0\1\0\0" + bytes(8), BEGIN, BEGIN)
+        for i in range(5):
+            data = serialize_message(Int64(data=i))
+            writer.write(number, data, BEGIN + i * STEP, BEGIN + i * STEP)
+    return folder
+
+
+class Player:
+    """A replay and what its publishers are given, with the time."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.replay = replay
+        self.sent: list[tuple[str, int, float]] = []
+        for topic, publisher in replay.publishers.items():
+            publisher.publish = lambda data, topic=topic: self._note(topic, data)
+
+    def _note(self, topic: str, data: bytes) -> None:
+        self.sent.append((topic, int.from_bytes(data[4:12], "little"), time.monotonic()))
+
+    def values(self, topic: str) -> list[int]:
+        return [value for name, value, _ in self.sent if name == topic]
+
+
+@pytest.fixture
+def play(bag: Path) -> Iterator[Callable[..., Player]]:
+    with isolated_domain() as domain, private_context(domain) as context, ExitStack() as stack:
+        node = Node("replay", context=context, start_parameter_services=False)
+        stack.callback(node.destroy_node)
+
+        def _play(path: Path = bag, **options: Any) -> Player:
+            return Player(Replay(node, stack.enter_context(open_bag(path)), **options))
+
+        yield _play
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_messages_come_in_order_and_not_before_their_time(
+    play: Callable[..., Player], rate: float
+) -> None:
+    player, seen = play(rate=rate), list[float]()
+    began = time.monotonic()
+    player.replay.run(lambda replay: seen.append(replay.position))
+    assert player.values("/number") == [0, 1, 2, 3, 4] and player.values("/robot") == [7, 8]
+    for topic, value, at in player.sent:
+        due = began + 1e-9 * STEP * value / rate if topic == "/number" else began
+        assert at >= due - 1e-4
+    assert player.replay.messages == 8 and len(player.values("/clock")) == 1
+    assert seen == sorted(seen) and seen[-1] == player.replay.duration == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(("offset", "numbers"), [(0.02, [2, 3, 4]), (0.021, [3, 4]), (0.04, [4])])
+def test_from_later_on_a_latched_message_is_that_of_before(
+    play: Callable[..., Player], offset: float, numbers: list[int]
+) -> None:
+    player = play(start_offset=offset, rate=100.0)
+    player.replay.run()
+    assert player.values("/robot") == [8] and player.values("/number") == numbers
+    assert player.values("/clock") == []
+
+
+def test_a_clock_of_its_own_replaces_that_of_the_bag(play: Callable[..., Player]) -> None:
+    player = play(clock=True, rate=0.5)
+    stamps = list[int]()
+    publishers = [p for p in player.replay.node.publishers if p.topic_name == "/clock"]
+    assert "/clock" not in player.replay.publishers and len(publishers) == 1
+
+    def note(data: bytes) -> None:
+        seconds, nanoseconds = (int.from_bytes(data[i : i + 4], "little") for i in (4, 8))
+        stamps.append(to_nanoseconds(seconds, nanoseconds))
+
+    publishers[0].publish = note
+    player.replay.run()
+    assert len(stamps) >= 2 and stamps == sorted(stamps) and stamps[0] >= BEGIN
+    gaps = [later - stamp for stamp, later in zip(stamps, stamps[1:], strict=False)]
+    assert min(gaps) >= 4_990_000  # of the bag's time, of which 10 ms are 5
+
+
+@pytest.mark.parametrize(
+    ("options", "topics"),
+    [
+        ({}, {"/robot": 2, "/clock": 1000, "/number": 1000}),
+        ({"namespace": "/left", "topics": ("/n.*",)}, {"/left/number": 1000}),
+        ({"exclude": ("/(robot|clock)",)}, {"/number": 1000}),
+    ],
+)
+def test_topics_are_chosen_and_renamed(
+    play: Callable[..., Player], options: dict[str, Any], topics: dict[str, int]
+) -> None:
+    """A latched publisher keeps all messages of its topic."""
+    replay = play(**options).replay
+    publishers = replay.publishers.values()
+    assert {p.topic_name: p.qos_profile.depth for p in publishers} == topics
+    assert ("not installed" in replay.skipped.get("/gone", "")) == ("topics" not in options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"topics": ("/none",)}, "can be published: --topics and --exclude leave none"),
+        ({"topics": ("/gone",)}, "can be published: The message type"),
+        ({"namespace": "/1st"}, "'/1st' is not a namespace"),
+        ({"start_offset": -1e-9}, "expected 0 to 0.04 s"),
+        ({"start_offset": 0.0400001}, "expected 0 to 0.04 s"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused(
+    play: Callable[..., Player], options: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(BagError, match=re.escape(words)):
+        play(**options)
+
+
+def test_a_bag_without_messages_cannot_be_replayed(
+    play: Callable[..., Player], tmp_path: Path
+) -> None:
+    with BagWriter(tmp_path / "empty") as writer:
+        writer.add_channel("/number", TYPE)
+    with pytest.raises(BagError, match="it has no message"):
+        play(tmp_path / "empty")
+
+
+class EnoughError(Exception):
+    """Ends a replay."""
+
+
+def test_a_loop_starts_again_after_a_tenth_of_a_second(play: Callable[..., Player]) -> None:
+    player = play(loop=True, topics=("/number",), rate=100.0)
+
+    def watch(replay: Replay) -> None:
+        if replay.messages >= 10:
+            raise EnoughError
+
+    began = time.monotonic()
+    with pytest.raises(EnoughError):
+        player.replay.run(watch)
+    assert player.values("/number")[:10] == [0, 1, 2, 3, 4] * 2
+    assert player.sent[5][2] - began >= 0.099
+
+
+def test_time_stands_still_in_a_pause(play: Callable[..., Player]) -> None:
+    player, began = play(paused=True, rate=100.0), time.monotonic()
+
+    def watch(replay: Replay) -> None:
+        if time.monotonic() - began > 0.12 and replay.paused:
+            assert player.sent == [] and replay.position == 0.0
+            replay.pause(False)
+
+    player.replay.run(watch)
+    assert player.sent[0][2] - began >= 0.12 and len(player.sent) == 8
+
+
+def test_the_service_pauses_a_replay_with_a_node_of_its_own(bag: Path) -> None:
+    before = threading.active_count()
+    with isolated_domain() as domain, private_context(domain) as context:
+        user = Node("user", context=context, start_parameter_services=False)
+        client = user.create_client(SetBool, "/replay/pause")
+        with replaying(bag, paused=True) as player:
+            wait_until(client.service_is_ready)
+            client.call_async(SetBool.Request(data=False))
+            wait_until(lambda: not player.paused)
+            assert player.node.context.ok() and player.node.get_name() == "replay"
+        assert not player.node.context.ok()
+        user.destroy_node()
+    wait_until(lambda: threading.active_count() <= before)
+
+
+def test_a_bag_that_cannot_be_replayed_leaves_nothing_behind(tmp_path: Path) -> None:
+    before = threading.active_count()
+    with isolated_domain(), pytest.raises(BagError), replaying(tmp_path / "none"):
+        pass
+    wait_until(lambda: threading.active_count() <= before)
+
+
+@pytest.mark.parametrize(
+    ("offers", "reliability", "durability", "depth"),
+    [
+        ([], "RELIABLE", "VOLATILE", 1000),
+        ([("BEST_EFFORT", "VOLATILE")] * 2, "BEST_EFFORT", "VOLATILE", 1000),
+        ([("RELIABLE", "TRANSIENT_LOCAL")], "RELIABLE", "TRANSIENT_LOCAL", 3),
+        ([("RELIABLE", "TRANSIENT_LOCAL"), ("RELIABLE", "VOLATILE")], "RELIABLE", "VOLATILE", 1000),
+    ],
+)
+def test_publishers_offer_what_all_recorded_ones_offered(
+    offers: list[tuple[str, str]], reliability: str, durability: str, depth: int
+) -> None:
+    told = [
+        SimpleNamespace(reliability=SimpleNamespace(name=one), durability=SimpleNamespace(name=two))
+        for one, two in offers
+    ]
+    profile = replay_module.offered_qos(told, 3)
+    assert profile.reliability == ReliabilityPolicy[reliability]
+    assert (profile.durability, profile.depth) == (DurabilityPolicy[durability], depth)
