@@ -201,7 +201,7 @@ def test_run_of_a_hand_that_is_elsewhere_is_told_but_for_its_assumptions(
 
 
 def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The refusal names the command, which makes a bag that opens; in place it opens as before."""
+    """The refusal names the command, which makes a bag that opens."""
     file = run / "bag" / "bag_0.mcap"
     assert main(["recover", str(run)]) == 0
     assert "nothing to recover" in capsys.readouterr().out
@@ -210,11 +210,6 @@ def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "was not touched" in capsys.readouterr().out
     assert main(["summary", str(run / "bag_recovered")]) == 0
     assert "exists already" in refused_after_output(capsys, "recover", run)
-    assert main(["recover", str(run), "--in-place"]) == 0
-    assert "is kept as" in capsys.readouterr().out and file.with_suffix(".mcap.broken").exists()
-    assert main(["summary", str(run)]) == 0
-    capsys.readouterr()
-    assert "expected one of them" in refused(capsys, "recover", run, "--in-place", "--out", "x")
 
 
 def refused_after_output(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
