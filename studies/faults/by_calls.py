@@ -29,7 +29,7 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
+from tactile_hand_ros.simulation.plant import sliding_speeds, true_reading
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from studies.slip.least_squeeze import least_squeeze
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.disturbance import external_wrench
+from tactile_hand_ros.simulation.plant_config import external_wrench
 
 Array = NDArray[np.float64]
 

@@ -25,10 +25,9 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternions_of_rows
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.belief import Belief
-from tactile_hand_ros.simulation.plant import Plant, PlantState
+from tactile_hand_ros.simulation.miscalibration import Miscalibration
+from tactile_hand_ros.simulation.plant import Plant, PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
-from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
 
 Array = NDArray[np.float64]
 
@@ -130,9 +129,9 @@ class SensingChain(Chain):
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
     """Build the blocks of a scenario for a hand as its controllers know it."""
     c = scenario.tactile_sensor
-    belief = None if c.calibration.is_right else Belief(c.calibration, hand)
+    miscalibration = None if c.calibration.is_right else Miscalibration(c.calibration, hand)
     return SensingChain(
-        TactileSensor(c, hand.radii, None if belief is None else belief.step),
+        TactileSensor(c, hand.radii, None if miscalibration is None else miscalibration.step),
         SlipRegulator(scenario.slip_regulator, hand.fingers),
         ForceOptimizer(scenario.force_optimizer, hand.fingers),
         Controller(scenario.manipulation_controller),

@@ -28,9 +28,8 @@ from tactile_hand_ros.scenario.files import (
     put_changes,
     read_layers,
 )
-from tactile_hand_ros.simulation.calibration import CalibrationConfig
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
-from tactile_hand_ros.simulation.skin import TactileSensorConfig
+from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorConfig
 
 __all__ = [
     "NODES",

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.simulation.alart_curnier import TOLERANCE, Laws, into_cones, newton
-from tactile_hand_ros.simulation.elimination import eliminate
+from tactile_hand_ros.simulation.alart_curnier import TOLERANCE, Laws, eliminate, into_cones, newton
 
 Array = NDArray[np.float64]
 

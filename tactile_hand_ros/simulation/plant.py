@@ -9,15 +9,17 @@ it moves over both bodies as the fingertip rolls; the acceleration form of (6) i
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.rotations import quaternions_of_rows, rotation_from_vector
 from tactile_hand_ros.simulation.contact_step import (
     Body,
     HandTerms,
@@ -28,8 +30,8 @@ from tactile_hand_ros.simulation.contact_step import (
     step,
 )
 from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
-from tactile_hand_ros.simulation.disturbance import external_wrench
-from tactile_hand_ros.simulation.plant_config import PlantConfig
+from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
+from tactile_hand_ros.simulation.skin import TactileReading
 
 Array = NDArray[np.float64]
 
@@ -245,3 +247,24 @@ class Plant:
         links = self.hand.kinetic_energy(self._theta, self._v[:m])
         height = -self._mass * (self._gravity @ self._position)
         return float(body + links + self.hand.potential_energy(self._theta) + height)
+
+
+def sliding_speeds(state: PlantState) -> Array:
+    """Return how fast each contact slides, shape (k,), m/s."""
+    return np.asarray(np.hypot(state.sliding[:, 0], state.sliding[:, 1]))
+
+
+def true_reading(state: PlantState) -> TactileReading:
+    """Return the true contacts of a plant's state as they travel on topics."""
+    positions, rotations = state.contacts.positions, state.contacts.rotations
+    return TactileReading(positions, *_felt(positions, rotations, state.forces))
+
+
+@compiled
+def _felt(positions: Array, rotations: Array, forces: Array) -> tuple[Array, Array]:
+    """Return quaternions and forces of contacts, without a force where there is no contact."""
+    felt = forces.copy()
+    for i in range(len(felt)):
+        if not math.isfinite(positions[i, 0]):
+            felt[i] = 0.0
+    return quaternions_of_rows(rotations.reshape(-1, 9)), felt

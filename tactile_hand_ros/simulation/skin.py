@@ -15,9 +15,9 @@ from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
-from tactile_hand_ros.simulation.calibration import CalibrationConfig
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 
 class VibrationConfig(Config):
@@ -29,6 +29,37 @@ class VibrationConfig(Config):
     limit: float = param(0.2, "rms force that fast sliding tends to", unit="N", live=True, gt=0.0)
     low: float = param(60.0, "lower edge of the band", unit="Hz", gt=0.0)
     high: float = param(400.0, "upper edge of the band", unit="Hz", gt=0.0)
+
+
+class CalibrationConfig(Config):
+    """What the hand knows wrongly of itself, the same for all fingers; by default nothing.
+
+    The plant has the true hand. Everything else, the skin's driver among them, works with the
+    model: a contact is reported where the model says that fingertip is.
+    """
+
+    link_lengths: float = param(
+        1.0, "true lengths of all links against those of the URDF", ge=0.5, le=2.0
+    )
+    tip_radii: float = param(
+        1.0, "true radii of the fingertips against those of the hand's YAML", ge=0.5, le=2.0
+    )
+    skin_rotation: Vector = param(
+        (0.0, 0.0, 0.0),
+        "rotation vector by which skins report contacts turned, axes of the fingertip",
+        unit="rad",
+    )
+    gravity_rotation: Vector = param(
+        (0.0, 0.0, 0.0),
+        "rotation vector of true gravity against the one that the hand knows, palm axes",
+        unit="rad",
+    )
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the hand knows everything as it is."""
+        lengths = self.link_lengths == self.tip_radii == 1.0
+        return lengths and not np.any([self.skin_rotation, self.gravity_rotation])
 
 
 class TactileSensorConfig(Config):

@@ -35,8 +35,7 @@ from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.simulation.truth import true_reading
+from tactile_hand_ros.simulation.plant import Plant, true_reading
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
 TICK = 2_000_000

@@ -17,7 +17,7 @@ from support.plants import plant, torque_for
 from bench.baselines.reference import Reference, State, World
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.disturbance import Disturbance
+from tactile_hand_ros.simulation.plant_config import Disturbance
 
 FACES = {
     "three_faces": np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]]),

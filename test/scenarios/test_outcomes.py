@@ -10,7 +10,7 @@ from studies.slip.outcomes import SLIDING
 from studies.slip.survival import least_against
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.disturbance import external_wrench
+from tactile_hand_ros.simulation.plant_config import external_wrench
 
 # Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}

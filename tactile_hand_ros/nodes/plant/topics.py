@@ -18,8 +18,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.simulation.plant import PlantState
-from tactile_hand_ros.simulation.truth import sliding_speeds, true_reading
+from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
 
 
 class PlantTopics:

@@ -30,7 +30,7 @@ from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.simulation.belief import Belief
+    from tactile_hand_ros.simulation.miscalibration import Miscalibration
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
-        self._belief: Belief | None = None
+        self._belief: Miscalibration | None = None
         if not self.config.calibration.is_right:
             self._belief, joints = _believed(self.config)
             declared += (joints,)
@@ -112,13 +112,13 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self.diagnostics.latency(time.perf_counter() - began)
 
 
-def _believed(config: TactileSensorConfig) -> tuple[Belief, streams.Stream]:
+def _believed(config: TactileSensorConfig) -> tuple[Miscalibration, streams.Stream]:
     """Return what turns contacts into those that a wrong calibration gives, and its input."""
     from tactile_hand_ros.hand.hand import Hand  # takes a tenth of a second to load
-    from tactile_hand_ros.simulation.belief import Belief
+    from tactile_hand_ros.simulation.miscalibration import Miscalibration
 
     known = Hand.load(config.hand, config.layout)
-    return Belief(config.calibration, known), streams.joints(known.joint_names)
+    return Miscalibration(config.calibration, known), streams.joints(known.joint_names)
 
 
 def main(args: Sequence[str] | None = None) -> int:

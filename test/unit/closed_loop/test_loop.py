@@ -11,8 +11,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.simulation.truth import true_reading
+from tactile_hand_ros.simulation.plant import Plant, true_reading
 
 NOISY = {
     "tactile_sensor.force_noise": 0.02,

@@ -27,9 +27,8 @@ from tactile_hand_ros.ros.messages.conversions import ContactPoses, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks.streams import Joints
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.belief import Belief
-from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.simulation.truth import true_reading
+from tactile_hand_ros.simulation.miscalibration import Miscalibration
+from tactile_hand_ros.simulation.plant import Plant, true_reading
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
@@ -341,7 +340,7 @@ def test_a_wrong_calibration_moves_contacts_with_the_joints(make: Callable[..., 
     positions, forces = skin.tick(5, JOINTS)
     true = true_reading(STATE)
     felt = type(true)(true.positions, true.quaternions, true.forces + PUSH)
-    expected = Belief(skin.node.config.calibration, HAND).step(STATE.theta, felt)
+    expected = Miscalibration(skin.node.config.calibration, HAND).step(STATE.theta, felt)
     np.testing.assert_allclose(positions, expected.positions)
     np.testing.assert_allclose(forces, expected.forces)
     assert np.abs(positions - TOUCH.positions).max() > 1e-4

@@ -15,7 +15,7 @@ from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import _line, assumptions
-from tactile_hand_ros.simulation.truth import true_reading
+from tactile_hand_ros.simulation.plant import true_reading
 
 HAND = Hand.load("paper")
 UNKNOWN, STICK, SLIP = 0, 1, 2

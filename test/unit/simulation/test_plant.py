@@ -7,8 +7,7 @@ from support.plants import momentum, plant
 
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.simulation.contact_step import TOUCH
-from tactile_hand_ros.simulation.disturbance import Disturbance
-from tactile_hand_ros.simulation.plant_config import PlantConfig
+from tactile_hand_ros.simulation.plant_config import Disturbance, FrictionChange
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
 UNEQUAL = (0.001, 0.002, 0.0028)
@@ -45,6 +44,12 @@ def test_a_push_gives_its_impulse_and_nothing_before_or_after():
     later = run(world, 0.3)
     np.testing.assert_allclose(later.velocity, after.velocity, atol=1e-12)
     np.testing.assert_allclose(later.position - after.position, 0.3 * after.velocity, atol=1e-12)
+
+
+def test_a_push_counts_in_the_middle_of_each_step():
+    ramp = Disturbance(kind="ramp", duration=0.1, force=(0.4, 0.0, 0.0))
+    state = run(plant(disturbances=[ramp], **FAR), 0.1)
+    assert state.velocity[0] == pytest.approx(0.5 * 0.4 * 0.1 / 0.2, rel=1e-12)
 
 
 def spinning(step):
@@ -131,6 +136,18 @@ def test_reset_starts_the_same_motion_again():
             np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
 
 
+def test_a_friction_that_changes_does_so_again_after_a_reset():
+    changes = [FrictionChange(start=0.01, friction=0.3), FrictionChange(start=0.02, friction=0.5)]
+    world = plant(friction_changes=changes, object__friction=0.9)
+    for _ in range(2):
+        found = []
+        for _ in range(3):
+            run(world, 0.01)
+            found.append(set(world.friction))
+        assert found == [{0.9}, {0.3}, {0.5}]
+        world.reset()
+
+
 def test_a_state_is_not_changed_by_later_steps():
     world = plant()
     state = world.state
@@ -186,18 +203,6 @@ def test_a_wrong_number_of_initial_angles_is_refused(angles):
 def test_initial_angles_may_be_given_for_each_joint():
     angles = [1.047, 0.0, 1.571, 1.047, 0.0, 1.571, 1.047, 0.001, 1.571]
     assert plant(initial_joints=angles).state.theta[7] == pytest.approx(0.001, abs=1e-4)
-
-
-@pytest.mark.parametrize(("rate", "step"), [(300.0, 0.001), (3000.0, 0.001), (700.0, 0.002)])
-def test_a_tick_must_be_whole_steps(rate, step):
-    with pytest.raises(ConfigurationError, match="expected a whole number"):
-        PlantConfig().changed({"rate": rate, "time_step": step})
-
-
-def test_ticks_are_counted_in_nanoseconds():
-    assert PlantConfig(rate=500.0).tick == 2_000_000
-    assert PlantConfig(rate=500.0, time_step=0.001).steps_per_tick == 2
-    assert PlantConfig(rate=1000.0, time_step=0.001).steps_per_tick == 1
 
 
 def test_a_simulation_that_diverges_says_so_and_can_begin_anew():

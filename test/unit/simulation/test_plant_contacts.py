@@ -8,7 +8,7 @@ from support.hands import tip_rotations
 from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
 
 from tactile_hand_ros.simulation.contact_step import TOUCH
-from tactile_hand_ros.simulation.disturbance import Disturbance
+from tactile_hand_ros.simulation.plant_config import Disturbance
 
 HEAVY = {"object__mass": 0.2, "layout": "pinch"}
 

@@ -23,6 +23,14 @@ def test_ticks_carry_the_stamps_of_their_times_until_the_end():
     assert run.stamp == pytest.approx(1e9 * run.plant.time)
 
 
+def test_the_end_is_the_nearest_tick():
+    """0.29 x 100 is a little less than 29 in floating point."""
+    run = PlantRun(config().changed({"duration": 0.29, "rate": 100.0}))
+    while not run.is_last:
+        run.advance()
+    assert run.stamp == 290_000_000
+
+
 def test_without_a_duration_no_tick_is_the_last():
     run = PlantRun(config().changed({"duration": 0.0}))
     run.advance()

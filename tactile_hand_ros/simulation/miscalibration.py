@@ -13,13 +13,12 @@ from tactile_hand_ros.rotations import (
     rotation_from_quaternion,
     rotation_from_vector,
 )
-from tactile_hand_ros.simulation.calibration import CalibrationConfig
-from tactile_hand_ros.simulation.skin import TactileReading
+from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileReading
 
 Array = NDArray[np.float64]
 
 
-class Belief:
+class Miscalibration:
     """Turns true contacts into those that the hand's model and mounting of the skin amount to."""
 
     def __init__(self, config: CalibrationConfig, known: Hand) -> None:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""External wrenches over time."""
+"""External wrenches over time, and ticks of whole steps."""
 
 import numpy as np
 import pytest
 
-from tactile_hand_ros.simulation.disturbance import Disturbance, external_wrench
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.simulation.plant_config import Disturbance, PlantConfig, external_wrench
 
 
 @pytest.mark.parametrize(
@@ -35,3 +36,15 @@ def test_wrenches_add_up():
     np.testing.assert_array_equal(external_wrench(pushes, 0.5), [1.0, 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(external_wrench(pushes, 1.5), [2.0, 2.0, 0, 0, 0, 3.0])
     np.testing.assert_array_equal(external_wrench([], 1.0), np.zeros(6))
+
+
+@pytest.mark.parametrize(("rate", "step"), [(300.0, 0.001), (3000.0, 0.001), (700.0, 0.002)])
+def test_a_tick_must_be_whole_steps(rate, step):
+    with pytest.raises(ConfigurationError, match="expected a whole number"):
+        PlantConfig().changed({"rate": rate, "time_step": step})
+
+
+def test_ticks_are_counted_in_nanoseconds():
+    assert PlantConfig(rate=500.0).tick == 2_000_000
+    assert PlantConfig(rate=500.0, time_step=0.001).steps_per_tick == 2
+    assert PlantConfig(rate=1000.0, time_step=0.001).steps_per_tick == 1

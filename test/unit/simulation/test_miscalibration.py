@@ -11,9 +11,9 @@ from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.belief import Belief
-from tactile_hand_ros.simulation.calibration import CalibrationConfig
-from tactile_hand_ros.simulation.truth import true_reading
+from tactile_hand_ros.simulation.miscalibration import Miscalibration
+from tactile_hand_ros.simulation.plant import true_reading
+from tactile_hand_ros.simulation.skin import CalibrationConfig
 
 
 def loop(**errors: object) -> ClosedLoop:
@@ -44,7 +44,7 @@ def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() 
     np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
     assert np.abs(state.gaps).max() < 1e-12
     true = true_reading(state)
-    seen = Belief(made.scenario.tactile_sensor.calibration, known).step(state.theta, true)
+    seen = Miscalibration(made.scenario.tactile_sensor.calibration, known).step(state.theta, true)
     normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
     expected = known.tip_positions(state.theta) + known.radii[:, None] * normals
     np.testing.assert_allclose(seen.positions, expected, atol=1e-12)
@@ -59,7 +59,9 @@ def test_a_turned_skin_turns_normal_and_force_alike() -> None:
     made.run(40)
     state, hand = made.plant.state, made.plant.known
     true = true_reading(state)
-    seen = Belief(CalibrationConfig(skin_rotation=tuple(vector)), hand).step(state.theta, true)
+    seen = Miscalibration(CalibrationConfig(skin_rotation=tuple(vector)), hand).step(
+        state.theta, true
+    )
     tips = hand.tip_rotations(state.theta)
     for i in range(hand.fingers):
         turn = tips[i] @ rotation_from_vector(vector) @ tips[i].T
