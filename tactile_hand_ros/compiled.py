@@ -2,9 +2,9 @@
 """Compile numeric functions with Numba where it is installed; the same source runs without it.
 
 What is marked with `compiled` is plain Python on arrays and scalars. Numba compiles a function when
-it is first called and keeps the machine code. Each state of the numeric sources has a directory of
-its own, because Numba does not notice when a compiled function calls one of another file that has
-changed. `python -m tactile_hand_ros.closed_loop.warm_up` compiles everything ahead of a run.
+it is first called and keeps the machine code. Each state of a file and of the files that it imports
+has a directory of its own: Numba does not notice a change in another file that is called.
+`python -m tactile_hand_ros.closed_loop.warm_up` compiles everything ahead of a run.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,7 +38,8 @@ Row = Any
 DISABLE = "TACTILE_HAND_INTERPRETED"
 """Environment variable that switches Numba off."""
 
-_NUMERIC = ("hand", "control", "simulation")
+_PACKAGE = Path(__file__).parent
+_NUMERIC = ("cholesky", "rotations", "hand", "control", "simulation")
 _interpreted = False
 
 
@@ -49,7 +51,7 @@ def row_of(config: Config) -> Rows:
 
 def compiled(function: F) -> F:
     """Compile a function where that is possible and wanted."""
-    if _interpreted or cache_directory() is None:
+    if _interpreted or not _has_numba():
         return function
     made: F = _compiler()(function)
     return made
@@ -77,43 +79,50 @@ def ensure_compiled() -> None:
 
 def is_complete() -> bool:
     """Return whether everything has been compiled for these sources, or nothing is to be."""
-    directory = cache_directory()
-    return directory is None or (directory / "complete").is_file()
+    return not _has_numba() or _mark().is_file()
 
 
 def mark_complete() -> None:
     """Note that everything has been compiled for these sources."""
-    directory = cache_directory()
     with contextlib.suppress(OSError):  # no directory to keep it in
-        if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            (directory / "complete").touch()
+        if _has_numba():
+            _mark().parent.mkdir(parents=True, exist_ok=True)
+            _mark().touch()
 
 
 @functools.cache
-def cache_directory() -> Path | None:
-    """Return where machine code for these sources is kept; None where nothing is compiled."""
-    if os.environ.get(DISABLE) or importlib.util.find_spec("numba") is None:
-        return None
-    package = Path(__file__).parent
+def _has_numba() -> bool:
+    return not os.environ.get(DISABLE) and importlib.util.find_spec("numba") is not None
+
+
+def _mark() -> Path:
+    places = [path for name in _NUMERIC for path in (_PACKAGE / name).rglob("*.py")]
+    return _kept_in("complete", [*_PACKAGE.glob("*.py"), *places])
+
+
+def _kept_in(name: str, sources: Iterable[Path]) -> Path:
+    """Return where something is kept that belongs to the present state of some files."""
     digest = hashlib.sha256(importlib.metadata.version("numba").encode())
-    for path in _numeric_sources(package):
-        text = path.read_bytes()
-        digest.update(text if b"compiled" in text else b"")
-    base = package / "__pycache__"
+    for path in sorted(sources):
+        digest.update(path.read_bytes())
+    base = _PACKAGE / "__pycache__"
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         base = Path(chosen)
-    elif not os.access(package, os.W_OK):
+    elif not os.access(_PACKAGE, os.W_OK):
         user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
         base = Path(user) / "tactile_hand_ros"
-    return base / f"numba-{digest.hexdigest()[:16]}"
+    return base / f"{name}-{digest.hexdigest()[:16]}"
 
 
-def _numeric_sources(package: Path) -> list[Path]:
-    found = (
-        path for name in _NUMERIC for path in (package / name, *(package / name).rglob("*.py"))
-    )
-    return sorted(path for path in found if path.is_file())
+@functools.cache
+def _sources(module: str) -> frozenset[Path]:
+    """Return the file of a numeric module of this package, and those of all that it imports."""
+    _, *parts = module.split(".")
+    path = _PACKAGE.joinpath(*parts).with_suffix(".py")
+    if not parts or parts[0] not in _NUMERIC or not path.is_file():
+        return frozenset()
+    imports = re.findall(r"^from ([\w.]+) import", path.read_text("utf-8"), re.MULTILINE)
+    return frozenset([path]).union(*map(_sources, imports))
 
 
 @functools.cache
@@ -129,7 +138,7 @@ def _compiler() -> Callable[[Any], Any]:
             try:
                 return super().load_overload(sig, target_context)
             except Exception:  # unpickling damaged bytes may raise anything
-                _warn_of_damage()
+                _warn_of_damage(Path(self.cache_path).parent)
                 with contextlib.suppress(OSError):
                     self.flush()
                 return None
@@ -145,7 +154,7 @@ def _compiler() -> Callable[[Any], Any]:
 
     def compile_one(function: Any) -> Any:
         made, chosen = jit(function), numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(cache_directory())
+        numba.config.CACHE_DIR = str(_kept_in("numba", _sources(function.__module__)))
         with contextlib.suppress(RuntimeError):  # no directory to keep the result in
             made._cache = Cache(function)
         numba.config.CACHE_DIR = chosen
@@ -154,7 +163,13 @@ def _compiler() -> Callable[[Any], Any]:
     return compile_one
 
 
-@functools.cache
-def _warn_of_damage() -> None:
-    text = f"{cache_directory()}: damaged machine code is compiled again"
-    warnings.warn(text, RuntimeWarning, stacklevel=2)
+_warned = False
+
+
+def _warn_of_damage(folder: Path) -> None:
+    """Warn once: where one file is damaged, others may be."""
+    global _warned
+    if not _warned:
+        text = f"{folder}: damaged machine code is compiled again"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    _warned = True

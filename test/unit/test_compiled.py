@@ -73,6 +73,15 @@ def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(
     assert run(control, CALL, **mine) == ("30.0", "")
 
 
+def test_a_change_elsewhere_leaves_what_is_compiled_as_it_is(control: Path) -> None:
+    (control / "other.py").write_text(INNER.format(constant=5.0))
+    run(control, CALL)
+    kept = {path: path.stat().st_mtime_ns for path in control.parent.rglob("*.nb?")}
+    (control / "other.py").write_text(INNER.format(constant="6.000"))
+    assert run(control, CALL) == ("20.0", "")
+    assert kept and kept == {p: p.stat().st_mtime_ns for p in control.parent.rglob("*.nb?")}
+
+
 def test_the_same_source_runs_without_numba(control: Path) -> None:
     assert run(control, CALL, TACTILE_HAND_INTERPRETED="1") == ("20.0", "")
     assert not list(control.parent.rglob("*.nbi"))
