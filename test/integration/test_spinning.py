@@ -12,20 +12,15 @@ import pytest
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.ros import executor as spinning_module
-from tactile_hand_ros.ros.direct_take import take_latest
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
     SurvivingExecutor,
     WaitSetExecutor,
-    is_supported,
-    make_executor,
     spin,
 )
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
@@ -78,21 +73,6 @@ def spun(request, context):
 def matched(publisher):
     wait_until(lambda: publisher.get_subscription_count() > 0, message="a subscription")
     return publisher
-
-
-def test_this_rclpy_has_the_non_public_pieces(context):
-    assert is_supported()
-    executor = make_executor(context)
-    assert type(executor) is WaitSetExecutor
-    executor.shutdown()
-
-
-def test_falls_back_to_the_public_executor_when_a_piece_is_missing(context, monkeypatch):
-    missing = {**spinning_module._NEEDED, "WaitSet": "no_such_method"}
-    monkeypatch.setattr(spinning_module, "_NEEDED", missing)
-    executor = make_executor(context)
-    assert type(executor) is SurvivingExecutor
-    executor.shutdown()
 
 
 def test_all_messages_arrive_in_order(make_node, spun):
@@ -250,47 +230,12 @@ def test_quality_of_service_events_are_served(make_node, spun):
     wait_until(lambda: events, message="the event of incompatible quality of service")
 
 
-def test_parameters_of_a_spinning_node_can_be_set(make_node, spun):
-    node, other = make_node("a"), make_node("b")
-    node.declare_parameter("gain", 1.0)
-    client = AsyncParameterClient(other, "a")
-    spun(node, other)
-    assert client.wait_for_services(10.0)
-    future = client.set_parameters([rclpy.Parameter("gain", value=2.0)])
-    wait_until(future.done)
-    assert node.get_parameter("gain").value == 2.0
-
-
-def test_an_exception_of_a_callback_is_passed_on(make_node, context):
-    node = make_node("a")
-
-    def fail():
-        raise ZeroDivisionError("on purpose")
-
-    node.create_timer(0.01, fail)
-    with pytest.raises(ZeroDivisionError, match="on purpose"):
-        spin(node)
-
-
 def test_spin_returns_when_the_context_is_shut_down(make_node, context):
     node = make_node("a")
     node.create_timer(0.05, context.try_shutdown)
     start = time.monotonic()
     spin(node)
     assert time.monotonic() - start < 2.0
-
-
-def test_take_latest_drops_what_is_older(make_node):
-    node = make_node("a")
-    subscription = node.create_subscription(Float64, "x", print, 10)
-    publisher = matched(node.create_publisher(Float64, "x", 10))
-    assert take_latest(subscription) is None
-    for value in (1.0, 2.0, 3.0):
-        publisher.publish(Float64(data=value))
-    seen = []
-    wait_until(lambda: (seen.append(take_latest(subscription)), seen[-1])[1])
-    wait_until(lambda: seen[-1] == Float64(data=3.0) or seen.append(take_latest(subscription)))
-    assert take_latest(subscription) is None
 
 
 PROGRAM = """

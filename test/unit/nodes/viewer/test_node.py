@@ -191,13 +191,6 @@ def test_with_tf2_links_contacts_and_object_are_transforms(
     ]
 
 
-def test_before_the_first_message_each_contact_is_unknown(stage: Stage) -> None:
-    contacts = stage.viewer._contacts()
-    assert [contact.name for contact in contacts] == [f"{name}_contact" for name in FINGERS]
-    assert {(c.position.shape, c.quaternion.shape) for c in contacts} == {((3,), (4,))}
-    assert not any(contact.is_known for contact in contacts)
-
-
 def test_with_tf2_what_does_not_move_is_published_once_and_latched(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from std_msgs.msg import String
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
@@ -51,27 +51,6 @@ def test_the_layout_in_force_moves_the_fingers() -> None:
     one, other = (LinkFrames(Hand.load("paper", name).description).fixed() for name in LAYOUTS)
     apart = [np.linalg.norm(a.position - b.position) for a, b in zip(one, other, strict=True)]
     assert max(apart) > 0.1
-
-
-def test_markers_show_what_is_known_and_remove_the_rest() -> None:
-    touching = Frame("a_contact", np.array([0.1, 0.0, 0.4]), STRAIGHT)
-    lost = Frame("b_contact", np.full(3, np.nan), STRAIGHT)
-    forces = np.array([[1.0, 4.0, 0.0], [np.nan] * 3])
-    corners = np.eye(3)
-    where = Frame("object", np.zeros(3), STRAIGHT)
-    scene = Scene(corners, where, [touching, lost], forces, np.array([0.5, np.nan]), where)
-    made = markers(scene).markers
-    assert [m.ns for m in made] == ["all", "object", "contacts", "forces", "cones", "goal"]
-    assert made[0].action == Marker.DELETEALL and made[1].type == Marker.TRIANGLE_LIST
-    end = made[3].points[1]
-    assert end.y / end.x == pytest.approx(4.0)
-    rim = (
-        np.array([[p.x, p.y, p.z] for p in made[4].points]).reshape(-1, 3, 3)[:, 1:].reshape(-1, 3)
-    )
-    np.testing.assert_allclose(np.hypot(rim[:, 0], rim[:, 2]), 0.5 * rim[:, 1])
-    assert {(m.header.frame_id, m.header.stamp.sec) for m in made} == {("palm", 0)}
-    nothing = Scene(corners, None, [lost], forces[1:], np.array([np.nan]), None)
-    assert [m.ns for m in markers(nothing).markers] == ["all"]
 
 
 @pytest.mark.parametrize(

@@ -29,13 +29,6 @@ def test_one_tick_is_always_answered() -> None:
     assert chosen([7 * MS], 5 * MS) == chosen([7 * MS], None) == [7 * MS]
 
 
-@pytest.mark.parametrize("offset", [0, 1])
-def test_what_is_followed_by_a_higher_rank_is_left_out(offset: int) -> None:
-    ticks = [(t + offset) * MS for t in (0, 2, 4, 6, 8, 10, 12)]
-    assert chosen(ticks[1:6], ticks[0]) == ticks[4:6]
-    assert chosen(ticks[4:7], ticks[3]) == [ticks[4], ticks[6]]
-
-
 @given(st.integers(1, 10**6), st.integers(1, 200), st.integers(1, 20))
 def test_the_newest_is_answered_and_few_others(first: int, count: int, period: int) -> None:
     stamps = [(first + period * i) * MS for i in range(count)]

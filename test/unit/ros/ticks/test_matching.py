@@ -81,22 +81,6 @@ def test_an_incomplete_older_stamp_is_given_up():
     assert matcher.pending == 0
 
 
-def test_a_single_stream_matches_at_once():
-    matcher = StampMatcher(("a",))
-    assert matcher.put("a", 5, "x") == ("x",)
-    assert matcher.put("a", 5, "x") is REPEAT
-
-
-def test_a_restarted_sender_is_followed():
-    matcher = StampMatcher(("a", "b"), restart_after_ns=100)
-    matcher.put("a", 1000, 0)
-    matcher.put("b", 1000, 0)
-    assert matcher.put("a", 900, 0) is None
-    assert matcher.put("b", 900, 0) is None
-    assert matcher.put("a", 0, "new") is None
-    assert matcher.put("b", 0, "start") == ("new", "start")
-
-
 SECOND = 1_000_000_000
 
 
@@ -140,16 +124,6 @@ def test_one_old_message_is_no_restart_and_does_no_harm():
     assert matcher.put("a", 0, "stray") is None
     matcher.put("a", 6, 1)
     assert matcher.put("b", 6, 2) == (1, 2) and restarts == []
-
-
-def test_a_restart_is_seen_with_a_full_memory():
-    matcher = StampMatcher(("a", "b"), memory=3)
-    matcher.put("a", 1, 0)
-    matcher.put("b", 1, 0)
-    for stamp in range(2, 9):
-        matcher.put("a", stamp, 0)
-    matcher.put("a", 0, "new")
-    assert matcher.put("b", 0, "start") == ("new", "start")
 
 
 def test_what_is_missing_is_named():
