@@ -47,7 +47,7 @@ def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int]:
 def main() -> None:
     """Run the loop and print what came of it."""
     rate, seconds, priority = (float(word) for word in sys.argv[1:4])
-    Scheduling(priority=int(priority)).apply()
+    Scheduling(priority=int(priority)).raise_priority()
     print(*wake_at_each_tick(rate, seconds))
 
 

@@ -1,35 +1,186 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All five nodes in one process on one executor, for computers with few cores.
+"""Several nodes in one process, wired by function calls.
 
-With ``--record`` the recorder shares the process, too: it notes the bytes that the nodes hand to
-each other, and a small process of its own packs them and writes them to the disk.
+`composed` runs plant, sensor, regulator, optimizer and controller, for computers with few cores;
+with ``--record`` the recorder too. `controllers` runs regulator, optimizer and controller for a
+real hand.
 
-Topics, parameters, services and results are those of separate processes, to the bit. The nodes hand
-their messages to each other (`ros.direct`), and DDS gets a copy only while another process listens.
-What is lost is isolation: they all die together, and the drivers of a real hand must then hold the
-joints. With cores to spare, separate processes are the safer choice.
+Topics, parameters, services and results are those of separate processes, to the bit. The nodes
+stand around the blocks of a chain from `closed_loop`: each computes with its block and publishes
+the answer, and a message is encoded only if a subscriber or the recorder wants it. What is lost is
+isolation: they all die together, and the drivers of a real hand must then hold the joints.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any, cast
 
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+
+from tactile_hand_ros.closed_loop.loop import Chain, SensingChain
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.names import RECORD
-from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
-from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.plant.node import PlantNode
-from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
-from tactile_hand_ros.nodes.tactile_sensor.node import TactileSensorNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
+from tactile_hand_ros.ros.guard import TickFailedError
 from tactile_hand_ros.ros.runner import run_nodes
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.simulation.plant import PlantState
+from tactile_hand_ros.simulation.skin import TactileReading
+
+Array = NDArray[np.float64]
 
 MEMBERS = (
-    ManipulationControllerNode,
-    ForceOptimizerNode,
+    PlantNode,
     TactileSensorNode,
     SlipRegulatorNode,
-    PlantNode,
+    ForceOptimizerNode,
+    ManipulationControllerNode,
 )
+CONTROLLERS = MEMBERS[2:]
+
+
+class ComposedHand:
+    """The nodes that answer the ticks of the plant in their process."""
+
+    def __init__(
+        self,
+        sensor: TactileSensorNode,
+        regulator: SlipRegulatorNode,
+        optimizer: ForceOptimizerNode,
+        controller: ManipulationControllerNode,
+    ) -> None:
+        """Wire the nodes, which must be made with `composed`."""
+        self._nodes = sensor, regulator, optimizer, controller
+        self._controller = controller
+        self._chain = SensingChain(*cast(Any, self._nodes))
+        self._last: tuple[int, Array | None] = -1, None
+
+    def answer(
+        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
+    ) -> Array | None:
+        """Return the torque for a tick, shape (m,), N m, and publish all answers.
+
+        Returns:
+            None where a node has failed, or where the torque is better not sent. A tick that is
+            repeated gets its last answer.
+        """
+        if stamp == self._last[0]:
+            for node in self._nodes:
+                node.on_repeat()
+            return self._last[1]
+        torque = None
+        try:
+            _, answer = self._chain.sense(stamp, state, true, sliding)
+        except TickFailedError:
+            pass
+        else:
+            torque = None if answer.command.do_not_send else answer.command.torque
+        self._last = stamp, torque
+        return torque
+
+    def hold(self, held: bool) -> None:
+        """Note whether the guard holds the joints."""
+        self._controller.joints_held = held
+
+    def restart(self) -> None:
+        """Start over: time has been set back."""
+        self._last = -1, None
+        for node in self._nodes:
+            node.on_restart()
+
+
+class TouchedHand:
+    """The three controllers of a real hand, which get joints and touch from its drivers."""
+
+    def __init__(
+        self,
+        regulator: SlipRegulatorNode,
+        optimizer: ForceOptimizerNode,
+        controller: ManipulationControllerNode,
+    ) -> None:
+        """Wire the nodes, which must be made with `composed`, and subscribe."""
+        self._nodes = regulator, optimizer, controller
+        self._controller = controller
+        self._chain = Chain(*cast(Any, self._nodes))
+        hand = controller.hand
+        declared = (
+            streams.joints(hand.joint_names),
+            streams.contacts(hand.fingers),
+            streams.forces(hand.finger_names),
+        )
+        silence = controller.config.input_timeout
+        self._inputs = TickInputs(controller, declared, self, silence=silence)
+
+    def on_tick(
+        self, stamp: int, joints: streams.Joints, contacts: Contacts, forces: Array
+    ) -> None:
+        """Answer a tick for which everything has arrived."""
+        self._chain.answer(stamp, *joints, contacts, forces)
+
+    def on_blind_tick(self, stamp: int, joints: streams.Joints, reason: str) -> None:
+        """Hold the hand at a tick for which touch is missing."""
+        self._controller.on_blind_tick(stamp, joints, reason)
+
+    def on_repeat(self) -> None:
+        """Publish the last answers again."""
+        for node in self._nodes:
+            node.on_repeat()
+
+    def on_restart(self) -> None:
+        """Forget the past: the stamps have started over."""
+        for node in self._nodes:
+            node.on_restart()
+
+
+def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
+    """Make all nodes and let them begin.
+
+    Args:
+        record: Whether there is a recorder, too.
+        **kwargs: For each `rclpy.node.Node`.
+    """
+    plant = PlantNode(composed=True, **kwargs)
+    yield plant
+    sensor = TactileSensorNode(composed=True, **kwargs)
+    yield sensor
+    regulator = SlipRegulatorNode(composed=True, **kwargs)
+    yield regulator
+    optimizer = ForceOptimizerNode(composed=True, **kwargs)
+    yield optimizer
+    time_waits = plant.config.pacing == "lockstep"
+    controller = ManipulationControllerNode(composed=True, time_waits=time_waits, **kwargs)
+    yield controller
+    if record:
+        from tactile_hand_ros.nodes.recorder.node import RecorderNode
+
+        members = (plant, sensor, regulator, optimizer, controller)
+        publishers = [each for node in members for each in node.tick_publishers]
+        yield RecorderNode(publishers, **kwargs)
+    plant.begin(ComposedHand(sensor, regulator, optimizer, controller))
+
+
+def controller_nodes(**kwargs: Any) -> Iterator[Node]:
+    """Make the nodes of a real hand.
+
+    Args:
+        **kwargs: For each `rclpy.node.Node`.
+    """
+    regulator = SlipRegulatorNode(composed=True, **kwargs)
+    yield regulator
+    optimizer = ForceOptimizerNode(composed=True, **kwargs)
+    yield optimizer
+    controller = ManipulationControllerNode(composed=True, **kwargs)
+    yield controller
+    TouchedHand(regulator, optimizer, controller)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -39,12 +190,18 @@ def main(args: Sequence[str] | None = None) -> int:
         args: Command line; ``--params-file`` may be given once for each node.
     """
     line = list(sys.argv if args is None else args)
-    if RECORD not in line:
-        return run_nodes(MEMBERS, line)
-    from tactile_hand_ros.nodes.recorder.node import RecorderNode
+    record = RECORD in line
+    line = [word for word in line if word != RECORD]
+    return run_nodes(lambda: composed_nodes(record=record), line, described=MEMBERS)
 
-    line.remove(RECORD)
-    return run_nodes((RecorderNode, *MEMBERS), line)  # the first is the last to close
+
+def controllers(args: Sequence[str] | None = None) -> int:
+    """Run the controllers of a real hand until SIGINT or SIGTERM and return the exit code.
+
+    Args:
+        args: Command line; ``--params-file`` may be given once for each node.
+    """
+    return run_nodes(controller_nodes, args, described=CONTROLLERS)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ as taking the message. ``take_message`` of the object behind the public ``handle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -44,7 +44,6 @@ def subscribe_directly(
     kind: Any,
     topic: str,
     profile: QoSProfile,
-    tap: Callable[[bytes], None] = _ignore,
     **options: Any,
 ) -> Subscription:
     """Subscribe to serialized messages that are only taken with `taken` or `take_latest`.
@@ -54,14 +53,13 @@ def subscribe_directly(
         kind: Message class.
         topic: Name of the topic.
         profile: Quality of service.
-        tap: Called at once with what publishers of this process send, if they deliver directly.
         **options: For `rclpy.node.Node.create_subscription`.
     """
     group = DirectTakeGroup()
     # No executor would take an event, and each would wake for it again and again.
     options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
     return node.create_subscription(
-        kind, topic, tap, profile, callback_group=group, raw=True, **options
+        kind, topic, _ignore, profile, callback_group=group, raw=True, **options
     )
 
 

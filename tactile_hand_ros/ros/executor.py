@@ -15,6 +15,13 @@ Pieces of rclpy that are not public, all checked by `is_supported`:
 * ``Executor._take_service`` and ``_take_subscription``, which `SurvivingExecutor` overrides.
 * ``Executor._guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the base class.
 
+While messages flow the full wait set, which also has every service and QoS event, gets its turn
+only every `FULL_PERIOD_NS`, because waiting on it costs five times as much. When they pause, it is
+the one that blocks, and nothing is polled.
+
+A node that has work of its own to do between messages has a function `work`. It is called again and
+again, and returns whether there is more; nothing is waited for meanwhile.
+
 Where one is missing, `make_executor` falls back to `SurvivingExecutor`, which is public rclpy.
 
 What the middleware throws (a request that cannot be taken, an answer that cannot be sent) goes to
@@ -25,11 +32,13 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
+from typing import Any, NamedTuple
 
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import (
     Executor,
     ExternalShutdownException,
@@ -40,17 +49,22 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from rclpy.waitable import NumberOfEntities
 
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.ros.direct.delivery import direct_delivery
-from tactile_hand_ros.ros.wait_set import WAIT_LIMIT_NS, WaitedEntities
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
-_TURN = 0.005
-"""Time in which nodes of this process answer each other before timers and messages from elsewhere
-get their turn [s]."""
+FULL_PERIOD_NS = 20_000_000
+"""Longest time a service request or QoS event waits while messages flow [ns]."""
+
+_SLOW_TIMER_NS = 5 * FULL_PERIOD_NS
+"""Timers of at least this period have only their turn in the full set [ns]."""
+
+WAIT_LIMIT_NS = 1_000_000_000
+"""Longest uninterrupted wait [ns]: a lost wake-up costs a second instead of a hang."""
 
 _NEEDED = {
     "WaitSet": (
@@ -120,6 +134,19 @@ class SurvivingExecutor(SingleThreadedExecutor):
     its callback group locked for ever; hence the two overridden methods that are not public.
     """
 
+    def spin(self) -> None:
+        """Execute callbacks until the context or the executor is shut down."""
+        while self._is_running():
+            self.spin_once(0 if self._work() else None)
+
+    def _is_running(self) -> bool:
+        return bool(self._context.ok()) and not self._is_shutdown
+
+    def _work(self) -> bool:
+        """Let nodes do their own work; return whether there is more."""
+        works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
+        return any([work() for work in works])
+
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Serve one thing."""
         try:
@@ -161,6 +188,131 @@ def _unreadable(error: Exception) -> MessageError:
     return MessageError(f"its bytes cannot be read ({type(error).__name__}).")
 
 
+class Ready(NamedTuple):
+    """What a wait found, and whether the public executor must serve something else."""
+
+    guards: list[Any]
+    timers: list[Timer]
+    subscriptions: list[Subscription]
+    has_rare: bool = False
+
+
+class WaitedEntities:
+    """The entities of some nodes, held alive, and the two wait sets over them."""
+
+    def __init__(
+        self,
+        executor: Executor,
+        own_guards: Iterable[Any],
+        context: Context,
+        stack: ExitStack,
+    ) -> None:
+        """Collect the entities.
+
+        Args:
+            executor: Serves the nodes.
+            own_guards: Guard conditions that only wake the executor.
+            context: Context of all nodes.
+            stack: Keeps every handle in use until it is closed.
+        """
+        nodes = list(executor.get_nodes())
+        self._stack = stack
+        self._known: dict[int, Any] = {}
+        self._waitables: list[Any] = []
+        lean, rare = self._hold("guard_condition", own_guards), []
+        for node in nodes:
+            slow = [timer for timer in node.timers if timer.timer_period_ns >= _SLOW_TIMER_NS]
+            lean += self._hold("subscription", filter(executor.can_execute, node.subscriptions))
+            lean += self._hold("timer", (timer for timer in node.timers if timer not in slow))
+            lean += self._hold("guard_condition", node.guards)
+            rare += self._hold("timer", slow)
+            rare += self._hold("client", node.clients)
+            rare += self._hold("service", node.services)
+            for waitable in node.waitables:
+                with suppress(InvalidHandle):
+                    stack.enter_context(waitable)
+                    self._waitables.append(waitable)
+        stack.enter_context(context.handle)
+        self._lean = _WaitSet(lean, [], context, stack)
+        self._full = _WaitSet(lean + rare, self._waitables, context, stack)
+        self._full_due = 0
+
+    def _hold(self, kind: str, entities: Iterable[Any]) -> list[tuple[str, Any]]:
+        """Hold entities alive and return kind and handle of each."""
+        held = []
+        for entity in entities:
+            with suppress(InvalidHandle):  # destroyed by another thread in the meantime
+                self._stack.enter_context(entity.handle)
+                self._known[entity.handle.pointer] = entity
+                held.append((kind, entity.handle))
+        return held
+
+    def wait(self, limit_ns: int) -> Ready:
+        """Wait until something is ready, at most for a time [ns], and return it."""
+        if time.monotonic_ns() < self._full_due:
+            ready = self._found(self._lean.wait(min(limit_ns, FULL_PERIOD_NS)))
+            if not limit_ns or ready.subscriptions or ready.timers or ready.guards:
+                return ready
+        native = self._full.wait(limit_ns)
+        is_rare = self._is_rare(native)
+        # The public executor serves one thing at a time: look again at once until all is served.
+        self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
+        return self._found(native, has_rare=is_rare)
+
+    def _found(self, native: Any, *, has_rare: bool = False) -> Ready:
+        get = native.get_ready_entities
+        guards, timers = self._with(get("guard_condition")), self._with(get("timer"))
+        return Ready(guards, timers, self._with(get("subscription")), has_rare)
+
+    def _with(self, pointers: list[int]) -> list[Any]:
+        """Return the entities with these pointers; others belong to waitables, which are rare."""
+        known = self._known
+        return [known[at] for at in pointers if at in known] if pointers else []
+
+    def _is_rare(self, native: Any) -> bool:
+        if native.get_ready_entities("service") or native.get_ready_entities("client"):
+            return True
+        # All are asked: each notes for itself that it is ready.
+        return any([waitable.is_ready(native) for waitable in self._waitables])
+
+
+class _WaitSet:
+    """One native wait set and what goes into it."""
+
+    def __init__(
+        self,
+        entries: list[tuple[str, Any]],
+        waitables: list[Any],
+        context: Context,
+        stack: ExitStack,
+    ) -> None:
+        own = Counter(kind for kind, _ in entries)
+        more = sum((waitable.get_num_entities() for waitable in waitables), NumberOfEntities())
+        self._native = _rclpy.WaitSet(
+            own["subscription"] + more.num_subscriptions,
+            own["guard_condition"] + more.num_guard_conditions,
+            own["timer"] + more.num_timers,
+            own["client"] + more.num_clients,
+            own["service"] + more.num_services,
+            more.num_events,
+            context.handle,
+        )
+        stack.enter_context(self._native)
+        self._waitables = waitables
+        self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in entries]
+
+    def wait(self, limit_ns: int) -> Any:
+        """Wait; this empties the native set of what is not ready, so it is filled each time."""
+        native = self._native
+        native.clear_entities()
+        for add, handle in self._adding:
+            add(handle)
+        for waitable in self._waitables:
+            waitable.add_to_wait_set(native)
+        native.wait(limit_ns)
+        return native
+
+
 class WaitSetExecutor(SurvivingExecutor):
     """A single-threaded executor that keeps its wait set.
 
@@ -175,7 +327,6 @@ class WaitSetExecutor(SurvivingExecutor):
         self._stale = True
         self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
-        self._direct = direct_delivery(self._context)
 
     def wake(self) -> None:
         """Wait again because an entity was created or destroyed; rclpy calls this."""
@@ -198,28 +349,26 @@ class WaitSetExecutor(SurvivingExecutor):
 
     def spin(self) -> None:
         """Execute callbacks until the context or the executor is shut down."""
-        if self._direct is not None:
-            self._direct.serve(self._guard.trigger)
         while self._is_running():
             self._stale = False
             guards = (self._guard, self._sigint_gc)
             with ExitStack() as stack:
-                entities = WaitedEntities(self.get_nodes(), guards, self._context, stack)
+                entities = WaitedEntities(self, guards, self._context, stack)
+                works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
+                limit = 0 if works else WAIT_LIMIT_NS
                 while not self._stale:
-                    self._step(entities)
+                    self._step(entities, limit)
+                    if works:
+                        limit = 0 if any([work() for work in works]) else WAIT_LIMIT_NS
 
-    def _is_running(self) -> bool:
-        return bool(self._context.ok()) and not self._is_shutdown
-
-    def _step(self, entities: WaitedEntities) -> None:
-        """Wait once and serve what is ready."""
+    def _step(self, entities: WaitedEntities, limit_ns: int) -> None:
+        """Wait once, at most for a time [ns], and serve what is ready."""
         if self._tasks and self._has_open_tasks():
             # A suspended coroutine may block its callback group; the public executor knows how.
-            self.spin_once(timeout_sec=0 if self._direct else WAIT_LIMIT_NS * 1e-9)
-            self._deliver()
+            self.spin_once(timeout_sec=1e-9 * limit_ns)
             self._stale = True
             return
-        ready = entities.wait(0 if self._direct else WAIT_LIMIT_NS)
+        ready = entities.wait(limit_ns)
         if ready.guards and not self._is_running():
             self._stale = True
         for guard in ready.guards:
@@ -235,25 +384,12 @@ class WaitSetExecutor(SurvivingExecutor):
         self._call_afterwards()
         if ready.has_rare and not self._stale:
             self.spin_once(timeout_sec=0)
-        self._deliver()
 
     def _call_afterwards(self) -> None:
         if self._afterwards:
             callbacks, self._afterwards = self._afterwards, []
             for callback in callbacks:
                 callback()
-
-    def _deliver(self) -> None:
-        """Let the nodes of this process answer each other, in rounds, until all is read."""
-        if self._direct is None:
-            return
-        end = time.monotonic() + _TURN
-        while self._direct and not self._stale:
-            self._direct.deliver(self._finish)
-            self._call_afterwards()
-            if time.monotonic() > end:
-                break
-        self._direct.rest()
 
     def _has_open_tasks(self) -> bool:
         return any(not task.done() for task, _, _ in self._tasks)

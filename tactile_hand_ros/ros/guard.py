@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,7 +41,11 @@ class Guarded(Protocol):
         """Do what is to be done about a message that was refused."""
 
 
-class Guard:
+class TickFailedError(TactileHandError):
+    """A node has failed at a tick, and has reported why."""
+
+
+class CallbackGuard:
     """Runs the callbacks of one node."""
 
     def __init__(self, node: Guarded) -> None:
@@ -112,6 +117,31 @@ class Guard:
             self.caught("safe state", error)
         finally:
             self._is_making_safe = False
+
+
+class Answering:
+    """Counts and times the answers to ticks, for use in `with`.
+
+    An error inside is the node's own: it is reported, and ends the tick with `TickFailedError`.
+    """
+
+    def __init__(self, guard: CallbackGuard, diagnostics: Diagnostics) -> None:
+        """Take what reports."""
+        self._guard, self._diagnostics = guard, diagnostics
+        self._began = 0.0
+
+    def __enter__(self) -> None:
+        """Begin an answer."""
+        self._began = time.perf_counter()
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        """Count the answer, or report why there is none."""
+        if error is None:
+            self._diagnostics.tick()
+            self._diagnostics.latency(time.perf_counter() - self._began)
+        elif isinstance(error, Exception):
+            self._guard.caught("ticks", error)
+            raise TickFailedError(shortened(error)) from error
 
 
 def described(error: Exception) -> str:

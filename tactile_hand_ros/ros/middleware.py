@@ -19,7 +19,6 @@ from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import ConfigurationError
 
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-_ONE_PROCESS = "_one_process"  # ends the name of a profile for nodes that share a process
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _ALONE = "ROS_LOCALHOST_ONLY"
 _HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
@@ -54,28 +53,6 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     name = "localhost" if reach == "LOCALHOST" else "subnet"
     settings = {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}
     return {**settings, _ALONE: "0"} if alone else settings
-
-
-def share_process() -> bool:
-    """Set Fast DDS up for several nodes in this process, which deliver to each other themselves.
-
-    Endpoints of one context then do not match each other. Call it after `use_sockets` and before
-    there is a node.
-
-    Returns:
-        Whether that was possible: a profile or middleware that the user has chosen is left alone,
-        and with it endpoints of one process match as usual.
-    """
-    profile = Path(os.environ.get(_PROFILES[0], ""))
-    try:
-        is_ours = profile.parent == config_directory() / "middleware"
-    except ConfigurationError:
-        return False
-    if not is_ours or not os.environ.get(_MIDDLEWARE, _FAST_DDS).startswith(_FAST_DDS):
-        return False
-    name = profile.stem.removesuffix(_ONE_PROCESS)
-    os.environ[_PROFILES[0]] = str(profile.with_stem(name + _ONE_PROCESS))
-    return True
 
 
 def use_sockets() -> None:

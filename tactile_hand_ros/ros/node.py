@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,22 +18,17 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rclpy.utilities import get_default_context
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.direct.delivery import direct_delivery
-from tactile_hand_ros.ros.direct.lean_publisher import LeanPublisher
-from tactile_hand_ros.ros.direct.publisher import DirectPublisher
-from tactile_hand_ros.ros.direct.rosout import RosoutLogger
-from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.guard import Guard
+from tactile_hand_ros.ros.guard import Answering, CallbackGuard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.poll_backoff import PollBackoff
+from tactile_hand_ros.ros.publishing import TickPublisher
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
@@ -58,13 +53,16 @@ SUBSCRIPTIONS = "subscriptions"
 class TactileNode(Node, Generic[C]):
     """A node whose parameters are one configuration and that no callback ends.
 
-    What a callback of a subscription, service or timer throws is counted and reported; see `Guard`.
+    What a callback of a subscription, service or timer throws is counted and reported; see
+    `CallbackGuard`.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
     come or gone: that both ends of a topic exist does not mean that they know of each other yet.
 
     Attributes:
         diagnostics: Counters and facts to report.
+        answering: Put around the answer to a tick, see `Answering`.
+        tick_publishers: Its publishers of what carries a tick.
         fatal: Errors after which the node has nothing left to do: they end it.
     """
 
@@ -81,11 +79,8 @@ class TactileNode(Node, Generic[C]):
         Raises:
             ConfigurationError: If a parameter that was given is unknown or refused.
         """
-        self._guard = Guard(self)  # first: rclpy creates services of its own
-        direct = direct_delivery(kwargs.get("context") or get_default_context())
-        super().__init__(name, enable_rosout=direct is None, **kwargs)
-        if direct is not None:
-            self._logger = RosoutLogger(self)
+        self._guard = CallbackGuard(self)  # first: rclpy creates services of its own
+        super().__init__(name, **kwargs)
         try:
             self._config_parameters = ConfigParameters(
                 self, model, self._take_config, self.check_config
@@ -94,6 +89,8 @@ class TactileNode(Node, Generic[C]):
             self.destroy_node()
             raise
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
+        self.answering = Answering(self._guard, self.diagnostics)
+        self.tick_publishers: list[TickPublisher] = []
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
         )
@@ -108,13 +105,6 @@ class TactileNode(Node, Generic[C]):
     def config(self) -> C:
         """The configuration in force."""
         return self._config_parameters.config
-
-    @property
-    def subscriptions(self) -> Iterator[Subscription]:
-        """Subscriptions for an executor: without those whose messages are taken directly."""
-        for subscription in super().subscriptions:
-            if not isinstance(subscription.callback_group, DirectTakeGroup):
-                yield subscription
 
     def check_config(self, config: C) -> None:
         """Refuse a change of parameters that the model alone cannot judge, before it is made.
@@ -167,7 +157,7 @@ class TactileNode(Node, Generic[C]):
             self.diagnostics.clear("configuration")
 
     def guarded(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback whose errors the node survives; see `Guard.wrap`."""
+        """Return a callback whose errors the node survives; see `CallbackGuard.wrap`."""
         return self._guard.wrap(source, callback)
 
     def after_reading(self, guarded: Callable[[], None]) -> None:
@@ -182,9 +172,10 @@ class TactileNode(Node, Generic[C]):
         else:
             guarded()
 
-    def tick_publisher(self, message_type: Any, topic: str) -> Publisher:
+    def tick_publisher(self, message_type: Any, topic: str) -> TickPublisher:
         """Create a publisher for something that carries a tick."""
-        return self.create_publisher(message_type, topic, qos.tick_publisher_qos())
+        self.tick_publishers.append(TickPublisher(self, message_type, topic))
+        return self.tick_publishers[-1]
 
     def subscribe(
         self,
@@ -223,29 +214,9 @@ class TactileNode(Node, Generic[C]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Subscription:
-        """Subscribe as rclpy does, with a guarded callback; publishers here may serve it."""
+        """Subscribe as rclpy does, with a guarded callback."""
         guarded = self._guard.wrap(topic, callback)
-        subscription = super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
-        direct = direct_delivery(self.context)
-        if direct is not None:
-            direct.add_subscription(subscription)
-        return subscription
-
-    def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Destroy a subscription as rclpy does."""
-        direct = direct_delivery(self.context)
-        if direct is not None:
-            direct.remove_subscription(subscription)
-        return bool(super().destroy_subscription(subscription))
-
-    def create_publisher(self, *args: Any, **kwargs: Any) -> Publisher:
-        """Create a publisher as rclpy does; it may serve subscriptions of its process itself."""
-        direct = direct_delivery(self.context)
-        if direct is None:
-            return super().create_publisher(*args, publisher_class=LeanPublisher, **kwargs)
-        publisher = super().create_publisher(*args, publisher_class=DirectPublisher, **kwargs)
-        direct.add_publisher(publisher)
-        return publisher
+        return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
@@ -288,16 +259,15 @@ class TactileNode(Node, Generic[C]):
         set_period(self._peers_timer, self._attention.period(changed))
 
     def peers(self) -> dict[str, int]:
-        """Return how many matched peers each topic has, by key of the diagnostics."""
-        # Not self.subscriptions: that is what an executor serves, which may be less.
-        subscriptions = Node.subscriptions.fget(self)
-        sent = {_key(PUBLICATIONS, p): p.get_subscription_count() for p in self.publishers}
-        return sent | {_key(SUBSCRIPTIONS, s): self._publisher_count(s) for s in subscriptions}
+        """Return how many matched peers each topic has, by key of the diagnostics.
 
-    def _publisher_count(self, subscription: Subscription) -> int:
-        direct = direct_delivery(self.context)
-        inside = 0 if direct is None else direct.publisher_count(subscription)
-        return inside + int(subscription.get_publisher_count())
+        What is reported as matched is sent from now on.
+        """
+        for publisher in self.tick_publishers:
+            publisher.get_subscription_count()
+        sent = {_key(PUBLICATIONS, p): int(p.get_subscription_count()) for p in self.publishers}
+        received = {_key(SUBSCRIPTIONS, s): s.get_publisher_count() for s in self.subscriptions}
+        return sent | received
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; the timer calls it, a node may too."""

@@ -7,7 +7,7 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import FrameType
 from typing import Any
 
@@ -20,9 +20,8 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.ros.direct.delivery import deliver_directly
-from tactile_hand_ros.ros.executor import is_supported, spin
-from tactile_hand_ros.ros.middleware import share_process, use_sockets
+from tactile_hand_ros.ros.executor import spin
+from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
@@ -32,18 +31,24 @@ EXIT_REFUSED = 2
 
 def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Run one node until SIGINT, SIGTERM or shutdown; see `run_nodes`."""
-    return run_nodes([node], args)
+    return run_nodes(lambda: [node()], args, described=[node])
 
 
-def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | None = None) -> int:
+def run_nodes(
+    make: Callable[[], Iterable[Node]],
+    args: Sequence[str] | None = None,
+    *,
+    described: Sequence[Callable[..., Any]] = (),
+) -> int:
     """Run nodes together in this process until SIGINT, SIGTERM or shutdown.
 
     Before a node is destroyed its ``close()`` is called, if it has one.
 
     Args:
-        factories: Node classes or functions that make a node.
+        make: Makes the nodes, one after the other.
         args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
             ask for SCHED_FIFO and for processors, see `scheduling`.
+        described: What ``--help`` shows the docstrings of.
 
     Returns:
         0 after a normal end, 1 when a node gave up while running, 2 when the configuration
@@ -53,9 +58,9 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
     _let_signals_shut_down()
     nodes: list[Node] = []
     try:
-        scheduling = _init(line, factories)
-        for factory in factories:
-            nodes.append(factory())
+        scheduling = _init(line, described)
+        for node in make():
+            nodes.append(node)
         for node in nodes:
             _check_ready(node)
             _announce(node)
@@ -65,12 +70,10 @@ def run_nodes(factories: Sequence[Callable[[], Node]], args: Sequence[str] | Non
 
 
 def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
-    # What exists now lives as long as the process: the collector need not look at it, not even
-    # once, which takes longer than what it would find is worth. A script may have disabled it.
-    gc.freeze()
+    gc.freeze()  # what exists now lives as long as the process
     gc.enable()
     try:
-        scheduling.after_start()
+        scheduling.raise_priority()
         spin(nodes)
     except BaseException as error:
         return _code_of(error, EXIT_FAILED)
@@ -123,7 +126,7 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
     _was_signalled = True
 
 
-def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling:
+def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Scheduling:
     """Let the kernel schedule the process as asked, and initialise rclpy.
 
     Returns:
@@ -133,18 +136,17 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling
         ConfigurationError: If the command line or a parameter file cannot be read.
     """
     use_sockets()
-    direct = len(factories) > 1 and is_supported() and share_process()
     try:
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
-        scheduling.apply()  # before there are threads that should inherit it
+        scheduling.restrict()  # before there are threads and processes that should inherit it
         rclpy.init(args=line)
-        if direct:
-            deliver_directly(rclpy.get_default_context())
+        if _was_signalled:  # before rclpy could know of it
+            raise KeyboardInterrupt
     except (_rclpy.RCLError, RuntimeError) as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
     if extra and extra[0] in ("-h", "--help"):
-        print(_help(factories))
+        print(_help(described))
         raise SystemExit(EXIT_OK)
     if extra:
         raise ConfigurationError(
@@ -154,8 +156,8 @@ def _init(line: list[str], factories: Sequence[Callable[[], Any]]) -> Scheduling
     return scheduling
 
 
-def _help(factories: Sequence[Callable[[], Any]]) -> str:
-    texts = [(factory.__doc__ or "").strip() for factory in factories]
+def _help(described: Sequence[Callable[..., Any]]) -> str:
+    texts = [(factory.__doc__ or "").strip() for factory in described]
     usage = "ROS arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
     return "\n\n".join([*texts, f"Arguments: {USAGE}", usage])
 

@@ -51,20 +51,22 @@ class Scheduling:
         cpus = [CPUS, format_cpus(self.cpus)] if self.cpus else []
         return priority + cpus
 
-    def apply(self) -> None:
-        """Set it for all threads and those that they will start; remember what was refused."""
+    def restrict(self) -> None:
+        """Set the processors for all threads and for those that they will start."""
         _refusals.clear()
-        if self.priority:
-            what = f"{PRIORITY} {self.priority}"
-            _ask(what, self._set_policy, "run as root, or allow rtprio in limits.conf")
         if self.cpus:
             what = f"{CPUS} {format_cpus(self.cpus)}"
             here = format_cpus(sorted(os.sched_getaffinity(0)))
             _ask(what, self._set_cpus, f"this process runs on {here}")
 
-    def after_start(self) -> None:
-        """Adjust the threads that the middleware has started, when all nodes have been made."""
+    def raise_priority(self) -> None:
+        """Set the priority of all threads that there are, when all nodes have been made.
+
+        Not earlier: what a start takes, and a process that it starts, must not keep others waiting.
+        """
         if self.priority:
+            what = f"{PRIORITY} {self.priority}"
+            _ask(what, self._set_policy, "run as root, or allow rtprio in limits.conf")
             yield_while_resending()
 
     def _set_policy(self) -> None:

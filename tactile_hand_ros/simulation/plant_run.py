@@ -69,6 +69,11 @@ class PlantRun:
         """Whether all commands are refused."""
         return bool(self._refused)
 
+    @property
+    def reason(self) -> str:
+        """Why the joints are held; empty while they are not."""
+        return self._refused or self.guard.reason
+
     def command(self, stamp: int, torque: Array) -> None:
         """Take the torque, shape (m,), N m, that answers a tick, ns; the guard judges it."""
         self._command = TorqueCommand(stamp, torque)

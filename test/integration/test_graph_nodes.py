@@ -25,10 +25,10 @@ from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.targets import MOST_WAITING
-from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
-from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.plant.node import PlantNode
-from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns

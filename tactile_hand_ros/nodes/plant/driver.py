@@ -7,28 +7,118 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
-from rclpy.clock import Clock
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
 
+from tactile_hand_ros import names
+from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.errors import DivergedError
-from tactile_hand_ros.names import JOINT_COMMAND
-from tactile_hand_ros.nodes.mode_log import ModeLog
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
 from tactile_hand_ros.nodes.plant.real_time import Pace
-from tactile_hand_ros.nodes.plant.topics import PlantTopics
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.senders import SenderCheck, two_senders
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.plant_config import PlantConfig
-from tactile_hand_ros.simulation.plant_run import Array, PlantRun
+from tactile_hand_ros.simulation.plant_run import PlantRun
+from tactile_hand_ros.simulation.skin import TactileReading
 
-CONFLICT = two_senders(JOINT_COMMAND)
+Array = NDArray[np.float64]
+
+
+class InProcessHand(Protocol):
+    """The blocks that answer the plant's ticks where they share its process."""
+
+    def answer(
+        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
+    ) -> Array | None:
+        """Return the torque for a tick, shape (m,), N m; None where there is none to be used."""
+
+    def hold(self, held: bool) -> None:
+        """Note whether the guard holds the joints."""
+
+    def restart(self) -> None:
+        """Start over: time has been set back."""
+
+
+CONFLICT = two_senders(names.JOINT_COMMAND)
 
 NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
+_TURN = 0.005
+"""Time for which ticks follow each other before messages and services get their turn [s]."""
+
 _TELL_PERIOD = 0.1
 """Shortest time between two announcements of what the guard does [s]."""
+
+
+class PlantTopics:
+    """Publishes the state of a plant, and once and for all the URDF of its hand."""
+
+    def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
+        """Create the publishers and describe the hand."""
+        self._truth = ReadingPublisher(
+            node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
+        )
+        self._encode_slip = JointCodec(hand.finger_names, ("position", "velocity")).encode
+        self._slip_publisher = node.tick_publisher(JointState, names.TRUE_SLIP)
+        fields = ("position", "velocity", "effort")
+        self._encode_joints = JointCodec(hand.joint_names, fields).encode
+        self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES)
+        self._encode_pose = PoseCodec().encode
+        self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE)
+        self._clock_publisher = node.tick_publisher(Clock, names.CLOCK)
+        latched = qos.latched_qos()
+        self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
+        self._description.publish(String(data=hand.description))
+        self._hold = node.create_publisher(Bool, names.JOINT_HOLD, latched)
+        self._is_held: bool | None = None
+
+    def publish(
+        self, stamp_ns: int, state: PlantState, true: TactileReading, sliding: Array
+    ) -> None:
+        """Publish a tick, first what others wait for.
+
+        Args:
+            stamp_ns: The tick [ns].
+            state: Hand and object.
+            true: Their contacts.
+            sliding: The sliding speeds of these, shape (k,), m/s.
+        """
+        self._slip_publisher.publish(self._encode_slip, stamp_ns, state.slid, sliding)
+        self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
+        joints = state.theta, state.rates, state.torque
+        self._joints_publisher.publish(self._encode_joints, stamp_ns, *joints)
+        pose = state.position, state.rotation
+        self._pose_publisher.publish(self._encoded_pose, *pose, stamp_ns)
+        self._clock_publisher.publish(clock_bytes, stamp_ns)
+
+    def _encoded_pose(self, position: Array, rotation: Array, stamp_ns: int) -> bytes:
+        return self._encode_pose(position, quaternion_from_rotation(rotation), stamp_ns)
+
+    def publish_hold(self, is_held: bool) -> None:
+        """Publish whether the joints are held, where that has changed."""
+        if is_held != self._is_held:
+            self._is_held = is_held
+            self._hold.publish(Bool(data=is_held))
+
+    def repeat(self) -> None:
+        """Publish what others wait for once more."""
+        self._slip_publisher.repeat()
+        self._truth.repeat()
+        self._joints_publisher.repeat()
 
 
 class PlantDriver:
@@ -39,6 +129,9 @@ class PlantDriver:
     the joints are held and time follows the wall clock until a command comes. In real time the last
     command acts until a newer one comes, or until the guard finds it too old. While there are
     two senders the joints are held, whatever they send.
+
+    With a hand in the same process its answer is the command of the tick. A tick without one is as
+    if the controller were silent.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -48,6 +141,8 @@ class PlantDriver:
             node: The node to publish and report with.
             run: The run to drive.
         """
+        self._hand: InProcessHand | None = None
+        self._torque: Array | None = None  # of the hand, for the present tick
         self._node = node
         self._diagnostics = node.diagnostics
         self._run = run
@@ -61,11 +156,15 @@ class PlantDriver:
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
         self._pacer.timer_period_ns = c.tick
         watch = 0.25 * min(c.resend_after, c.command_timeout)
         self._watcher = node.create_timer(watch, self._on_watch, clock=steady)
+
+    def connect(self, hand: InProcessHand) -> None:
+        """Let a hand in this process answer the ticks."""
+        self._hand = hand
 
     @property
     def mode(self) -> str:
@@ -74,8 +173,7 @@ class PlantDriver:
             return "finished"
         if not self._is_on:
             return "paused"
-        is_held = self._run.refusing or self._run.guard.reason
-        return "holding" if is_held else "running"
+        return "holding" if self._run.reason else "running"
 
     @property
     def _waits(self) -> bool:
@@ -88,7 +186,7 @@ class PlantDriver:
         A change of mode is reported at once, not when the next diagnostics are due.
         """
         self._run.release()
-        self._topics.tell_hold(self._run.guard.holding)
+        self._publish_hold()
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
         self._answered_at = self._sent_at = time.monotonic()
@@ -111,6 +209,8 @@ class PlantDriver:
         self._run.reset()
         self._is_finished = False
         self._newest_answer = -1
+        if self._hand is not None:
+            self._hand.restart()
         self.begin()
 
     def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
@@ -208,7 +308,7 @@ class PlantDriver:
 
     def _tell_hold(self) -> None:
         """Publish at once when the joints begin or cease to be held; in diagnostics less often."""
-        self._topics.tell_hold(self._run.guard.holding)
+        self._publish_hold()
         reason = self._run.guard.reason
         if reason == self._told:
             return
@@ -218,10 +318,36 @@ class PlantDriver:
             self._diagnostics.judge("hold", bool(reason), f"{reason}; the joints are held")
             self._node.publish_diagnostics()
 
+    def _publish_hold(self) -> None:
+        held = self._run.guard.holding
+        self._topics.publish_hold(held)
+        if self._hand is not None:
+            self._hand.hold(held)
+
     def _publish(self) -> None:
-        self._topics.publish(self._run.state, self._run.stamp)
+        """Publish the present tick, and let a hand in this process answer it."""
+        state, stamp = self._run.state, self._run.stamp
+        true, sliding = true_reading(state), sliding_speeds(state)
+        self._topics.publish(stamp, state, true, sliding)
         self._sent_at = time.monotonic()
         self._diagnostics.tick()
+        if self._hand is None:
+            return
+        self._torque = self._hand.answer(stamp, state, true, sliding)
+        if not self._is_lockstep:
+            self._take_answer()
+
+    def _take_answer(self) -> None:
+        if self._torque is not None:
+            torque, self._torque = self._torque, None
+            self.command(self._run.stamp, torque)
+
+    def work(self) -> bool:
+        """Take the ticks of a hand in this process for a moment; return whether there are more."""
+        end = time.monotonic() + _TURN
+        while self._torque is not None and time.monotonic() < end:
+            self._take_answer()
+        return self._torque is not None
 
     def _stop(self, reason: str) -> None:
         """Let time stand still: there is no state to go on from, or to publish."""
@@ -283,7 +409,7 @@ class PlantDriver:
     def report(self, put: Callable[[str, object], None]) -> None:
         """Report mode, time and silence under the keys of diagnostics."""
         put("mode", self.mode)
-        self._modes.note(self.mode)
+        self._modes.note(self.mode, self._run.reason)
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)

@@ -24,8 +24,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
-from tactile_hand_ros.nodes.plant.driver import PlantDriver
-from tactile_hand_ros.nodes.publishers import report_publishers
+from tactile_hand_ros.nodes.common import report_publishers
+from tactile_hand_ros.nodes.plant.driver import InProcessHand, PlantDriver
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.wire import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
@@ -55,20 +55,32 @@ class PlantNode(TactileNode[PlantConfig]):
     Parameters: the fields of `PlantConfig`; `object.friction` is live.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
         """Build hand and object, and begin unless `autostart` is false.
+
+        Args:
+            composed: Whether a hand in this process answers the ticks: it is given to `begin`, and
+                no commands are received.
+            **kwargs: For `rclpy.node.Node`.
 
         Raises:
             TactileHandError: If a parameter is refused or hand or object cannot be built.
         """
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
-        hand = self._run.plant.hand
-        self._joints = JointCodec(hand.joint_names, ("effort",))
         self._driver = PlantDriver(self, self._run)
-        self.subscribe(JointState, names.JOINT_COMMAND, self._on_command, raw=True)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.RUN, self._on_run)
+        if composed:
+            self.work = self._driver.work
+        else:
+            self._joints = JointCodec(self._run.plant.hand.joint_names, ("effort",))
+            self.subscribe(JointState, names.JOINT_COMMAND, self._on_command, raw=True)
+            self._driver.begin()
+
+    def begin(self, hand: InProcessHand) -> None:
+        """Begin with a hand in this process that answers the ticks."""
+        self._driver.connect(hand)
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:

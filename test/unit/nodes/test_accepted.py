@@ -14,8 +14,8 @@ from std_msgs.msg import Float64
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.nodes.accepted import Accepted
-from tactile_hand_ros.nodes.publishers import report_publishers
+from tactile_hand_ros.nodes.common import report_publishers
+from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
@@ -36,7 +36,7 @@ class Stage:
 
     def __init__(self, context: Any) -> None:
         self.node = TactileNode("hand", Gains, context=context, namespace="/left")
-        self.accepted = Accepted(self.node, "hand", requests=True, commands=True)
+        self.accepted = AppliedChanges(self.node, "hand", requests=True, commands=True)
         listened = {
             names.accepted_parameters("hand"): (ParameterEvent, qos.configuration_qos()),
             names.accepted_requests("hand"): (DiagnosticArray, qos.user_qos()),

@@ -19,8 +19,8 @@ from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Command, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose
 from tactile_hand_ros.errors import ConfigurationError, UnsafeOutputError
-from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
-from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, WrenchCodec

@@ -17,11 +17,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import GraspError
-from tactile_hand_ros.nodes.force_optimizer.node import ForceOptimizerNode
-from tactile_hand_ros.nodes.manipulation_controller.node import ManipulationControllerNode
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.plant.node import PlantNode
-from tactile_hand_ros.nodes.slip_regulator.node import SlipRegulatorNode
-from tactile_hand_ros.nodes.tactile_sensor.node import TactileSensorNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.conversions import ContactPoses, stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
@@ -235,7 +235,7 @@ def test_a_controller_reports_missing_inputs_publishers_and_margins(
 ) -> None:
     node = make(ManipulationControllerNode)
     calls: list[Any] = []
-    module = importlib.import_module("tactile_hand_ros.nodes.manipulation_controller.node")
+    module = importlib.import_module("tactile_hand_ros.nodes.manipulation_controller")
     monkeypatch.setattr(module, "report_publishers", lambda *args: calls.append(args))
     monkeypatch.setattr(node._inputs, "report", lambda: calls.append("inputs"))
     monkeypatch.setattr(node._report, "report", lambda target: calls.append(target))

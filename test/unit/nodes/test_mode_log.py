@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Changes of mode are logged, a flood of them is not."""
 
-from tactile_hand_ros.nodes.mode_log import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog
 
 
 def test_each_change_is_one_line_with_its_reason() -> None:

@@ -23,9 +23,9 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
-from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
-from tactile_hand_ros.nodes.manipulation_controller.report import ControllerReport
-from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
+from tactile_hand_ros.nodes.force_optimizer import OptimizerReport
+from tactile_hand_ros.nodes.manipulation_controller import ControllerReport
+from tactile_hand_ros.nodes.slip_regulator import GripState, RegulatorReport
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 CONTACTS = three_faces()

@@ -7,8 +7,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.nodes.force_optimizer.report import OptimizerReport
-from tactile_hand_ros.nodes.slip_regulator.report import GripState, RegulatorReport
+from tactile_hand_ros.nodes.force_optimizer import OptimizerReport
+from tactile_hand_ros.nodes.slip_regulator import GripState, RegulatorReport
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.scenario.scenario import load_scenario
 

@@ -11,13 +11,13 @@ import pytest
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from tactile_hand_ros.ros.wait_set import Ready
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import executor as module
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import SurvivingExecutor, WaitSetExecutor, is_supported, spin
-from tactile_hand_ros.ros.wait_set import Ready
 
 
 class Survivor(Node):

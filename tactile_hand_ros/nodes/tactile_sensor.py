@@ -10,9 +10,8 @@ of the forces only. When it dies, nodes that wait for touch notice the silence.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +19,16 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
-from tactile_hand_ros.nodes.readings import ReadingPublisher
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros.messages.conversions import ContactPoses
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import streams
 from tactile_hand_ros.ros.ticks.inputs import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.simulation.miscalibration import Miscalibration
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.simulation.miscalibration import Miscalibration
 
 Array = NDArray[np.float64]
 
@@ -52,8 +50,12 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     live. When the stamps jump back, noise starts again from its seed.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
         """Build the sensor.
+
+        Args:
+            composed: Whether a chain in this process calls `step`, so that no ticks are received.
+            **kwargs: For `rclpy.node.Node`.
 
         Raises:
             TactileHandError: If a parameter is refused or there is no such hand.
@@ -61,19 +63,21 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         super().__init__("tactile_sensor", TactileSensorConfig, **kwargs)
         hand = load_hand_config(self.config.hand)
         fingers = hand.finger_names
-        self._sensor = TactileSensor(self.config, np.array(hand.radii))
-        self._rehearse(len(fingers))
-        self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
         declared: tuple[streams.Stream, ...] = (
             streams.true_contacts(len(fingers)),
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
-        self._belief: Miscalibration | None = None
+        miscalibrated = None
         if not self.config.calibration.is_right:
-            self._belief, joints = _believed(self.config)
-            declared += (joints,)
-        self._inputs = TickInputs(self, declared, self)
+            known = Hand.load(self.config.hand, self.config.layout)
+            miscalibrated = Miscalibration(self.config.calibration, known).step
+            declared += (streams.joints(known.joint_names),)
+        self._sensor = TactileSensor(self.config, np.array(hand.radii), miscalibrated)
+        self._rehearse(len(fingers))
+        self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
+        if not composed:
+            self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self, fingers: int) -> None:
         contacts, forces = example_touch(fingers)
@@ -103,22 +107,17 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         joints: streams.Joints | None = None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
-        began = time.perf_counter()
         true = TactileReading(contacts.positions, contacts.quaternions, forces)
-        if self._belief is not None and joints is not None:
-            true = self._belief.step(joints.theta, true)
-        self._publisher.publish(self._sensor.step(stamp, true, speeds), stamp)
-        self.diagnostics.tick()
-        self.diagnostics.latency(time.perf_counter() - began)
+        self.step(stamp, true, speeds, None if joints is None else joints.theta)
 
-
-def _believed(config: TactileSensorConfig) -> tuple[Miscalibration, streams.Stream]:
-    """Return what turns contacts into those that a wrong calibration gives, and its input."""
-    from tactile_hand_ros.hand.hand import Hand  # takes a tenth of a second to load
-    from tactile_hand_ros.simulation.miscalibration import Miscalibration
-
-    known = Hand.load(config.hand, config.layout)
-    return Miscalibration(config.calibration, known), streams.joints(known.joint_names)
+    def step(
+        self, stamp: int, true: TactileReading, sliding: Array, theta: Array | None = None
+    ) -> TactileReading:
+        """Publish and return what touch reports; see `TactileSensor.step`."""
+        with self.answering:
+            touch = self._sensor.step(stamp, true, sliding, theta)
+            self._publisher.publish(stamp, touch.positions, touch.quaternions, touch.forces)
+        return touch
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What several nodes share: a log of modes, a check for a second sender, publishers of touch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseArray, WrenchStamped
+from numpy.typing import NDArray
+
+from tactile_hand_ros import names
+from tactile_hand_ros.ros.diagnostics import WARN
+from tactile_hand_ros.ros.messages.wire import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.node import TactileNode
+
+Array = NDArray[np.float64]
+
+_MOST = 5
+"""Lines in a second; of more changes only the number is logged."""
+
+
+class ModeLog:
+    """Logs changes of mode at once, but no flood of them."""
+
+    def __init__(
+        self, log: Callable[[str], Any], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin without a mode.
+
+        Args:
+            log: Takes a line.
+            clock: Source of time [s].
+        """
+        self._log = log
+        self._clock = clock
+        self._mode = ""
+        self._second = -1.0
+        self._lines = self._unlogged = 0
+
+    def note(self, mode: str, reason: str = "") -> None:
+        """Note the mode in force, and why it is; the first one needs no line."""
+        if mode == self._mode:
+            return
+        before, self._mode = self._mode, mode
+        if not before:
+            return
+        now = self._clock()
+        if now - self._second >= 1.0:
+            self._second, self._lines = now, 0
+        self._lines += 1
+        if self._lines > _MOST:
+            self._unlogged += 1
+            return
+        others = f" ({self._unlogged} changes before it not logged)" if self._unlogged else ""
+        self._unlogged = 0
+        self._log(f"{before} -> {mode}{others}" + (f": {reason}" if reason else ""))
+
+
+def report_publishers(node: TactileNode[Any], topic: str) -> None:
+    """Warn in the diagnostics while a topic has more than one publisher.
+
+    A publisher that was killed counts until the middleware gives it up, after some seconds.
+    """
+    count = node.count_publishers(node.resolve_topic_name(topic))
+    node.diagnostics.judge(
+        f"publishers of {topic}",
+        count > 1,
+        f"{count} publishers of {topic}, expected one; two hands need two namespaces",
+        WARN,
+    )
+
+
+class ReadingPublisher:
+    """Publishes contacts and forces, true or measured: a PoseArray, and a WrenchStamped a finger."""
+
+    def __init__(
+        self,
+        node: TactileNode[Any],
+        fingers: Sequence[str],
+        contacts_topic: str,
+        wrench_topic: Callable[[str], str],
+    ) -> None:
+        """Create the publishers.
+
+        Args:
+            node: The node that publishes.
+            fingers: Names of the fingers, in the order of the rows.
+            contacts_topic: Topic of the contact frames.
+            wrench_topic: Gives the topic of a finger's force.
+        """
+        self._encode = ContactsCodec(len(fingers)).encode
+        self._contacts = node.tick_publisher(PoseArray, contacts_topic)
+        self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
+
+    def publish(self, stamp_ns: int, positions: Array, quaternions: Array, forces: Array) -> None:
+        """Publish a tick.
+
+        Args:
+            stamp_ns: The tick [ns].
+            positions: Contact points in the palm frame [m]. Shape (k, 3).
+            quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
+            forces: Forces on the object in the contact frames [N]. Shape (k, 3).
+        """
+        self._contacts.publish(self._encode, positions, quaternions, stamp_ns)
+        self._wrenches.publish(stamp_ns, forces)
+
+    def repeat(self) -> None:
+        """Publish the last tick again."""
+        self._contacts.repeat()
+        self._wrenches.repeat()
+
+
+class WrenchPublishers:
+    """Publishes a vector for each finger in its contact frame, as the force of a WrenchStamped."""
+
+    def __init__(
+        self,
+        node: TactileNode[Any],
+        fingers: Sequence[str],
+        topic: Callable[[str], str],
+        *,
+        nan_allowed: bool = False,
+    ) -> None:
+        """Create the publishers.
+
+        Args:
+            node: The node that publishes.
+            fingers: Names of the fingers.
+            topic: Gives the topic of a finger.
+            nan_allowed: Whether NaN is an answer.
+        """
+        self._fingers = [
+            (
+                WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).encode,
+                node.tick_publisher(WrenchStamped, topic(name)),
+            )
+            for name in fingers
+        ]
+
+    def publish(self, stamp_ns: int, forces: Array) -> None:
+        """Publish the vectors of a tick [ns], shape (k, 3)."""
+        for (encode, publisher), force in zip(self._fingers, forces.tolist(), strict=True):
+            publisher.publish(encode, force, stamp_ns)
+
+    def repeat(self) -> None:
+        """Publish the last tick again."""
+        for _, publisher in self._fingers:
+            publisher.repeat()

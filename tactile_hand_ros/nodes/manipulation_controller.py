@@ -1,0 +1,429 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manipulation controller: joint torques that hold and move the object.
+
+Safe state: posture and last good squeeze are held when a contact, f*, k_f or, where the load is
+observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
+when joint states come without them for `input_timeout`. The hold ends by itself when all inputs of
+a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
+dropped, and the old one stays. Without joint states it says nothing; then, and when it dies, the
+plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
+A tick at which anything else fails, or that would give a torque which is not finite, is answered
+with the hold too. No torque exceeds the effort limits of the URDF.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from tactile_hand_ros import names
+from tactile_hand_ros.control.contact import Contacts, example_touch
+from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
+from tactile_hand_ros.control.own_law import take_law
+from tactile_hand_ros.errors import ConfigurationError, GraspError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.nodes.common import ModeLog, report_publishers
+from tactile_hand_ros.nodes.user_changes import AppliedChanges, DesiredPoses
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import WARN
+from tactile_hand_ros.ros.guard import TickFailedError
+from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, check_output
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.rotations import quaternion_from_rotation
+
+Array = NDArray[np.float64]
+
+_AT_LIMIT = "a joint is at the effort limit of the URDF; squeeze less or lower the gains"
+
+
+class ControllerReport:
+    """Keeps faults and values up to date; costs next to nothing while all is well."""
+
+    def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
+        """Report with the diagnostics of a node on the grasp of a hand."""
+        self._node = node
+        self._watch = GraspMonitor(hand)
+        self._modes = ModeLog(node.get_logger().info)
+        self._theta: Array | None = None
+        self._last: Command | None = None
+        self._contacts: Contacts | None = None
+
+    def reset(self) -> None:
+        """Begin with a new grasp."""
+        self._watch.reset()
+
+    def note(
+        self, command: Command, theta: Array | None = None, contacts: Contacts | None = None
+    ) -> None:
+        """Note an answer, and the joints and contacts that it saw; none when they had not come."""
+        last, self._last, self._contacts = self._last, command, contacts
+        self._theta = theta
+        if last is not None and (command.mode, command.reason) == (last.mode, last.reason):
+            return
+        self._modes.note(command.mode.value, command.reason)
+        diagnostics = self._node.diagnostics
+        if command.mode is Mode.HOLD:
+            if contacts is not None:  # that inputs are missing is reported already
+                diagnostics.fault("hold", command.reason)
+        elif command.mode in (Mode.DISABLED, Mode.OPEN):
+            diagnostics.fault("hold", command.reason, WARN)
+        else:
+            diagnostics.clear("hold")
+            if command.reason:  # a pose for later whose time has come
+                self._node.reject(names.DESIRED_POSE, command.reason)
+
+    def report(self, target: Target | None) -> None:
+        """Put mode, distance to the target and the margins of the grasp into the diagnostics."""
+        put, last = self._node.diagnostics.value, self._last
+        if last is not None:
+            put("mode", last.mode.value)
+        if last is not None and last.pose is not None and target is not None:
+            error = float(np.linalg.norm(target.position - last.pose.position))
+            put("position_error_m", error)
+        if self._contacts is None or self._theta is None:
+            if last is None:
+                return
+            margins = UNKNOWN_MARGINS
+        else:
+            margins = self._watch.margins(self._theta, self._contacts)
+        put("A1 face_travel_m", margins.face_travel)
+        put("A2 hemisphere_margin_rad", margins.hemisphere)
+        put("A5 joint_singularity_margin_m_per_rad", margins.joint)
+        put("A7 collinearity_margin", margins.collinearity)
+
+
+class ManipulationControllerNode(TactileNode[ControllerConfig]):
+    """Answers each tick with joint torques.
+
+    Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
+    (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
+    without unit), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
+    (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all of one stamp; `desired_pose`
+    (geometry_msgs/PoseStamped, frame `palm`, m; holds from the tick in its stamp on, at once when
+    that is past or 0).
+
+    Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
+    N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
+    of the contacts; not while holding). With the stamp of the first tick that they change:
+    `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `AppliedChanges`
+    lists. At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and touch contradict
+    each other, so that regulator and optimizer must not learn from touch). Once a second:
+    `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces), A2 (tips'
+    rims), A5 (joints) and A7 (contacts).
+
+    At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
+    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
+    latest when the first of them comes.
+
+    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, while open or
+    closing fingers stay so; a jump back of the stamps forgets that too. By std_srvs/SetBool:
+    `~/enable`, the law or mere damping, and `~/grasp`, close the fingers until all touch and hold
+    that, or open them.
+
+    Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
+    was started with `law.observer.time` 0 refuses another value: it does not subscribe to forces.
+    """
+
+    def __init__(self, *, composed: bool = False, time_waits: bool = False, **kwargs: Any) -> None:
+        """Build the controller.
+
+        Args:
+            composed: Whether a chain in this process calls `step` and sets `joints_held`, so that
+                neither ticks nor `joint_hold` are received.
+            time_waits: Whether time is known to wait for each answer, so that none is better not
+                sent. Without a chain this shows when a tick is repeated.
+            **kwargs: For `rclpy.node.Node`.
+
+        Raises:
+            TactileHandError: If a parameter is refused or the hand cannot be built.
+        """
+        super().__init__("manipulation_controller", ControllerConfig, **kwargs)
+        take_law(self.config.law)  # named by a parameter, so by the user
+        self._controller = Controller(self.config)
+        self._rehearse()
+        self._report = ControllerReport(self, self._controller.hand)
+        self._tick: int | None = None
+        self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
+        self._unanswered: tuple[int, Joints] | None = None
+        self._answer: tuple[int, Command] | None = None
+        self._changes = AppliedChanges(self, names.CONTROLLER, requests=True, commands=True)
+        self._begin()
+        hand = self._controller.hand
+        self._limits = hand.effort_limits
+        self._encode = JointCodec(hand.joint_names, ("effort",)).encode
+        self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
+        self._encode_pose = PoseCodec().encode
+        self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
+        # First, so that of a pose and a tick that wait together the pose is handled first.
+        self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
+        self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
+        self._rejection.publish(Bool(data=False))
+        self._was_rejected = False
+        self._feels = composed or self.config.law.observer.time > 0.0
+        self.create_service(Trigger, names.RESET, self._on_reset)
+        self.create_service(SetBool, names.ENABLE, self._on_enable)
+        self.create_service(SetBool, names.GRASP, self._on_grasp)
+        if not composed:
+            self._receive()
+
+    def _receive(self) -> None:
+        hand = self._controller.hand
+        held = qos.latched_qos(qos.user_qos().depth)
+        self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
+        declared = (
+            streams.joints(hand.joint_names),
+            streams.contacts(hand.fingers),
+            streams.grasp_force(),
+            streams.optimal_forces(hand.finger_names),
+            streams.forces(hand.finger_names, wanted=self._feels),
+        )
+        self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
+
+    def _rehearse(self) -> None:
+        hand = self._controller.hand
+        contacts, forces = example_touch(hand.fingers)
+        still = np.zeros(hand.joints)
+        on_tips = hand.tip_positions(still) + hand.radii[:, None] * contacts.normals
+        contacts = Contacts(on_tips, contacts.rotations)
+        self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
+        GraspMonitor(hand).margins(still, contacts)
+        self._controller.reset()
+
+    @property
+    def hand(self) -> Hand:
+        """The hand as the controller knows it."""
+        return self._controller.hand
+
+    @property
+    def touch_rejected(self) -> bool:
+        """Whether joints and touch contradict each other."""
+        return self._controller.touch_rejected
+
+    @property
+    def joints_held(self) -> bool:
+        """Whether a guard holds the joints, so that no torque from here reaches them."""
+        return self._controller.joints_held
+
+    @joints_held.setter
+    def joints_held(self, held: bool) -> None:
+        if held != self._controller.joints_held:
+            self._controller.joints_held = held
+            self._changes.request(names.JOINT_HOLD, held)
+
+    def check_config(self, config: ControllerConfig) -> None:
+        """Refuse to observe a load without forces."""
+        if config.law.observer.time > 0.0 and not self._feels:
+            raise ConfigurationError(
+                f"law.observer.time = {config.law.observer.time}: the controller was started with "
+                "0 and does not listen to forces; restart it with this value",
+                place="law.observer.time",
+            )
+
+    def on_config(self, config: ControllerConfig) -> None:
+        """Take other gains."""
+        self._controller.configure(config)
+        self._changes.configuration(config)
+
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Publish why a command was refused."""
+        self._changes.rejected(source, reason)
+
+    def on_report(self) -> None:
+        """Report mode, missing inputs, distance to the target and the margins of the grasp."""
+        if hasattr(self, "_inputs"):
+            self._inputs.report()
+        report_publishers(self, names.JOINT_STATES)
+        self._report.report(self._controller.target)
+
+    def _on_joint_hold(self, message: Bool) -> None:
+        self.joints_held = message.data
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._desired.forget()
+        self._controller.forget()
+        self._start_over()
+        self._changes.request("reset")
+        response.success, response.message = True, "grasp, targets and integral are forgotten"
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._controller.enabled = request.data
+        self._changes.request("enable", request.data)
+        response.success, response.message = True, "enabled" if request.data else "damping only"
+        return response
+
+    def _on_grasp(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            if request.data:
+                self._controller.grasp()
+            else:
+                self._controller.release()
+        except GraspError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._changes.request("grasp", request.data)
+        if request.data and not self._controller.is_open:
+            response.success, response.message = True, "the hand is not open, nothing to close"
+        else:
+            response.success, response.message = True, "closing" if request.data else "opening"
+        return response
+
+    def on_tick(
+        self,
+        stamp: int,
+        joints: Joints,
+        contacts: Contacts,
+        grasp_force: float,
+        optimal_forces: Array,
+        forces: Array | None,
+    ) -> None:
+        """Answer a tick for which everything has arrived."""
+        theta, rates, applied = joints
+        self.step(stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied)
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        optimal_forces: Array,
+        grasp_force: float,
+        forces: Array | None = None,
+        applied: Array | None = None,
+    ) -> Command:
+        """Publish and return the answer to a tick; see `Controller.step`.
+
+        Raises:
+            TickFailedError: If this and the hold that should take its place have failed.
+        """
+        self._unanswered, self._answer = (stamp, Joints(theta, rates, applied)), None
+        try:
+            with self.answering:
+                self._desired.before(stamp)
+                self._tick = stamp
+                command = self._controller.step(
+                    stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
+                )
+                self._publish_rejection()
+                command = self._send(stamp, command)
+                self._desired.after(stamp)
+                self._report.note(command, theta, contacts)
+        except TickFailedError:
+            command = self._safe_answer()
+        return command
+
+    def _safe_answer(self) -> Command:
+        """Return what the safe state has answered.
+
+        Raises:
+            TickFailedError: If that has failed, too.
+        """
+        if self._answer is None:
+            raise TickFailedError("neither an answer nor a hold")
+        return self._answer[1]
+
+    def _publish_rejection(self) -> None:
+        """Publish whether joints and touch do not fit each other, where that has changed."""
+        if self._controller.touch_rejected != self._was_rejected:
+            self._was_rejected = self._controller.touch_rejected
+            self._rejection.publish(Bool(data=self._was_rejected))
+
+    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
+        """Hold the hand at a tick for which inputs are missing."""
+        command = self._controller.hold(joints.theta, joints.rates, reason, applied=joints.applied)
+        if not command.do_not_send:
+            self._send(stamp, command)
+            self.diagnostics.tick()
+        self._report.note(command)
+
+    def to_safe_state(self, reason: str) -> None:
+        """Hold the hand at the tick that has failed."""
+        if self._unanswered is not None:
+            (stamp, joints), self._unanswered = self._unanswered, None
+            self.on_blind_tick(stamp, joints, reason)
+
+    def on_repeat(self) -> None:
+        """Give the last answer again, or that which was not sent: in lockstep time waits for it."""
+        self._time_waits = self._is_unsent
+        if self._answer is not None:
+            stamp, command = self._answer
+            self._command_publisher.publish(self._encode, stamp, command.torque)
+
+    def on_restart(self) -> None:
+        """Start over with the ticks; poses that came together with the first one are for it."""
+        self._controller.reset()
+        self._start_over()
+
+    def _start_over(self) -> None:
+        self._report.reset()
+        self._begin()
+        self._desired.command_again()
+
+    def _begin(self) -> None:
+        """Publish at the next tick what stays in force when the stamps start over."""
+        self._changes.begin(self.config)
+        self._changes.request("enable", self._controller.enabled)
+        if self._controller.joints_held:
+            self._changes.request(names.JOINT_HOLD, True)
+
+    def _send(self, stamp: int, command: Command) -> Command:
+        """Publish an answer inside the limits of the joints, unless it is better not sent.
+
+        Returns:
+            What was published or may be asked for again.
+
+        Raises:
+            UnsafeOutputError: If a torque is not finite.
+        """
+        check_output(command.torque)
+        self._is_unsent = command.do_not_send and not self._time_waits
+        torque = self._limited(command.torque)
+        if torque is not command.torque or command.do_not_send != self._is_unsent:
+            command = command._replace(torque=torque, do_not_send=self._is_unsent)
+        self._answer = stamp, command
+        if self._is_unsent:
+            return command
+        self._unanswered = None
+        self._command_publisher.publish(self._encode, stamp, torque)
+        self._changes.take_effect(stamp)
+        if command.pose is not None:
+            self._pose_publisher.publish(self._encoded_pose, command.pose, stamp)
+        return command
+
+    def _encoded_pose(self, pose: AuxiliaryPose, stamp: int) -> bytes:
+        return self._encode_pose(pose.position, quaternion_from_rotation(pose.orientation), stamp)
+
+    def _limited(self, torque: Array) -> Array:
+        """Return a torque inside the joints' effort limits, and warn where it was not."""
+        is_over = bool((np.abs(torque) > self._limits).any())
+        if is_over:
+            self.diagnostics.fault("torque", _AT_LIMIT, WARN)
+        elif self._is_limited:
+            self.diagnostics.clear("torque")
+        self._is_limited = is_over
+        return np.clip(torque, -self._limits, self._limits) if is_over else torque
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the manipulation controller until SIGINT or SIGTERM and return the exit code."""
+    return run_node(ManipulationControllerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip regulator: how hard the hand squeezes.
+
+Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
+every mode; a finger that is silent or says NaN leaves the tick without k_f, and the controller
+holds the hand. Where a finger has lost contact the need is not known, and the reflex doubles
+its squeeze once. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
+help, is a warning in `/diagnostics`. A request of the user outside the limits is counted and
+dropped, and the squeeze stays. When it dies, the controller holds the last squeeze; a new one
+starts at the configured k_f and has to learn the friction again.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState, JoyFeedbackArray
+from std_msgs.msg import Bool, Float64
+from std_srvs.srv import Trigger
+
+from tactile_hand_ros import names
+from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.control.contact import Contacts, example_touch
+from tactile_hand_ros.control.margins import SlipMonitor
+from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.errors import UnsafeOutputError
+from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.user_changes import AppliedChanges
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
+from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
+from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec, read_message
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.runner import run_node
+from tactile_hand_ros.ros.ticks import streams
+from tactile_hand_ros.ros.ticks.inputs import TickInputs
+
+HAPTIC_PERIOD_NS = 20_000_000
+"""Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
+
+Array = NDArray[np.float64]
+
+
+class GripState(NamedTuple):
+    """What the regulator knows of each contact, arrays of shape (k,)."""
+
+    friction: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    grip: NDArray[np.int_]
+
+
+class RegulatorReport:
+    """Counts slips and notices when squeezing is at its end.
+
+    What the object needs is a matter of the modes `shared` and `auto`; in `user` the user decides.
+    """
+
+    def __init__(self, diagnostics: Diagnostics, fingers: Sequence[str]) -> None:
+        """Report on the fingers of these names."""
+        self._diagnostics = diagnostics
+        self._fingers = tuple(fingers)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start counting at zero."""
+        self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
+        self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
+        self._limited, self._hopeless, self._most_needed = Mostly(), Mostly(), 0.0
+        self._watch = SlipMonitor()
+
+    def note(
+        self,
+        regulator: SlipRegulator,
+        stamp: int,
+        contacts: Contacts,
+        forces: NDArray[np.float64],
+        state: GripState,
+    ) -> None:
+        """Note a tick: what was felt, in contact frames, and what the regulator made of it."""
+        grip = state.grip
+        self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
+        before, self._grip = self._grip, grip
+        self._slips += (grip == ContactState.SLIP) & (before != ContactState.SLIP)
+        reflex_is_on = regulator.config.mode != "user"
+        # At the limit because of a slip that is over, nothing is missing.
+        self._limited.note(reflex_is_on and regulator.config.maximum < regulator.needed < math.inf)
+        self._hopeless.note(reflex_is_on and math.isinf(regulator.needed))
+        if math.isfinite(regulator.needed):
+            self._most_needed = max(self._most_needed, regulator.needed)
+
+    def report(self, regulator: SlipRegulator) -> None:
+        """Put mode, squeezes and the grip of each finger into the diagnostics."""
+        put = self._diagnostics.value
+        put("mode", regulator.config.mode)
+        put("grasp_force_n", regulator.grasp_force)
+        put("needed_force_n", regulator.needed)
+        put("slips", int(self._slips.sum()))
+        facts = zip(
+            self._fingers,
+            regulator.learned_friction,
+            self._grip,
+            regulator.slip_likelihood,
+            self._slips,
+            strict=True,
+        )
+        for name, friction, grip, evidence, slips in facts:
+            put(f"friction {name}", float(friction))
+            put(f"grip {name}", ContactState(int(grip)).name.lower())
+            put(f"slip_evidence {name}", float(evidence))
+            put(f"slips {name}", int(slips))
+        watch = self._watch
+        put("A3 load_n", watch.load)
+        put("A4 slip_margin", watch.evidence)
+        put("A4 cone_margin_n", watch.cone)
+        put("A6 slip_time_left_s", watch.time_left)
+        watch.clear()
+        self._warn(regulator)
+
+    def _warn(self, regulator: SlipRegulator) -> None:
+        needed, maximum = self._most_needed, regulator.config.maximum
+        self._most_needed = 0.0
+        self._diagnostics.judge(
+            "limit",
+            self._limited(),
+            f"the object needs a squeeze of {needed:.3g} N, but the limit is {maximum:g} N; raise "
+            "'maximum' if the object can bear it, or take load off",
+            WARN,
+        )
+        self._diagnostics.judge(
+            "shape",
+            self._hopeless(),
+            "no squeeze of this shape can hold: a contact leaves its friction cone however large "
+            "k_f is; let the force_optimizer reshape it ('cones') or take load off",
+            WARN,
+        )
+
+
+class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
+    """Publishes the squeeze k_f, and how well each finger grips, at each tick.
+
+    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
+    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
+    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N);
+    `touch_rejected` (std_msgs/Bool, whether the controller rejects the touch, from which nothing is
+    learned then).
+
+    Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
+    force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
+    0 to 1, `ContactState`). Every 20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray:
+    id 0 grip as share of the maximum, id 1 the strongest evidence for slip since the last one, both
+    0 to 1). With the stamp of the first tick that they change: `accepted/user_grasp_force`
+    (geometry_msgs/WrenchStamped, an accepted squeeze in force.y, N) and what `AppliedChanges`
+    lists. Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
+    friction, grip and number of slips of each finger, and the worst margins of that second: A3
+    (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
+    end a slip).
+
+    A node that is late answers the newest ticks only, but feels all of them.
+
+    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
+    learned, as a jump back of the stamps does.
+
+    Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live. The
+    mode may change at any time: the squeeze moves on from where it is.
+    """
+
+    def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
+        """Build the regulator.
+
+        Args:
+            composed: Whether a chain in this process calls `step` and `reject_touch`, so that
+                neither ticks nor `touch_rejected` are received.
+            **kwargs: For `rclpy.node.Node`.
+
+        Raises:
+            TactileHandError: If a parameter is refused or there is no such hand.
+        """
+        super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
+        fingers = load_hand_config(self.config.hand).finger_names
+        self._regulator = SlipRegulator(self.config, len(fingers))
+        self._changes = AppliedChanges(self, names.REGULATOR, requests=True, commands=True)
+        self._is_rejected = False
+        self._report = RegulatorReport(self.diagnostics, fingers)
+        self._modes = ModeLog(self.get_logger().info)
+        self._modes.note(self.config.mode)
+        self._rehearse(len(fingers))
+        self._encode_grips = JointCodec(fingers).encode
+        self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE)
+        self._encode = WrenchCodec(names.PALM_FRAME).encode
+        self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE)
+        self._haptic_publisher = self.create_publisher(
+            JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
+        )
+        self._haptic = feedback_to_ros((0.0, 0.0))
+        self._felt, self._strongest = -1, 0.0
+        self._force_publisher = self.create_publisher(
+            WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+        )
+        self.subscribe(
+            Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
+        )
+        self.create_service(Trigger, names.RESET, self._on_reset)
+        if not composed:
+            latched = qos.latched_qos(qos.user_qos().depth)
+            self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
+            declared = (streams.contacts(len(fingers)), streams.forces(fingers))
+            self._inputs = TickInputs(self, declared, self, observe=self._observe)
+
+    @property
+    def learned_friction(self) -> Array:
+        """Friction of each contact as slips and sticks have shown it, shape (k,)."""
+        return self._regulator.learned_friction
+
+    def _rehearse(self, fingers: int) -> None:
+        touch, regulator = example_touch(fingers), self._regulator
+        regulator.step(0, *touch)
+        state = GripState(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
+        self._report.note(regulator, 0, *touch, state)
+        self.on_restart()
+
+    def on_config(self, config: SlipRegulatorConfig) -> None:
+        """Take another mode, other limits and rates."""
+        self._modes.note(config.mode)
+        self._regulator.configure(config)
+        self._changes.configuration(config)
+
+    def on_rejected(self, source: str, reason: str) -> None:
+        """Publish why a command was refused."""
+        self._changes.rejected(source, reason)
+
+    def on_report(self) -> None:
+        """Report the squeeze and what was learned of the contacts."""
+        self._report.report(self._regulator)
+
+    def on_restart(self) -> None:
+        """Start over with the ticks."""
+        self._regulator.reset()
+        self._report.reset()
+        self._changes.begin(self.config)
+        if self._is_rejected:
+            self._changes.request(names.TOUCH_REJECTED, True)
+
+    def _on_user_force(self, data: bytes) -> None:
+        force = number_from_ros(read_message(data, Float64))
+        self._regulator.request(force)
+        self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
+
+    def _on_rejection(self, message: Bool) -> None:
+        self.reject_touch(message.data)
+
+    def reject_touch(self, rejected: bool) -> None:
+        """Note whether the controller rejects touch; nothing is learned from it then."""
+        if rejected != self._is_rejected:
+            self._is_rejected = rejected
+            self._regulator.reject_touch(rejected)
+            self._changes.request(names.TOUCH_REJECTED, rejected)
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.on_restart()
+        self._changes.request("reset")
+        response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
+        return response
+
+    def on_tick(self, stamp: int, contacts: Contacts, forces: Array) -> None:
+        """Answer a tick for which everything has arrived."""
+        self.step(stamp, contacts, forces)
+
+    def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
+        """Publish grip and k_f and return k_f; see `SlipRegulator.step`."""
+        with self.answering:
+            regulator = self._regulator
+            grasp_force = self._checked(regulator.step(stamp, contacts, forces))
+            state = GripState(
+                regulator.learned_friction, regulator.slip_likelihood, regulator.state
+            )
+            self._grip_publisher.publish(self._encode_grips, stamp, *state)
+            self._publisher.publish(self._encode, (0.0, grasp_force, 0.0), stamp)
+            self._changes.take_effect(stamp)
+            self._report.note(regulator, stamp, contacts, forces, state)
+            self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
+        return grasp_force
+
+    def _observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
+        """Feel a tick that is too late to be answered: a slip shows in the samples in a row."""
+        self._regulator.step(stamp, contacts, forces)
+        self._changes.take_effect(stamp)
+
+    def _checked(self, grasp_force: float) -> float:
+        """Let a squeeze pass that may be published.
+
+        Raises:
+            UnsafeOutputError: If it is not from 0 to the limit; the tick stays without k_f.
+        """
+        if not 0.0 <= grasp_force <= self.config.maximum:
+            raise UnsafeOutputError(
+                f"k_f = {grasp_force} N is not from 0 to {self.config.maximum} N and was not "
+                "published; call ~/reset"
+            )
+        return grasp_force
+
+    def on_repeat(self) -> None:
+        """Publish the last answer again."""
+        self._grip_publisher.repeat()
+        self._publisher.repeat()
+
+    def _tell_user(self, stamp: int, grip: float, slip: float) -> None:
+        self._strongest = max(self._strongest, slip)
+        if stamp // HAPTIC_PERIOD_NS != self._felt:
+            self._felt = stamp // HAPTIC_PERIOD_NS
+            levels = (grip, self._strongest)
+            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+            self._strongest = 0.0
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the slip regulator until SIGINT or SIGTERM and return the exit code."""
+    return run_node(SlipRegulatorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
