@@ -212,7 +212,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             latched = qos.latched_qos(qos.user_qos().depth)
             self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
             declared = (streams.contacts(len(fingers)), streams.forces(fingers))
-            self._inputs = TickInputs(self, declared, self, observe=self._observe)
+            self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
     @property
     def learned_friction(self) -> Array:
@@ -288,7 +288,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
         return grasp_force
 
-    def _observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
+    def observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
         """Feel a tick that is too late to be answered: a slip shows in the samples in a row."""
         self._regulator.step(stamp, contacts, forces)
         self._changes.take_effect(stamp)

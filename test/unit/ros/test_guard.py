@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.guard import Guard, described, location, refusal, shortened
+from tactile_hand_ros.ros.guard import CallbackGuard, described, location, refusal, shortened
 from tactile_hand_ros.ros.messages.conversions import JointOrder
 
 HERE = Path(__file__).name
@@ -69,21 +69,21 @@ def throwing(error: Exception) -> Callable[..., None]:
 
 def test_what_goes_well_is_passed_on() -> None:
     node = Node()
-    assert Guard(node).wrap("topic", lambda a, b: a - b)(7, 3) == 4
-    assert Guard(node).wrap_service("service", lambda a, b: a - b)(7, 3) == 4
+    assert CallbackGuard(node).wrap("topic", lambda a, b: a - b)(7, 3) == 4
+    assert CallbackGuard(node).wrap_service("service", lambda a, b: a - b)(7, 3) == 4
     assert node.said == [] and node.diagnostics.errors == {}
 
     async def later() -> None: ...
 
-    assert Guard(node).wrap("topic", later) is later
-    assert Guard(node).wrap_service("service", later) is later
-    wrapped = Guard(node).wrap("topic", lambda message: None)
+    assert CallbackGuard(node).wrap("topic", later) is later
+    assert CallbackGuard(node).wrap_service("service", later) is later
+    wrapped = CallbackGuard(node).wrap("topic", lambda message: None)
     assert list(inspect.signature(wrapped).parameters) == ["message"]
 
 
 def test_a_refused_message_is_told_once_and_the_node_goes_on() -> None:
     node = Node()
-    callback = Guard(node).wrap("pose", throwing(MessageError("not\n  a pose")))
+    callback = CallbackGuard(node).wrap("pose", throwing(MessageError("not\n  a pose")))
     assert callback(1) is None and callback(2) is None
     assert node.said == [
         ("warning", "rejected a message on 'pose': not a pose"),
@@ -96,7 +96,7 @@ def test_a_refused_message_is_told_once_and_the_node_goes_on() -> None:
 @pytest.mark.parametrize("error", [ValueError("x"), UnsafeOutputError("x")])
 def test_what_was_not_foreseen_is_told_once_and_makes_the_node_safe(error: Exception) -> None:
     node = Node()
-    callback = Guard(node).wrap("timer", throwing(error))
+    callback = CallbackGuard(node).wrap("timer", throwing(error))
     callback()
     callback()
     assert [kind for kind, _ in node.said] == ["error", "safe", "safe"]
@@ -106,7 +106,7 @@ def test_what_was_not_foreseen_is_told_once_and_makes_the_node_safe(error: Excep
 
 def test_a_safe_state_that_fails_is_reported_and_tried_again_the_next_time() -> None:
     node = Node(fails=True)
-    callback = Guard(node).wrap("timer", throwing(ValueError("x")))
+    callback = CallbackGuard(node).wrap("timer", throwing(ValueError("x")))
     callback()
     callback()
     assert node.diagnostics.errors == {"timer": 2, "safe state": 2}
@@ -118,12 +118,12 @@ def test_what_ends_the_node_is_not_caught(kind: str) -> None:
     node = Node(is_up=kind != "down")
     error = FatalError("end") if kind == "fatal" else ValueError("end")
     with pytest.raises(type(error), match="end"):
-        Guard(node).wrap("timer", throwing(error))()
+        CallbackGuard(node).wrap("timer", throwing(error))()
     assert node.said == [] and node.diagnostics.errors == {}
 
 
 def test_a_service_says_no_in_the_words_of_its_type() -> None:
-    guard = Guard(Node())
+    guard = CallbackGuard(Node())
     for kind in (Trigger, SetBool):
         answer = guard.wrap_service("~/reset", throwing(MessageError("no")))(
             kind.Request(), kind.Response(success=True, message="yes")
@@ -151,7 +151,7 @@ def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
         assert location(error).startswith(f"{HERE}:")
     assert location(ValueError("never raised")) == "unknown"
     node = Node()
-    Guard(node).wrap("a", throwing(ValueError("x")))()
+    CallbackGuard(node).wrap("a", throwing(ValueError("x")))()
     assert f" at {HERE}:" in node.said[0][1]  # not the guard's own line
 
 

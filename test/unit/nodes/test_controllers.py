@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What regulator, optimizer and controller publish for ticks, services, commands and parameters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState, JoyFeedbackArray
+from std_msgs.msg import Bool, Float64
+from std_srvs.srv import SetBool, Trigger
+from support.messages import pose_message
+from support.nodes import Process, facts, tapped
+
+from tactile_hand_ros import names
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import OK, WARN
+from tactile_hand_ros.ros.guard import TickFailedError
+from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
+from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec
+from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
+
+TICK = 2_000_000
+PLANT = Plant(load_scenario("paper").plant)
+STATE, HAND = PLANT.state, PLANT.hand
+JOINTS = Joints(STATE.theta, STATE.rates, STATE.torque)
+SHARE = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
+PUSH = np.array([[0.3, 2.0, -0.1], [0.1, 3.0, 0.2], [-0.2, 2.5, 0.4]])
+FRICTION = np.array([0.5, 0.6, 0.7])
+ODD = Contacts(STATE.contacts.positions + 0.5, STATE.contacts.rotations)
+ALL = [SlipRegulatorNode, ForceOptimizerNode, ManipulationControllerNode]
+
+
+def level(node: Any) -> tuple[bytes, str]:
+    status = node.diagnostics.status()
+    return status.level, status.message
+
+
+def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
+    """Let a node answer a tick, with the inputs of the paper's grasp or changed ones."""
+    if isinstance(node, SlipRegulatorNode):
+        return node.step(stamp, STATE.contacts, forces)
+    if isinstance(node, ForceOptimizerNode):
+        return node.step(stamp, changes.get("contacts", STATE.contacts), FRICTION, forces)
+    shape = changes.get("shape", SHARE)
+    contacts = changes.get("contacts", STATE.contacts)
+    return node.step(stamp, JOINTS.theta, JOINTS.rates, contacts, shape, 10.0, None, JOINTS.applied)
+
+
+def asked(messages: list[Any]) -> list[tuple[str, str, int]]:
+    """Return name, value and stamp of requests."""
+    found = [(message.status[0], stamp_to_ns(message.header.stamp)) for message in messages]
+    return [(status.message, status.values[0].value, stamp) for status, stamp in found]
+
+
+def torque(sent: dict[str, list[bytes]], at: int = -1) -> tuple[int, Any]:
+    stamp, (values,) = JointCodec(HAND.joint_names, ("effort",)).decode(sent["joint_command"][at])
+    return stamp, values
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(
+    here: Process, kind: Any
+) -> None:
+    node = here.make(kind)
+    sent = tapped(node)
+    node.on_repeat()
+    assert not any(sent.values()) and node.diagnostics.ticks == 0
+    tick(node, TICK)
+    before = {topic: list(messages) for topic, messages in sent.items()}
+    node.on_repeat()
+    for topic, messages in sent.items():
+        stamp = deserialize_message(before[topic][0], _kind(node, topic)).header.stamp
+        assert stamp_to_ns(stamp) == TICK and len(before[topic]) == 1
+        repeats = [] if topic == names.AUXILIARY_POSE else before[topic]
+        assert messages == before[topic] + repeats
+    assert node.diagnostics.ticks == 1 and "latency_max_us" in facts(node)
+
+
+def _kind(node: Any, topic: str) -> Any:
+    (kind,) = (each.kind for each in node.tick_publishers if each.topic == f"/{topic}")
+    return kind
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_ticks_that_start_over_find_nothing_of_before(here: Process, kind: Any) -> None:
+    node = here.make(kind)
+    sent = tapped(node)
+    tick(node, 0)
+    first = {topic: messages[-1] for topic, messages in sent.items()}
+    for stamp in range(1, 20):
+        tick(node, stamp * TICK, 2.0 * PUSH[::-1])
+    node.on_restart()
+    tick(node, 0)
+    assert {topic: messages[-1] for topic, messages in sent.items()} == first
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "key"),
+    [
+        (SlipRegulatorNode, "maximum", 33.0, names.REGULATOR),
+        (ForceOptimizerNode, "minimum_normal", 0.2, names.OPTIMIZER),
+        (ManipulationControllerNode, "law.k_p", 77.0, names.CONTROLLER),
+    ],
+)
+def test_a_changed_parameter_is_published_with_the_first_tick_that_it_changes(
+    here: Process, kind: Any, name: str, value: float, key: str
+) -> None:
+    node = here.make(kind)
+    topic = names.accepted_parameters(key)
+    here.receive(ParameterEvent, topic, qos.configuration_qos())
+    for stamp in range(4):
+        if stamp == 2:
+            assert node.set_parameters([Parameter(name, value=value)])[0].successful
+        tick(node, stamp * TICK)
+    node.on_restart()
+    tick(node, 0)
+    events = here.messages(topic, 3)
+    assert [stamp_to_ns(event.stamp) for event in events] == [0, 2 * TICK, 0]
+    changed = [{p.name: p.value.double_value for p in e.changed_parameters} for e in events]
+    assert changed[0][name] != changed[1][name] == changed[2][name] == value
+
+
+def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
+    node = here.make(SlipRegulatorNode, grasp_force=10.0, mode="user", maximum=40.0)
+    sent = tapped(node)
+    here.receive(WrenchStamped, names.ACCEPTED_FORCE)
+    requests = names.accepted_requests(names.REGULATOR)
+    here.receive(DiagnosticArray, requests)
+    here.receive(DiagnosticArray, names.rejected(names.REGULATOR))
+    assert tick(node, 0) == 10.0
+    here.send(names.USER_GRASP_FORCE, Float64(data=-3.0))
+    here.send(names.USER_GRASP_FORCE, Float64(data=12.0))
+    (refused,) = here.messages(names.rejected(names.REGULATOR), 1)
+    assert asked([refused])[0][2] == 0
+    stamps = iter(range(TICK, 10_000 * TICK, TICK))
+    here.wait(lambda: tick(node, next(stamps)) > 10.0)
+    (accepted,) = here.messages(names.ACCEPTED_FORCE, 1)
+    last = next(stamps)
+    assert stamp_to_ns(accepted.header.stamp) in (last - TICK, last - 2 * TICK)
+    assert accepted.wrench.force.y == 12.0
+    answer = here.call(Trigger, "slip_regulator/reset")
+    assert (answer.success, answer.message) == (True, "k_f = 10 N")
+    assert tick(node, last) == 10.0
+    assert asked(here.messages(requests, 1)) == [("reset", "", last)]
+    _, force = WrenchCodec(names.PALM_FRAME).decode(sent["grasp_force"][-1])
+    assert list(force) == [0.0, 10.0, 0.0]
+    grip = deserialize_message(sent["grip_state"][-1], JointState)
+    assert list(grip.name) == ["finger_1", "finger_2", "finger_3"]
+
+
+def test_the_user_s_hand_is_told_every_20_ms_of_the_ticks(here: Process) -> None:
+    node = here.make(SlipRegulatorNode, grasp_force=10.0, maximum=40.0, mode="user")
+    here.receive(JoyFeedbackArray, names.HAPTIC_FEEDBACK)
+    for stamp in (0, 10_000_000, 19_999_999, 20_000_000, 39_000_000, 40_000_000):
+        tick(node, stamp)
+    levels = [m.array[0].intensity for m in here.messages(names.HAPTIC_FEEDBACK, 3)]
+    assert levels == [0.25, 0.25, 0.25]
+
+
+@pytest.mark.parametrize("force", [-1e-9, 40.0001, np.nan, np.inf])
+def test_no_k_f_beyond_its_limits_is_published(
+    here: Process, force: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(10.0))
+    node = here.make(SlipRegulatorNode, maximum=40.0)
+    sent = tapped(node)
+    monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(force))
+    with pytest.raises(TickFailedError, match="is not from 0 to 40.0 N"):
+        tick(node, 0)
+    assert not any(sent.values()) and node.diagnostics.errors == {"ticks": 1}
+
+
+def _of(value: float) -> Any:
+    return lambda *_: value
+
+
+def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) -> None:
+    """A slip shows in the samples in a row."""
+    whole, late = here.make(SlipRegulatorNode), here.make(SlipRegulatorNode)
+    sent, forces = tapped(late), [PUSH * (1.0 + 0.1 * np.sin(row)) for row in range(30)]
+    for row, force in enumerate(forces):
+        expected = tick(whole, row * TICK, force)
+        if row % 3 == 2:
+            assert tick(late, row * TICK, force) == expected
+        else:
+            late.observe(row * TICK, STATE.contacts, force)
+    assert len(sent["grasp_force"]) == 10
+
+
+@pytest.mark.parametrize("kind", ALL[:2])
+def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(
+    here: Process, kind: Any
+) -> None:
+    changes = {"cones": True} if kind is ForceOptimizerNode else {}
+    node = here.make(kind, **changes)
+    topic = names.accepted_requests(node.get_name())
+    here.receive(DiagnosticArray, topic)
+    for stamp, rejected in enumerate([False, True, True]):
+        node.reject_touch(rejected)
+        tick(node, stamp)
+    node.on_restart()
+    tick(node, 0)
+    node.reject_touch(False)
+    tick(node, 5)
+    told = names.TOUCH_REJECTED
+    expected = [(told, "true", 1), (told, "true", 0), (told, "false", 5)]
+    assert asked(here.messages(topic, 3)) == expected
+
+
+def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here: Process) -> None:
+    node = here.make(ForceOptimizerNode)
+    sent = tapped(node)
+    gone = Contacts(np.full((3, 3), np.nan), STATE.contacts.rotations)
+    tick(node, 0, contacts=gone)
+    for name in HAND.finger_names:
+        codec = WrenchCodec(names.contact_frame(name), nan_allowed=True)
+        assert np.isnan(codec.decode(sent[names.optimal_force(name)][-1])[1]).all()
+    assert "no contact at finger 1, 2, 3" in level(node)[1]
+    tick(node, TICK)
+    assert level(node)[0] == OK
+
+
+def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here: Process) -> None:
+    node = here.make(ManipulationControllerNode, **{"law.damping": 0.0})
+    sent = tapped(node)
+    limits = HAND.effort_limits
+    tick(node, 0)
+    assert level(node)[0] == OK
+    command = tick(node, TICK, shape=1000.0 * SHARE)
+    assert (np.abs(command.torque) <= limits).all()
+    assert command.do_not_send or level(node)[0] == WARN
+    assert (np.abs(torque(sent)[1]) <= limits).all()
+
+
+def test_a_tick_that_fails_is_answered_with_a_hold(
+    here: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = here.make(ManipulationControllerNode)
+    sent = tapped(node)
+    tick(node, 0)
+    core = "tactile_hand_ros.control.controller.Controller.step"
+    monkeypatch.setattr(core, lambda *_: {}["left"])
+    command = tick(node, TICK)
+    assert command.mode.value == "hold" and torque(sent)[0] == TICK
+    np.testing.assert_array_equal(torque(sent)[1], command.torque)
+    assert node.diagnostics.errors == {"ticks": 1} and "KeyError" in level(node)[1]
+    monkeypatch.undo()
+    assert tick(node, 2 * TICK).mode.value == "drive"
+
+
+def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    sent = tapped(node)
+    for stamp in range(3):
+        tick(node, stamp * TICK)
+    command = tick(node, 3 * TICK, contacts=ODD)
+    assert command.do_not_send and len(sent["joint_command"]) == 3
+    assert node.touch_rejected
+    node.on_repeat()  # time stands still
+    assert torque(sent)[0] == 3 * TICK
+    np.testing.assert_array_equal(torque(sent)[1], command.torque)
+    assert not tick(node, 4 * TICK, contacts=ODD).do_not_send
+    assert torque(sent)[0] == 4 * TICK
+
+
+def test_where_time_is_known_to_wait_every_answer_is_sent(here: Process) -> None:
+    node = ManipulationControllerNode(composed=True, time_waits=True, context=here.context)
+    here.add(node)
+    sent = tapped(node)
+    for stamp in range(4):
+        changes = {"contacts": ODD} if stamp == 3 else {}
+        assert not tick(node, stamp * TICK, **changes).do_not_send
+    assert len(sent["joint_command"]) == 4
+
+
+def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    sent = tapped(node)
+    topic = names.accepted_requests(names.CONTROLLER)
+    here.receive(DiagnosticArray, topic)
+    tick(node, 0)
+    node.joints_held = True
+    node.joints_held = True
+    node.on_blind_tick(TICK, JOINTS, "no contacts")
+    assert len(sent["joint_command"]) == 1
+    tick(node, 2 * TICK)
+    here.call(Trigger, "manipulation_controller/reset")
+    tick(node, 3 * TICK)
+    node.joints_held = False
+    node.on_blind_tick(4 * TICK, JOINTS, "no contacts")
+    assert torque(sent)[0] == 4 * TICK
+    held = [each for each in asked(here.messages(topic, 6)) if each[0] == names.JOINT_HOLD]
+    assert held == [
+        (names.JOINT_HOLD, "true", 2 * TICK),
+        (names.JOINT_HOLD, "true", 3 * TICK),
+        (names.JOINT_HOLD, "false", 4 * TICK),
+    ]
+
+
+def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    here.receive(PoseStamped, names.ACCEPTED_POSE)
+    rejected = names.rejected(names.CONTROLLER)
+    here.receive(DiagnosticArray, rejected)
+    tick(node, 0)
+    position = STATE.contacts.positions.mean(axis=0) + [0.0, 0.01, 0.0]
+    day = 86_400_000_000_000
+    for stamp in (day + TICK, 3 * TICK):
+        here.send(names.DESIRED_POSE, pose_message(position, np.eye(3), stamp))
+    (refused,) = here.messages(rejected, 1)
+    assert "ahead of the ticks" in refused.status[0].message
+    for _ in range(20):
+        here.wait(lambda: True)
+    for number in range(1, 5):
+        tick(node, number * TICK)
+    (accepted,) = here.messages(names.ACCEPTED_POSE, 1)
+    assert stamp_to_ns(accepted.header.stamp) == 3 * TICK
+    assert accepted.pose == pose_message(position, np.eye(3), 0).pose
+
+
+def test_services_change_the_controller_and_say_what_became_of_it(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    topic = names.accepted_requests(names.CONTROLLER)
+    here.receive(DiagnosticArray, topic)
+
+    def ask(service: str, value: bool) -> tuple[bool, str]:
+        answer = here.call(SetBool, f"manipulation_controller/{service}", data=value)
+        return answer.success, answer.message
+
+    assert ask("enable", False) == (True, "damping only")
+    assert tick(node, 0).mode.value == "disabled"
+    assert ask("enable", True) == (True, "enabled")
+    assert ask("grasp", True) == (True, "the hand is not open, nothing to close")
+    tick(node, TICK)
+    assert ask("grasp", False) == (True, "opening")
+    assert tick(node, 2 * TICK).mode.value == "open"
+    assert ask("grasp", True) == (True, "closing")
+    answer = here.call(Trigger, "manipulation_controller/reset")
+    assert answer.success and "forgotten" in answer.message
+    tick(node, 3 * TICK)
+    found = [(name, value) for name, value, _ in asked(here.messages(topic, 7))]
+    assert found[:3] == [("enable", "true"), ("enable", "false"), ("enable", "true")]
+    assert ("grasp", "false") in found and found[-1] == ("reset", "")
+
+
+def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(
+    here: Process,
+) -> None:
+    node = here.make(ManipulationControllerNode)
+    here.receive(Bool, names.TOUCH_REJECTED, qos.latched_qos(10))
+    stamps = iter(range(0, 10 * TICK, TICK))
+    for expected, changes in ([False], {}), ([False, True], {"contacts": ODD}):
+        for _ in range(2):
+            tick(node, next(stamps), **changes)
+        found = here.messages(names.TOUCH_REJECTED, len(expected))
+        assert [message.data for message in found] == expected
+    tick(node, next(stamps))
+    assert not here.messages(names.TOUCH_REJECTED, 3)[-1].data
+
+
+def test_forces_are_not_observed_where_the_controller_does_not_receive_them(
+    here: Process,
+) -> None:
+    node = here.make(ManipulationControllerNode, composed=False, **{"law.observer.time": 0.0})
+    (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
+    assert not result.successful and "does not listen to forces" in result.reason
+    assert here.make(ManipulationControllerNode).set_parameters(
+        [Parameter("law.observer.time", value=0.25)]
+    )[0].successful
+
+
+def test_margins_and_mode_are_reported(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    assert "mode" not in facts(node)
+    tick(node, 0)
+    found = facts(node)
+    assert found["mode"] == "drive" and float(found["A7 collinearity_margin"]) > 0.1
