@@ -74,7 +74,7 @@ def report_publishers(node: TactileNode[Any], topic: str) -> None:
 
 
 class ReadingPublisher:
-    """Publishes contacts and forces, true or measured: a PoseArray, and a WrenchStamped a finger."""
+    """Publishes contacts and forces: one PoseArray, and one WrenchStamped per finger."""
 
     def __init__(
         self,

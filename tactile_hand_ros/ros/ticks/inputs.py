@@ -14,13 +14,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tactile_hand_ros.errors import MessageError, TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks.matching import REPEAT, Leaps, StampMatcher
 from tactile_hand_ros.ros.ticks.senders import SenderCheck, two_senders
 from tactile_hand_ros.ros.ticks.streams import Decode, Stream
 
-DAY_NS = 86_400_000_000_000
 _MILLISECOND = 1_000_000
 _HIGHEST = 64  # rank of the first tick
 
@@ -200,17 +199,6 @@ class TickInputs:
                     stream.message_type, topic, take, sensor=stream.from_driver, raw=True
                 )
 
-    def check_stamp(self, stamp: int) -> None:
-        """Check that the stamp [ns] of something for a later tick is not of another clock.
-
-        Raises:
-            MessageError: If it is more than a day ahead of the ticks. Before the first tick this
-                is not known; check again then.
-        """
-        last = self._matcher.last
-        if last is not None and stamp > last + DAY_NS:
-            raise MessageError(far_ahead(stamp, last))
-
     def report(self) -> None:
         """Put the topics that are missing now into the diagnostics."""
         expired = self._silence is not None and self._silence.expired
@@ -294,11 +282,3 @@ class TickInputs:
                 values.append(matched[at])
                 at += 1
         return values
-
-
-def far_ahead(stamp: int, tick: int) -> str:
-    """Return what is wrong with a stamp that is more than a day ahead of a tick [ns]."""
-    return (
-        f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
-        f"{1e-9 * tick:.3f} s; use their time, or 0 for at once."
-    )

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from rclpy.node import Node
+from support.nodes import Process
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
@@ -35,7 +34,7 @@ def parameters(config: Config) -> dict[str, Any]:
     ],
 )
 def test_each_node_has_the_ends_that_the_links_of_its_scenario_say(
-    scenario: str, changes: dict[str, Any], make: Callable[..., Any]
+    scenario: str, changes: dict[str, Any], here: Process
 ) -> None:
     wanted = load_scenario(scenario, changes)
     configs: dict[str, Config] = {
@@ -45,14 +44,18 @@ def test_each_node_has_the_ends_that_the_links_of_its_scenario_say(
         names.OPTIMIZER: wanted.force_optimizer,
         names.CONTROLLER: wanted.manipulation_controller,
     }
-    nodes = [make(kind, **parameters(configs[_name(kind)])) for kind in MEMBERS]
+    nodes = [
+        here.make(kind, composed=False, **parameters(configs[_name(kind)])) for kind in MEMBERS
+    ]
     sent = {
         (publisher.topic_name[1:], node.get_name(), _is_tick(publisher))
         for node in nodes
         for publisher in node.publishers
         if publisher.topic_name not in EVERYWHERE
     }
-    taken = {(each.topic_name[1:], node.get_name()) for node in nodes for each in _all_of(node)}
+    taken = {
+        (each.topic_name[1:], node.get_name()) for node in nodes for each in node.subscriptions
+    }
     expected = expected_topics(wanted)
     assert taken == {(link.topic, name) for link in expected for name in link.subscribers}
     from_users = {*names.USER_COMMANDS}
@@ -64,12 +67,19 @@ def test_each_node_has_the_ends_that_the_links_of_its_scenario_say(
 
 
 def _name(kind: type) -> str:
-    return kind.__module__.split(".")[-2]
+    return kind.__module__.split(".")[2]
 
 
 def _is_tick(publisher: Any) -> bool:
     return bool(publisher.qos_profile == tick_publisher_qos())
 
 
-def _all_of(node: Node) -> list[Any]:
-    return list(Node.subscriptions.fget(node))
+def test_composed_nodes_receive_only_what_users_send(here: Process) -> None:
+    received = {
+        each.topic_name[1:]
+        for kind in MEMBERS
+        for each in here.make(
+            kind, **({"cones": True} if "optimizer" in _name(kind) else {})
+        ).subscriptions
+    }
+    assert received == {names.DESIRED_POSE, names.USER_GRASP_FORCE}

@@ -11,13 +11,18 @@ import pytest
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from tactile_hand_ros.ros.wait_set import Ready
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import executor as module
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.executor import SurvivingExecutor, WaitSetExecutor, is_supported, spin
+from tactile_hand_ros.ros.executor import (
+    Ready,
+    SurvivingExecutor,
+    WaitSetExecutor,
+    is_supported,
+    spin,
+)
 
 
 class Survivor(Node):
@@ -223,48 +228,25 @@ def test_what_waits_for_the_end_of_reading_is_called_once(own: WaitSetExecutor) 
     assert calls == [1, 2, 3]
 
 
-class Delivery:
-    """Messages between the nodes of a process, of which each round leads to another one."""
-
-    def __init__(self, rounds: int) -> None:
-        self.rounds, self.calls = rounds, list[str]()
-
-    def __bool__(self) -> bool:
-        return self.rounds > 0
-
-    def deliver(self, finish: Any) -> None:
-        self.rounds -= 1
-        self.calls.append("deliver")
-
-    def rest(self) -> None:
-        self.calls.append("rest")
-
-    def serve(self, wake: Any) -> None:
-        self.calls.append("serve")
-
-
-@pytest.mark.parametrize(("seconds", "rounds"), [(0.0, 9), (0.004, 3), (0.006, 2), (0.005, 3)])
-def test_nodes_of_a_process_answer_each_other_for_five_milliseconds(
-    own: WaitSetExecutor, monkeypatch: pytest.MonkeyPatch, seconds: float, rounds: int
+def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(
+    executor: Any, nodes: list[Any]
 ) -> None:
-    """Then timers and messages from elsewhere get their turn."""
-    now = [0.0]
-    own._direct = delivery = Delivery(9)  # type: ignore[assignment]
-    own._stale = False
+    """A timer gets its turn meanwhile; then the executor waits."""
+    counts = {"work": 0, "timer": 0}
 
-    def passed(finish: Any, deliver: Any = delivery.deliver) -> None:
-        deliver(finish)
-        now[0] += seconds
+    def work() -> bool:
+        counts["work"] += 1
+        return counts["work"] < 1000
 
-    monkeypatch.setattr(delivery, "deliver", passed)
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    own._deliver()
-    expected = {0.0: 9, 0.004: 2, 0.006: 1, 0.005: 2}[seconds]
-    assert delivery.calls == ["deliver"] * expected + ["rest"] and rounds
-    own._stale = True
-    own._deliver()
-    assert delivery.calls[expected + 1 :] == ["rest"]
-    own._direct = None
+    def on_timer() -> None:
+        counts["timer"] += 1
+        if counts["work"] >= 1000:
+            executor.shutdown(timeout_sec=0)
+
+    nodes[0].work = work
+    nodes[2].create_timer(0.001, on_timer)
+    executor.spin()
+    assert counts["work"] >= 1000 and counts["timer"] > 0
 
 
 class Entities:
@@ -298,15 +280,13 @@ def test_guards_timers_and_messages_are_served_in_this_order_and_then_what_is_ra
     ready = Ready([silent, guard], timers, ["s1", "s2"], True)  # type: ignore[list-item]
     own._stale = False
     entities: Any = Entities(ready, Ready([], [], []), Ready([], [], [], True))
-    own._step(entities)
+    own._step(entities, 1_000_000_000)
     assert calls == ["guard", "call t1", "t1", "s1", "s2", "read", "rare 0"]
-    own._step(entities)
+    own._step(entities, 1_000_000_000)
     assert len(calls) == 7 and entities.limits == [1_000_000_000] * 2
-    own._direct = Delivery(1)  # type: ignore[assignment]
     own._stale = True
-    own._step(entities)
+    own._step(entities, 0)
     assert len(calls) == 7 and entities.limits[-1] == 0  # nothing while entities have changed
-    own._direct = None
 
 
 def test_when_it_is_to_end_the_guard_that_woke_it_ends_the_round(
@@ -317,7 +297,7 @@ def test_when_it_is_to_end_the_guard_that_woke_it_ends_the_round(
     monkeypatch.setattr(own, "_is_running", lambda: False)
     own._stale = False
     entities: Any = Entities(Ready([guard], [timer(calls, "t")], []))
-    own._step(entities)
+    own._step(entities, 0)
     assert calls == [] and own._stale
 
 
@@ -329,16 +309,11 @@ def test_while_a_coroutine_is_suspended_the_public_executor_works(
     task = SimpleNamespace(done=lambda: False)
     own._tasks = [(task, None, None)]
     own._stale = False
-    own._step(Entities())  # type: ignore[arg-type]
+    own._step(Entities(), 1_000_000_000)  # type: ignore[arg-type]
     assert limits == [1.0] and own._stale
-    own._direct = delivery = Delivery(1)  # type: ignore[assignment]
-    own._stale = False
-    own._step(Entities())  # type: ignore[arg-type]
-    assert limits == [1.0, 0] and delivery.calls == ["deliver", "rest"]
     task.done = lambda: True
-    own._direct = None
-    own._step(Entities(Ready([], [], [])))  # type: ignore[arg-type]
-    assert len(limits) == 2
+    own._step(Entities(Ready([], [], [])), 0)  # type: ignore[arg-type]
+    assert len(limits) == 1
     own._tasks = []
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,7 +8,7 @@ import pytest
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros import middleware
-from tactile_hand_ros.ros.middleware import share_process, socket_settings
+from tactile_hand_ros.ros.middleware import socket_settings
 
 RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 
@@ -52,49 +51,11 @@ def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
     assert socket_settings(given) == {}
 
 
-def canonical(file: Path) -> tuple[str, list[str]]:
-    """Return a profile without comments, white space and properties, and the properties."""
-    tree = ElementTree.parse(file)
-    properties = []
-    for parent in list(tree.iter()):
-        for child in [each for each in parent if each.tag.endswith("}propertiesPolicy")]:
-            properties += [text.strip() for text in child.itertext() if text.strip()]
-            parent.remove(child)
-    text = ElementTree.tostring(tree.getroot(), encoding="unicode")
-    return ElementTree.canonicalize(text, strip_text=True), properties
-
-
-@pytest.mark.parametrize("reach", ["SUBNET", "LOCALHOST"])
-def test_nodes_that_share_a_process_have_the_same_profile_but_for_their_own_endpoints(
-    reach: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = Path(socket_settings({RANGE: reach})[PROFILE])
-    monkeypatch.setenv(PROFILE, str(plain))
-    assert share_process()
-    shared = Path(os.environ[PROFILE])
-    ignoring = ["fastdds.ignore_local_endpoints", "true"]
-    assert canonical(plain)[1] == [] and canonical(shared) == (canonical(plain)[0], ignoring)
-    assert share_process() and os.environ[PROFILE] == str(shared)
-
-
-@pytest.mark.parametrize(
-    "given", [{PROFILE: "mine.xml"}, {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}]
-)
-def test_with_another_profile_or_middleware_endpoints_of_a_process_match_as_usual(
-    given: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(PROFILE, socket_settings({})[PROFILE])
-    for key, value in given.items():
-        monkeypatch.setenv(key, value)
-    assert not share_process()
-
-
 def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
     """What needs the configuration will say so."""
-    monkeypatch.setenv(PROFILE, socket_settings({})[PROFILE])
 
     def fail() -> Path:
         raise ConfigurationError("no configuration")
 
     monkeypatch.setattr(middleware, "config_directory", fail)
-    assert socket_settings({}) == {} and not share_process()
+    assert socket_settings({}) == {}
