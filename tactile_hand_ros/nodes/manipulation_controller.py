@@ -123,8 +123,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `AppliedChanges`
     lists. At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and touch
     contradict each other, so that regulator and optimizer must not learn from touch). Once a
-    second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces), A2 (tips'
-    rims), A5 (joints) and A7 (contacts).
+    second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces),
+    A2 (tips' rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
     `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the

@@ -156,11 +156,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
     0 to 1, `ContactState`). Every 20 ms of simulated time: `haptic_feedback`
     (sensor_msgs/JoyFeedbackArray: id 0 grip as a fraction of the maximum, id 1 the strongest
-    evidence for slip since the last one, both 0 to 1). With the stamp of the first tick that they change: `accepted/user_grasp_force`
-    (geometry_msgs/WrenchStamped, an accepted squeeze in force.y, N) and what `AppliedChanges`
-    lists. Once a second: `/diagnostics` with mode, k_f, the squeeze that the object needs,
-    friction, grip and number of slips of each finger, and the worst margins of that second: A3
-    (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
+    evidence for slip since the last one, both 0 to 1). With the stamp of the first tick that they
+    change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N)
+    and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f, the one that the
+    object needs, friction, grip and number of slips of each finger, and the worst margins of that
+    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
     end a slip).
 
     A node that is late answers the newest ticks only, but feels all of them.

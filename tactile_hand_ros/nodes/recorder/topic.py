@@ -82,7 +82,6 @@ class RawTopic:
         self._node = node
         publishers = publishers_of(node, name)
         self._qos = adapted_qos(publishers, depth)
-        self._handed: list[tuple[bytes, int, int]] = []
         self._subscription = self._subscribe()
         self._present = self._known = {bytes(each.endpoint_gid) for each in publishers}
         self._settled = time.monotonic() + _DISCOVERY
@@ -159,19 +158,11 @@ class RawTopic:
         # By default rclpy would log each publisher whose quality of service does not fit.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         return subscribe_directly(
-            self._node, self._class, self.name, self._qos, self._hand, event_callbacks=quiet
+            self._node, self._class, self.name, self._qos, event_callbacks=quiet
         )
-
-    def _hand(self, data: bytes) -> None:
-        """Take what a publisher of this process delivers directly."""
-        now = time.time_ns()
-        self._handed.append((data, now, now))
 
     def _take(self) -> Iterator[tuple[bytes, int, int]]:
         """Yield data, time of reception and time of publication (ns) of the waiting messages."""
-        handed, self._handed = self._handed, []
-        self.received += len(handed)
-        yield from handed
         for data, info in taken(self._subscription, self._qos.depth):
             self.received += 1
             number = info["publication_sequence_number"]

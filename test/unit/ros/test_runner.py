@@ -173,7 +173,7 @@ def test_what_exists_at_the_start_is_left_to_no_collector_and_then_it_spins(
     )
     monkeypatch.setattr(runner, "gc", collector)
     monkeypatch.setattr(runner, "spin", calls.append)
-    scheduling: Any = SimpleNamespace(after_start=lambda: calls.append("after"))
+    scheduling: Any = SimpleNamespace(raise_priority=lambda: calls.append("after"))
     node: Any = SimpleNamespace(context="context")
     assert runner._serve([node], scheduling) == 0
     assert calls == ["freeze", "enable", "after", [node]]
@@ -188,50 +188,37 @@ def test_what_exists_at_the_start_is_left_to_no_collector_and_then_it_spins(
 class Middleware:
     """Stands in for rclpy and notes what it is asked."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, supported: bool, shares: bool) -> None:
-        self.calls: list[Any] = []
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.error: Exception | None = None
-        monkeypatch.setattr(runner, "use_sockets", lambda: self.calls.append("sockets"))
-        monkeypatch.setattr(runner, "is_supported", lambda: supported)
-        monkeypatch.setattr(
-            runner, "share_process", lambda: bool(self.calls.append("share")) or shares
-        )
-        monkeypatch.setattr(runner, "deliver_directly", lambda c: self.calls.append(("direct", c)))
+        monkeypatch.setattr(runner, "use_sockets", lambda: None)
         monkeypatch.setattr(runner, "rclpy", self)
 
     def init(self, args: list[str]) -> None:
-        self.calls.append(("init", args))
         if self.error is not None:
             raise self.error
 
-    def get_default_context(self) -> str:
-        return "context"
 
-
-@pytest.mark.parametrize(
-    ("count", "supported", "shares", "expected"),
-    [
-        (1, True, True, []),
-        (2, True, True, ["share", "direct"]),
-        (2, False, True, []),
-        (2, True, False, ["share"]),
-    ],
-)
-def test_several_nodes_of_a_process_deliver_directly_where_that_is_possible(
-    monkeypatch: pytest.MonkeyPatch, count: int, supported: bool, shares: bool, expected: list[str]
+def test_a_signal_before_rclpy_can_know_of_it_ends_the_process(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ros = Middleware(monkeypatch, supported=supported, shares=shares)
-    line = ["program", "--ros-args", "-r", "a:=b"]
-    runner._init(line, [Example] * count)
-    init, direct = ("init", line), ("direct", "context")
-    share = ["share"] if "share" in expected else []
-    assert ros.calls == ["sockets", *share, init, *([direct] if "direct" in expected else [])]
+    Middleware(monkeypatch)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        for number in before:
+            runner._let_signals_shut_down()
+            signal.raise_signal(number)
+            with pytest.raises(KeyboardInterrupt):
+                runner._init(["program"], [Example])
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        monkeypatch.setattr(runner, "_was_signalled", False)
 
 
 def test_arguments_that_are_not_known_or_cannot_be_used_are_refused_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ros = Middleware(monkeypatch, supported=True, shares=True)
+    ros = Middleware(monkeypatch)
     with pytest.raises(ConfigurationError, match="unknown argument '--fast', expected --priority"):
         runner._init(["program", "--fast", "--slow"], [Example])
     for word in ("-h", "--help"):
@@ -261,19 +248,23 @@ def test_a_process_makes_checks_and_serves_its_nodes_and_ends_them(
         node.check_ready = lambda: done.append(f"check {name}")
         return node
 
-    factories = [lambda: named("a"), lambda: named("b")]
+    def both() -> Any:
+        yield named("a")
+        yield named("b")
+
     ends = ["close b", "destroy b", "close a", "destroy a", "end"]
-    assert runner.run_nodes(factories, ["program"]) == 1
+    assert runner.run_nodes(both, ["program"]) == 1
     start = ["signals", ["program"]]
     assert done == [*start, "check a", "ready", "check b", "ready", (2, "scheduling"), *ends]
     done.clear()
     monkeypatch.setattr(runner.sys, "argv", ["other"])
 
     def refuse() -> Any:
+        yield named("a")
         raise LOOSE
 
-    assert runner.run_nodes([factories[0], refuse]) == 2
+    assert runner.run_nodes(refuse) == 2
     assert done == ["signals", ["other"], "close a", "destroy a", "end"]
     assert capsys.readouterr().err == "the cable is loose, fix it.\n"
     done.clear()
-    assert runner.run_node(factories[0], ["x"]) == 1
+    assert runner.run_node(lambda: named("a"), ["x"]) == 1

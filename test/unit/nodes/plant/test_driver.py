@@ -376,7 +376,7 @@ def test_a_running_plant_publishes_its_first_tick_again_at_a_reset(
     rig, sent = make(), list[int]()
     rig.answer(0)
     rig.answer(TICK)
-    told, rig.driver._topics.publish = rig.told, lambda _, stamp: sent.append(stamp)  # type: ignore[method-assign]
+    told, rig.driver._topics.publish = rig.told, lambda stamp, *_: sent.append(stamp)  # type: ignore[method-assign]
     rig.driver.reset()
     assert sent == [0] and rig.told == told + 1 and rig.state() == ("running", 0)
     rig.answer(0, OTHER)  # no conflict with what was answered before

@@ -344,15 +344,6 @@ def test_inputs_that_only_have_not_come_yet_are_not_missing(ear: Ear) -> None:
     assert ear.fault == ""
 
 
-def test_a_stamp_may_be_a_day_ahead_of_the_ticks_and_not_more(ear: Ear) -> None:
-    ear.inputs.check_stamp(10**18)  # nobody knows yet
-    ear.joints(2)
-    ear.others(2)
-    ear.inputs.check_stamp(2 * MS + DAY)
-    with pytest.raises(MessageError, match="86400 s ahead of the ticks, which are at 0.002 s"):
-        ear.inputs.check_stamp(2 * MS + DAY + 1)
-
-
 def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
     patient = Ear()
     patient.inputs = TickInputs(
