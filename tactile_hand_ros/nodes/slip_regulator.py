@@ -160,8 +160,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N)
     and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f, the one that the
     object needs, friction, grip and number of slips of each finger, and the worst margins of that
-    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to
-    end a slip).
+    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time
+    left to end a slip).
 
     A node that is late answers the newest ticks only, but feels all of them.
 
