@@ -50,25 +50,6 @@ def test_a_perfect_skin_reports_the_truth_to_the_bit():
         same(reading, truth(1e-9 * i * TICK))
 
 
-def test_what_is_published_does_not_change_with_the_truth():
-    true = truth()
-    reading = sensor().step(0, true)
-    before = reading.positions.copy()
-    true.positions[:] = 0.0
-    np.testing.assert_array_equal(reading.positions, before)
-
-
-def test_force_noise_has_the_asked_deviation_and_no_bias():
-    forces = np.array([r.forces for r in readings(sensor(force_noise=0.05, seed=3), 4000)])
-    errors = forces - [truth(0.002 * i).forces for i in range(4000)]
-    # Bounds of five standard errors of mean and deviation over 36000 draws.
-    assert abs(errors.mean()) < 5 * 0.05 / 190
-    assert errors.std() == pytest.approx(0.05, rel=5 / 268)
-    correlation = np.corrcoef(errors.reshape(4000, 9).T) - np.eye(9)
-    assert np.abs(correlation).max() < 0.1
-    assert abs(np.corrcoef(errors[:-1].ravel(), errors[1:].ravel())[0, 1]) < 0.03
-
-
 def test_location_noise_moves_the_contact_over_the_tip_only():
     """Whatever the noise, point and normal stay those of a sphere around the true centre (A2)."""
     normals = truth().contacts.normals
@@ -164,28 +145,6 @@ def test_a_skin_as_fast_as_the_ticks_misses_none(rate):
     np.testing.assert_allclose(forces, 0.002 * np.arange(2000), atol=1e-9)
 
 
-def test_a_lost_sample_repeats_the_finger_s_last():
-    got = readings(sensor(dropout=0.3, seed=2), 3000)
-    new = np.array([r.forces[:, 1] for r in got]) - 5.0
-    times = 0.002 * np.arange(3000)
-    lost = ~np.isclose(new, times[:, None], atol=1e-12)
-    assert not lost[0].any()
-    # Each finger loses its own samples, three in ten of them.
-    np.testing.assert_allclose(lost.mean(axis=0), 0.3, atol=5 * (0.21 / 3000) ** 0.5)
-    assert np.abs(np.corrcoef(lost.T) - np.eye(3)).max() < 0.1
-    for tick in range(1, 3000):
-        for finger in np.flatnonzero(lost[tick]):
-            assert new[tick, finger] == new[tick - 1, finger]
-            np.testing.assert_array_equal(
-                got[tick].positions[finger], got[tick - 1].positions[finger]
-            )
-
-
-def test_with_everything_lost_the_first_sample_stays():
-    for reading in readings(sensor(dropout=1.0), 5):
-        same(reading, truth())
-
-
 def test_noise_may_change_while_running():
     skin = sensor()
     skin.step(0, truth())
@@ -215,16 +174,6 @@ def constant(_):
     return np.array([[0.0, 5.0, 0.0]] * 3)
 
 
-def test_bandwidth_smooths_a_step_with_its_time_constant():
-    """40 Hz: 63 % of a step after 4 ms."""
-    skin = sensor(rate=1000.0, bandwidth=40.0)
-    felt = forces_of(skin, 60, lambda i: (0.0 if i < 20 else 1.0) * constant(i))[:, 0, 1]
-    assert (felt[:20] == 0.0).all()
-    np.testing.assert_allclose(
-        felt[20:], 5.0 * (1.0 - np.exp(-2 * np.pi * 40.0 * 1e-3 * np.arange(1, 41))), rtol=1e-9
-    )
-
-
 def test_the_first_force_of_a_skin_is_no_step_from_nothing():
     """With a bandwidth of 40 Hz; nor is the first one after a reset."""
     skin = sensor(rate=1000.0, bandwidth=40.0)
@@ -232,16 +181,6 @@ def test_the_first_force_of_a_skin_is_no_step_from_nothing():
         felt = forces_of(skin, 3, lambda _, scale=scale: scale * constant(0))
         np.testing.assert_array_equal(felt, np.broadcast_to(scale * constant(0), (3, 3, 3)))
         skin.reset()
-
-
-def test_bandwidth_of_the_location_smooths_its_noise():
-    """A first-order filter leaves share / (2 - share) of the power of white noise."""
-    skin = sensor(rate=1000.0, location_noise=1e-4, location_bandwidth=20.0)
-    off = np.array([skin.step(i * 1_000_000, truth()).positions for i in range(1500)])
-    off = (off - truth().positions)[50:]
-    across = off[:, [0, 0, 1, 1, 2, 2], [1, 2, 1, 2, 0, 2]]  # tangential directions
-    share = 1.0 - np.exp(-2.0 * np.pi * 20.0 * 1e-3)
-    assert across.std() == pytest.approx(1e-4 * np.sqrt(share / (2.0 - share)), rel=0.1)
 
 
 def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once():
@@ -273,32 +212,9 @@ def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once()
     is_at(shows([0], turned)[0], there)
 
 
-def test_the_zero_drifts_as_a_random_walk():
-    """Twice as far after four times as long, and as far as is asked for."""
-    skins = [sensor(rate=1000.0, bias_drift=0.01, seed=seed) for seed in range(12)]
-    off = np.array([forces_of(skin, 1000, constant) for skin in skins]) - constant(0)
-    early, late = off[:, 249].std(), off[:, 999].std()
-    # Deviations over 108 walks: five standard errors are 34 %.
-    assert late == pytest.approx(0.01, rel=0.34) and early == pytest.approx(0.005, rel=0.34)
-
-
 def vibration(speed, ticks=4000, period=1_000_000, rate=1000.0, **values):
     skin = sensor(rate=rate, vibration={"gain": 10.0, "limit": 0.2}, **values)
     return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0]), period) - constant(0)
-
-
-def test_only_a_contact_that_slides_vibrates_and_the_faster_the_more():
-    at_rest, slow, fast = vibration(0.0), vibration(0.002), vibration(1.0)
-    assert not at_rest.any() and not slow[:, 1:].any()
-    assert slow[:, 0].std() == pytest.approx(0.2 * (1 - np.exp(-0.1)), rel=0.1)
-    assert fast[:, 0].std() == pytest.approx(0.2, rel=0.1)
-
-
-def test_vibration_lies_in_its_band():
-    """Less than a third of the power of the band's middle is left well below it."""
-    power = np.abs(np.fft.rfft(vibration(1.0, 8000)[:, 0, 0])) ** 2
-    per_hertz = power.reshape(-1)[: 8 * 480].reshape(-1, 8).mean(axis=1)  # bins of 1 Hz
-    assert per_hertz[1:10].mean() < per_hertz[100:300].mean() / 3.0
 
 
 def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
@@ -313,26 +229,6 @@ def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
     assert felt.std() == pytest.approx(0.2, rel=0.03)
     ratio = np.diff(felt, n=2, axis=0).var() / felt.var()
     assert ratio == pytest.approx(6.0 - 8.0 * once + 2.0 * twice, rel=0.05)
-
-
-def test_a_skin_too_slow_for_its_vibration_smooths_every_sample_of_it():
-    """100 Hz at 10 kHz: what its three first-order filters leave, however seldom it is read."""
-    impulse = np.eye(1, 4000)[0]
-    gains = 1.0 - np.exp(-2.0 * np.pi * np.array([400.0, 60.0, 100.0]) / 10e3)
-    first, slow = lfilter([gains[0]], [1.0, gains[0] - 1.0], impulse), 1.0 - gains[1]
-    band = first - lfilter([gains[1]], [1.0, -slow], first)
-    smooth = lfilter([gains[2]], [1.0, gains[2] - 1.0], band)
-    expected = 0.2 * np.linalg.norm(smooth) / np.linalg.norm(band)
-    for period in (TICK, 300_000):
-        felt = vibration(1e3, 4000, period, rate=10e3, bandwidth=100.0)[100:, 0]
-        assert felt.std() == pytest.approx(expected, rel=0.05)
-
-
-def test_vibration_begins_anew_with_the_same_seed():
-    skin = sensor(rate=10e3, vibration={"gain": 10.0})
-    first = forces_of(skin, 20, constant, np.ones(3), TICK)
-    skin.reset()
-    np.testing.assert_array_equal(forces_of(skin, 20, constant, np.ones(3), TICK), first)
 
 
 def test_vibration_leaves_the_other_noise_alone():
