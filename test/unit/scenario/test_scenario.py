@@ -140,12 +140,6 @@ def test_what_is_said_once_reaches_finished_sections_too(plant):
     assert still.manipulation_controller.gravity == still.plant.gravity == (0.0, 0.0, 0.0)
 
 
-def test_finished_sections_of_a_scenario_fit_into_its_like():
-    paper = load_scenario("paper")
-    sections = {name: getattr(paper, name) for name in type(paper).model_fields}
-    assert Scenario(**sections) == paper
-
-
 def test_a_finished_section_cannot_contradict_the_scenario():
     with pytest.raises(ValidationError, match="set 'gravity' once at the top, not in 'plant'"):
         Scenario(plant=PlantConfig(gravity=GRAVITY))
@@ -261,11 +255,6 @@ def test_an_extension_looks_beside_itself_first(tmp_path):
         scenario = load(tmp_path, text)
         assert scenario.duration == 3.0 and scenario.name == "mine"
         assert scenario.plant.object.mass == 0.0018
-
-
-def test_a_copy_of_the_paper_may_extend_the_paper(tmp_path):
-    scenario = load(tmp_path, "extends: paper\nseed: 3\n", name="paper")
-    assert scenario.seed == 3 and scenario.plant.object.mass == 0.0018
 
 
 def test_scenarios_that_extend_each_other_are_refused(tmp_path):
@@ -396,10 +385,6 @@ def test_the_controller_believes_squeezes_up_to_the_limit_of_the_regulator():
     assert limit_of(raised) == 20.0
     own = load_scenario("paper", {"manipulation_controller.grasp_force_limit": 12.0})
     assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
-
-
-def test_by_default_any_slip_counts_as_having_reached_the_goal():
-    assert Scenario().goal.slip_distance == 1.0
 
 
 def test_stamps_are_whole_nanoseconds():
