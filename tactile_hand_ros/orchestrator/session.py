@@ -49,7 +49,6 @@ _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
 _LAST_HEARTBEATS = 0.3  # s, three of them: the recorder asks for what got lost on the way to it
-_SHOWN = 6  # missing things that an error lists
 
 
 class StartupError(TactileHandError):
@@ -271,11 +270,11 @@ class Session:
         self.outcome.done("graph_matched")
 
     def _absence(self, missing: Sequence[MissingEndpoint]) -> str:
-        """Return who is missing, which topics, and what their logs contain."""
-        shown = "; ".join(each.text for each in missing[:_SHOWN])
-        more = f"; and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
+        """Return what is missing first of each node, and what the logs contain."""
+        first = {each.node: each.text for each in reversed(missing)}
+        shown = "; ".join(first[name] for name in sorted(first))
         lines = [
-            f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}{more}; "
+            f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}; "
             f"look at {self.directory.path / 'logs'}"
         ]
         for name in dict.fromkeys(self.plan.process(each.node) for each in missing):
