@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a run goes into the page: its ticks, gaps, events, fingers, joints and sections."""
+"""The document of a page: one run field by field, and what is special about other runs.
+
+`PYTHONPATH=test python test/unit/report/test_document.py` writes the expected document again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+import json
+import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.recorded import (
     PERIOD,
     START,
@@ -17,174 +22,156 @@ from support.recorded import (
     joints,
     message,
     random_record,
+    request_message,
     write_record,
     write_tick,
 )
 
-from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.report import document, style
-from tactile_hand_ros.report.page import MOST_EARLIER, write_comparison, write_report
-from tactile_hand_ros.run.events import Event
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.report import style
+from tactile_hand_ros.report.document import pack, run_document, shown
+from tactile_hand_ros.report.facts import differing, labels
+from tactile_hand_ros.report.page import MOST_EARLIER, write_report
+from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.scenario.scenario import load_scenario, resolved
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
+
+GOLDEN = Path(__file__).parents[2] / "data" / "report.json"
+PULL = [{"kind": "step", "start": 0.02, "force": [0.0, 0.0, -2.0]}]
 
 
-def seen(ticks: int) -> Any:
-    """Return a run, as far as the choice of its ticks is concerned, in which nothing happens."""
-    record = Record.empty(ticks, ["a", "b"], ["j", "k"])
-    record.stamps[:] = 10_000_000 * np.arange(ticks)
-    for array in (record.rates, record.contact_positions, record.grasp_force):
-        array[:] = 0.0
-    record.forces[:] = [0.0, 1.0, 0.0]
-    return SimpleNamespace(record=record, events=[], latencies=np.zeros(ticks))
+def pulled() -> tuple[Scenario, Any]:
+    """Return a short run with a pull on the object, and its record."""
+    scenario = load_scenario("paper", {"duration": 0.06, "plant.disturbances": PULL})
+    return scenario, ClosedLoop(scenario).run()
 
 
-def test_the_peak_of_each_signal_is_shown_and_so_is_each_event() -> None:
-    run = seen(500)
-    run.record.rates[101, 1] = -3.0
-    run.record.forces[203, 1] = 0.0, 9.0, 0.0
-    run.record.forces[305, 0] = 0.5, 1.0, 0.0  # a peak of friction
-    run.record.forces[307] = 4.0, 1.0, 0.0
-    run.record.contact_positions[307] = np.nan  # of a contact that is not there
-    run.record.grasp_force[407] = 2.0
-    run.latencies[451] = 0.1
-    run.events = [Event(each, "gap", "", "") for each in (-1.0, 0.53, 1.2899, 7.0)]
-    rows = set(document._rows(run, 40).tolist())
-    assert {0, 53, 101, 129, 203, 305, 407, 451, 499} <= rows and len(rows) < 70
-    assert 307 not in rows
+def recorded_run(folder: Path) -> Run:
+    scenario, record = pulled()
+    told = {"scenario": resolved(scenario), "lost_messages": "2", "version_numpy": "2.4"}
+    return Run(write_record(folder / "bag", record, custom_data=told))
 
 
-def test_a_tick_takes_the_bytes_of_its_numbers() -> None:
-    columns = {"time": np.zeros(7), "grip": np.zeros((7, 3)), "force": np.zeros((7, 3, 2))}
-    assert document._bytes_per_tick(columns) == 8 + 3 + 4 * 6
+def unpack(column: dict[str, Any]) -> NDArray[np.float64]:
+    data = np.frombuffer(base64.b64decode(column["data"]), dtype="<" + column["type"])
+    return data.reshape(column["shape"]).astype(np.float64)
 
 
-def test_a_line_ends_where_a_gap_begins() -> None:
-    values = np.arange(10.0)
-    found = document._shown(values, np.array([0, 2, 5, 6, 9]), [2, 6])
-    np.testing.assert_array_equal(found, [0.0, np.nan, 5.0, np.nan, 9.0])
-    np.testing.assert_array_equal(values, np.arange(10.0))
+def values(document: dict[str, Any], name: str) -> NDArray[np.float64]:
+    return unpack(document["columns"][name])
 
 
-@pytest.fixture
-def paper(tmp_path: Path) -> Run:
-    """Return a recorded run of the paper's hand."""
-    told = {"scenario": resolved(load_scenario("paper"))}
-    return Run(write_record(tmp_path / "bag", random_record(12), custom_data=told))
+def readable(document: dict[str, Any]) -> Any:
+    """Return a document with some rows of its arrays as numbers, as JSON has it."""
+    out = dict(document)
+    out["columns"] = {
+        name: {"shape": column["shape"], "rows": unpack(column)[[0, 1, 15, -1]].tolist()}
+        for name, column in document["columns"].items()
+    }
+    return json.loads(json.dumps(json_ready(out)))
 
 
-def test_joints_belong_to_the_finger_whose_tip_they_move(paper: Run) -> None:
-    """Whatever they are called."""
-    record = Record.empty(1, paper.record.finger_names, Hand.load("paper").joint_names)
-    record.joint_names[3], record.joint_names[5] = record.joint_names[5], record.joint_names[3]
-    paper.__dict__["record"] = record
-    tree, problem = document.model.hand(paper)
-    assert problem == "" and tree is not None
-    found = document._joints(record, tree)
-    assert [each["finger"] for each in found] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
-    assert [each["place"] for each in found] == [0, 1, 2] * 3
-    assert found[0]["label"] == record.joint_names[0].replace("_", " ")
-    for tip in tree["tips"]:
-        tip["finger"] = "another"
-    assert {each["finger"] for each in document._joints(record, tree)} <= {-1, 0, 1, 2}
+def assert_same(found: Any, expected: Any, place: str = "") -> None:
+    """Insist that plain data are equal, numbers to a millionth."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys(), place
+        for key, value in expected.items():
+            assert_same(found[key], value, f"{place}.{key}")
+    elif isinstance(expected, list):
+        assert len(found) == len(expected), place
+        for i, value in enumerate(expected):
+            assert_same(found[i], value, f"{place}[{i}]")
+    elif isinstance(expected, float):
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), place
+    else:
+        assert found == expected, place
 
 
-def test_joints_of_an_unknown_hand_belong_to_the_finger_that_their_name_begins_with() -> None:
-    record = Record.empty(1, ["thumb", "ring"], ["ring_1", "wrist", "thumb_1", "ring_2", "palm"])
-    found = document._joints(record, None)
-    assert [each["finger"] for each in found] == [1, -1, 0, 1, -1]
-    assert [each["place"] for each in found] == [0, 0, 0, 1, 1]
-    fingers = document._fingers(record)
-    assert [each["label"] for each in fingers] == ["thumb", "ring"]
-    assert [each["color"] for each in fingers] == [style.finger_color(i) for i in range(2)]
+def test_the_document_of_a_recorded_run(tmp_path: Path) -> None:
+    assert_same(readable(run_document(recorded_run(tmp_path))), json.loads(GOLDEN.read_text()))
 
 
-def test_a_run_has_its_name_date_and_events(paper: Run) -> None:
-    paper.__dict__["events"] = [Event(1e-3 * i, "gap", "", "") for i in range(401)]
-    found = document.run_document(paper, label="the first")
-    assert (found["name"], found["label"]) == ("paper", "the first")
-    assert document.run_document(paper)["label"] == "paper"
-    assert found["recorded"] == "2023-11-14 22:13 UTC"
-    assert len(found["events"]) == 400 and found["events"][399]["time"] == pytest.approx(0.399)
-    assert (found["shown"], found["ticks"]) == (12, 12)
-    assert found["notes"] == []
-    [page] = [document.page_document("run", [found])]
-    assert (page["format"], page["kind"], page["settings"]) == (1, "run", [])
-    assert page["palette"]["axes"] == [style.axis_color(i) for i in range(3)]
-    assert page["palette"]["runs"] == [style.run_color(0)]
+def test_a_simulated_run_gives_the_same_without_what_only_a_bag_holds(tmp_path: Path) -> None:
+    scenario, record = pulled()
+    result = Result(record, scenario)
+    of_bag = readable(run_document(recorded_run(tmp_path)))
+    found = readable(run_document(result))
+    for name in ("recorded", "tables", "tiles", "columns", "scenario"):
+        del of_bag[name]
+    assert_same({name: found[name] for name in of_bag}, of_bag)
+    assert [tile["label"] for tile in found["tiles"]][-1] == "longest slip"
+    assert [table["title"] for table in found["tables"]][0] == "Metrics"
+    assert result.report(tmp_path) == tmp_path / "report.html"
+    assert len(result.plot().axes) == 4
 
 
-def test_a_run_that_begins_in_the_dark_has_no_gap_there(tmp_path: Path) -> None:
-    """Nothing was drawn before, so that no line has to end."""
-    record = random_record(40)
-    record.contact_positions[:8] = record.forces[:8] = np.nan
-    record.contact_positions[20:30] = record.forces[20:30] = np.nan
+def test_of_a_long_run_shows_peaks_and_what_there_is_room_for(tmp_path: Path) -> None:
+    record = random_record(500)
+    record.rates[101, 1] = -99.0
+    record.grasp_force[407] = 99.0
     run = Run(write_record(tmp_path / "bag", record))
-    found = document.run_document(run, room=1)
-    times = record.times
-    assert found["gaps"] == [[pytest.approx(times[19]), pytest.approx(times[30])]]
-    assert found["shown"] < found["ticks"] == 40
+    whole = run_document(run)
+    size = sum(unpack(column).nbytes for column in whole["columns"].values())
+    part = run_document(run, room=size // 20)
+    assert whole["shown"] == whole["ticks"] == part["ticks"] == 500 > 4 * part["shown"]
+    assert len(values(part, "time")) == part["shown"]
+    assert values(part, "rates").min() == -99.0 and values(part, "squeeze").max() == 99.0
+    assert part["tables"] == whole["tables"] and part["events"] == whole["events"]
 
 
-def urdf(length: float) -> str:
-    return (
-        '<robot name="r"><link name="base"/><joint name="joint_1" type="revolute">'
-        f'<parent link="base"/><child link="tip"/><origin xyz="{length} 0 0"/></joint>'
-        '<link name="tip"><visual><geometry><sphere radius="0.02"/></geometry></visual></link>'
-        "</robot>"
-    )
+@pytest.mark.parametrize("limit", [5, 8, 20, 60, 99])
+def test_of_many_ticks_first_last_peaks_and_events_are_shown(limit: int) -> None:
+    up, down = np.zeros(100), np.zeros(100)
+    up[37], down[61], up[3] = 5.0, -5.0, np.nan
+    rows = shown(100, limit, [up, down], np.array([42]))
+    assert {0, 37, 42, 61, 99} <= set(rows.tolist()) and (np.diff(rows) > 0).all()
+    assert len(rows) <= max(limit, 9) + 9
+    np.testing.assert_array_equal(shown(100, 100, [up], np.array([42])), np.arange(100))
 
 
-def described(folder: Path, content: Any, told: Mapping[str, str]) -> Run:
-    """Return a run whose bag has a message on robot_description."""
-    record = random_record(3)
-    with RunWriter(folder, dict(told)) as bag:
-        bag.write("/robot_description", content, START - 1)
-        for row in range(3):
-            write_tick(bag, record, row, START + row * PERIOD)
-    return Run(folder)
+def test_whole_numbers_are_packed_with_a_mark_for_nan() -> None:
+    assert pack(np.array([0.0, np.nan, 254.0]), "u1") == {
+        "type": "u1", "shape": [3], "data": "AP/+",
+    }  # fmt: skip
+    assert pack(np.array([[1.0]])) == {"type": "f4", "shape": [1, 1], "data": "AACAPw=="}
 
 
-def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
-    """Also where the scenario names one; other types of messages do not count."""
-    text = message("std_msgs/msg/String", data=urdf(0.5))
-    told = {"scenario": resolved(load_scenario("paper"))}
-    for name, custom in (("a", {}), ("b", told)):
-        tree, problem = document.model.hand(described(tmp_path / name, text, custom))
-        assert tree is not None and problem == ""
-        assert [link["xyz"][0] for link in tree["links"]] == [0.0, 0.5]
-        assert tree["links"][1]["joint"] == 0
-        assert tree["tips"] == [{"link": 1, "finger": "", "radius": 0.02}]
-    number = message("std_msgs/msg/Float64", data=1.0)
-    tree, _ = document.model.hand(described(tmp_path / "c", number, told))
-    assert tree is not None and len(tree["links"]) > 9
-    tree, problem = document.model.hand(described(tmp_path / "d", number, {}))
-    assert tree is None and problem.startswith("The bag has neither the hand's URDF nor")
+def test_a_gap_in_a_bag_is_a_gap_and_no_lost_contact(tmp_path: Path) -> None:
+    """Nothing was drawn before the first message, so that no line has to end there."""
+    record = random_record(60)
+    for dark in (slice(0, 8), slice(20, 30)):
+        record.contact_positions[dark] = record.forces[dark] = np.nan
+    with RunWriter(tmp_path / "bag") as bag:
+        for row in [*range(40), *range(50, 60)]:
+            write_tick(bag, record, row, START + row * PERIOD, "/")
+    run = Run(tmp_path / "bag")
+    assert not [event for event in run.events if event.kind.startswith("contact")]
+    assert run.metrics.contacts_lost_ticks == 0
+    document = run_document(run)
+    assert np.array(document["gaps"]) == pytest.approx(np.array([[0.038, 0.06], [0.078, 0.1]]))
+    time, rates = values(document, "time"), values(document, "rates")
+    assert np.isnan(rates[np.searchsorted(time, 0.078 - 1e-9)]).all()  # the line ends here
 
 
-@pytest.mark.parametrize(
-    ("scenario", "words"),
-    [
-        ("hand: 3", "neither the hand's URDF"),
-        ("hand: paper\nlayout: 3", "neither the hand's URDF"),
-        ("hand: gone/hand.yaml", "The hand cannot be drawn: "),
-        ("plant: {object: {shape: 7}}", "neither the hand's URDF"),
-        ("plant: 3", "neither the hand's URDF"),
-        ("plant: {rate: 3}", "neither the hand's URDF"),
-    ],
-)
-def test_what_a_scenario_says_wrongly_is_not_drawn(
-    scenario: str, words: str, tmp_path: Path
-) -> None:
-    """A scenario of another version of the package may hold anything."""
-    run = Run(write_record(tmp_path / "bag", random_record(3), custom_data={"scenario": scenario}))
-    tree, problem = document.model.hand(run)
-    assert tree is None and words in problem
-    assert document.model.solid(run) is None
-    assert bool(document.model._tips(run)) == scenario.startswith("hand: paper")
-    if scenario == "plant: 3":
-        assert document.run_document(run)["notes"][-1] == problem
+def test_a_reset_begins_a_section_and_hides_nothing(tmp_path: Path) -> None:
+    first, second = random_record(30, seed=2), random_record(12, seed=3)
+    topic = "/accepted/manipulation_controller/requests"
+    with RunWriter(tmp_path / "bag") as bag:
+        for begin, record in ((0, first), (30, second)):
+            for row in range(len(record)):
+                write_tick(bag, record, row, START + (begin + row) * PERIOD, "/")
+        for service, row in (("grasp", 5), ("reset", 31)):
+            stamp = int((first if row < 30 else second).stamps[row % 30])
+            asked = request_message(stamp, "", service, "false")
+            bag.write(topic, asked, START + row * PERIOD)
+    run = Run(tmp_path / "bag")
+    np.testing.assert_array_equal(run.earlier[0].record.theta, first.theta)
+    keys = [each.key for one in (*run.earlier, run) for each in one.requests]
+    assert keys == ["grasp", "reset"]
+    assert "a user calls grasp (false)" in [event.text for event in run.earlier[0].events]
+    text = write_report(run, tmp_path).read_text(encoding="utf-8")
+    assert '"ticks":30,' in text and '"ticks":12,' in text
 
 
 def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
@@ -195,17 +182,105 @@ def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
                 state = joints(tick, ["a"], position=[1.0])
                 bag.write("/joint_states", state, START + (100 * section + tick) * 10**9)
     run = Run(tmp_path / "bag")
-    assert len(run.earlier) == 11
     assert [len(each.record) for each in run.earlier[-MOST_EARLIER:]] == list(range(4, 13))
-    text = write_report(run).read_text(encoding="utf-8")
-    assert text.count('"ticks":') == 10 and '"ticks":3,' not in text and '"ticks":13,' in text
+    assert write_report(run).read_text(encoding="utf-8").count('"ticks":') == 10
 
 
-def test_results_belong_into_the_folder_of_the_run(tmp_path: Path) -> None:
-    """Of a bag without one, beside it."""
-    bare = Run(write_record(tmp_path / "run" / "bag", random_record(3)))
-    run = Run(tmp_path / "run")
-    assert run.folder == bare.folder == tmp_path / "run"
-    assert Run(tmp_path / "run" / "bag" / "bag_0.mcap").folder == tmp_path / "run" / "bag"
-    other = tmp_path / "new" / "folder" / "both.html"
-    assert write_comparison([run, bare], other) == other and other.is_file()
+def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> None:
+    document = run_document(Run(write_record(tmp_path / "bag", random_record(truth=False))))
+    assert document["object"] is None and document["hand"] is None and document["ledger"] == []
+    assert document["passed"] is None and document["headline"] == ""
+    assert np.isnan(values(document, "object_position")).all()
+    assert any("No scenario" in note for note in document["notes"])
+    labels = {tile["label"]: tile for tile in document["tiles"]}
+    assert labels["slips"]["unit"] == "" and labels["recorded"]["note"] == "messages"
+
+
+def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
+    record = random_record(40)
+    record.contact_positions[20:, 1:] = record.contact_quaternions[20:, 1:] = np.nan
+    record.forces[20:, 1:] = 0.0
+    document = run_document(Run(write_record(tmp_path / "bag", record)))
+    assert document["tiles"][0]["label"] == "object dropped" and document["passed"] is False
+    assert document["headline"] == "object dropped at 0.040 s"
+    assert "dropped" in [event["kind"] for event in document["events"]]
+    assert np.isnan(values(document, "position_error")[20:]).all()
+
+
+def test_a_scenario_of_another_version_still_gives_the_object(tmp_path: Path) -> None:
+    text = resolved(load_scenario("paper")) + "unheard_of: 1\n"
+    document = run_document(
+        Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))
+    )
+    assert document["name"] == "paper" and document["object"] is not None
+    assert document["ledger"] == [] and "does not fit" in document["notes"][0]
+    assert document["scenario"] == text
+
+
+@pytest.mark.parametrize(
+    ("scenario", "words"),
+    [
+        ("hand: 3", "neither the hand's URDF"),
+        ("hand: paper\nlayout: 3", "neither the hand's URDF"),
+        ("hand: gone/hand.yaml", "The hand cannot be drawn: "),
+        ("plant: {object: {shape: 7}}", "neither the hand's URDF"),
+        ("plant: 3", "neither the hand's URDF"),
+        ("a: [", "neither the hand's URDF"),
+    ],
+)
+def test_what_a_scenario_says_wrongly_is_not_drawn(
+    scenario: str, words: str, tmp_path: Path
+) -> None:
+    """A scenario of another version of the package may hold anything."""
+    run = Run(write_record(tmp_path / "bag", random_record(3), custom_data={"scenario": scenario}))
+    document = run_document(run)
+    assert document["hand"] is None and document["object"] is None
+    assert words in document["notes"][-1]
+
+
+def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
+    """Also where the scenario names another; joints belong to the finger that they begin with."""
+    urdf = (
+        '<robot name="r"><link name="base"/><joint name="joint_1" type="revolute">'
+        '<parent link="base"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>'
+        '<link name="tip"><visual><geometry><sphere radius="0.02"/></geometry></visual></link>'
+        "</robot>"
+    )
+    told = {"scenario": resolved(load_scenario("paper"))}
+    with RunWriter(tmp_path / "bag", told) as bag:
+        text = message("std_msgs/msg/String", data=urdf)
+        bag.write("/robot_description", text, START - 1)
+        write_tick(bag, random_record(1), 0, START)
+    tree = run_document(Run(tmp_path / "bag"))["hand"]
+    assert [link["xyz"][0] for link in tree["links"]] == [0.0, 0.5]
+    assert tree["tips"] == [{"link": 1, "finger": "", "radius": 0.02}]
+
+
+def test_joints_of_an_unknown_hand_belong_to_the_finger_that_their_name_begins_with(
+    tmp_path: Path,
+) -> None:
+    record = random_record(2)
+    record.joint_names[:3] = "finger_2_1", "wrist", "finger_1_1"
+    found = run_document(Run(write_record(tmp_path / "bag", record)))
+    assert [each["finger"] for each in found["joints"]][:3] == [1, -1, 0]
+    assert [each["color"] for each in found["fingers"]] == list(map(style.finger_color, range(3)))
+
+
+def test_runs_are_labelled_by_what_differs(tmp_path: Path) -> None:
+    def run(folder: str, **changes: Any) -> Run:
+        told = {"scenario": resolved(load_scenario("pull", changes))}
+        return Run(write_record(tmp_path / folder, random_record(3), custom_data=told))
+
+    auto, user = run("auto"), run("user", **{"slip_regulator.mode": "user"})
+    assert differing([auto, user]) == [["slip_regulator.mode", "auto", "user"]]
+    assert labels([auto, user]) == ["pull (mode=auto)", "pull (mode=user)"]
+    assert labels([auto, auto]) == ["pull (auto)", "pull (auto)"]
+    changes = {"slip_regulator.mode": "user", "seed": 3, "duration": 2.0}
+    assert labels([auto, run("more", **changes)])[1].endswith(", 1 more)")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        found = readable(run_document(recorded_run(Path(folder))))
+    lines = [f'"{name}": {json.dumps(value)}' for name, value in found.items()]
+    GOLDEN.write_text("{" + ",\n".join(lines) + "}\n")

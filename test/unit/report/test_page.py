@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page carries the numbers of the run and nothing that would have to be loaded."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from support.recorded import RunWriter, joints, random_record, write_record
+
+from tactile_hand_ros.cli import app as cli
+from tactile_hand_ros.command_line import EXIT_REFUSED
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.report.document import run_document
+from tactile_hand_ros.report.page import write_comparison, write_report
+from tactile_hand_ros.run.run import Run
+from tactile_hand_ros.scenario.scenario import load_scenario, resolved
+
+LOADS = ("src", "href", "srcset", "action", "data", "poster", "background", "manifest", "ping")
+CALLS = r"\bfetch\(|XMLHttpRequest|WebSocket|EventSource|sendBeacon|importScripts|\bimport\("
+
+
+class Parts(HTMLParser):
+    """Collects what a page would load, and the texts of its scripts and styles."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loads: list[tuple[str, str]] = []
+        self.tags: list[str] = []
+        self.texts: dict[str, list[str]] = {}
+        self._inside = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.tags.append(tag)
+        self.loads += [(tag, values[name] or "") for name in LOADS if name in values]
+        self._inside = values.get("id") or tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.setdefault(self._inside, []).append(data)
+
+    @property
+    def document(self) -> dict:
+        return json.loads("".join(self.texts["document"]))
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run(write_record(tmp_path / "bag", random_record(40)))
+
+
+class TestPage:
+    def test_loads_nothing(self, run: Run) -> None:
+        text = write_report(run).read_text(encoding="utf-8")
+        parts = Parts(text)
+        assert [load for load in parts.loads if not load[1].startswith("data:")] == []
+        assert not {"iframe", "object", "embed", "img", "base"} & set(parts.tags)
+        script = "".join(parts.texts["script"])
+        assert len(script) > 100_000 and not re.search(CALLS, script)
+        style = "".join(parts.texts["style"])
+        assert "url(" not in style and "@import" not in style
+        assert "default-src 'none'" in text and "connect-src" not in text
+
+    def test_is_readable_as_json_whatever_a_bag_says(self, tmp_path: Path) -> None:
+        evil = "</script><script>alert(1)</script><!-- \u2028 & \"'"
+        scenario = load_scenario("paper").model_copy(update={"description": evil, "name": evil})
+        told = {"scenario": resolved(scenario)}
+        bag = write_record(tmp_path / "bag", random_record(5), custom_data=told)
+        text = write_report(Run(bag)).read_text(encoding="utf-8")
+        parts = Parts(text)
+        assert parts.tags.count("script") == 2
+        assert parts.document["runs"][0]["description"] == evil
+
+    def test_of_ten_seconds_is_small(self, run: Run) -> None:
+        record = random_record(5001)
+        run.__dict__ |= {"record": record, "latencies": record.grasp_force}  # as if read
+        assert run_document(run)["shown"] == 5001
+        assert write_report(run).stat().st_size < 5_000_000
+
+    def test_does_not_name_the_folder_of_the_run(self, run: Run, tmp_path: Path) -> None:
+        assert str(tmp_path) not in write_report(run).read_text(encoding="utf-8")
+
+    def test_cannot_be_written_over_a_folder(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "report.html").mkdir()
+        with pytest.raises(TactileHandError, match="cannot be written"):
+            write_report(run, tmp_path)
+
+    def test_of_several_runs_has_each(self, run: Run, tmp_path: Path) -> None:
+        other = Run(write_record(tmp_path / "other", random_record(30, seed=5)))
+        file = write_comparison([run, other], tmp_path / "both.html")
+        document = Parts(file.read_text(encoding="utf-8")).document
+        assert document["kind"] == "comparison"
+        assert [each["ticks"] for each in document["runs"]] == [40, 30]
+
+
+class TestCommands:
+    def test_report_writes_beside_the_bag(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert cli.main(["report", str(tmp_path)]) == 0
+        assert (tmp_path / "report.html").is_file()
+        out = capsys.readouterr().out
+        assert str(tmp_path / "report.html") in out.replace("\n", "") and " MB in " in out
+
+    def test_compare_prints_metrics_side_by_side(
+        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        bag = str(run.bag)
+        assert cli.main(["compare", bag, bag, "--out", str(tmp_path / "out")]) == 0
+        assert (tmp_path / "out" / "comparison.html").is_file()
+        out = capsys.readouterr().out
+        assert "1: " in out and out.count("(bag)") == 2 and "peak joint rate" in out
+
+    @pytest.mark.parametrize("damage", ["missing", "cut", "no ticks", "alone"])
+    def test_bad_input_is_one_sentence(
+        self, damage: str, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        bad = tmp_path / "bad"
+        arguments = ["report", str(bad)]
+        if damage == "cut":
+            whole = next(run.bag.glob("*.mcap")).read_bytes()
+            bad = tmp_path / "bad.mcap"
+            bad.write_bytes(whole[: len(whole) // 2])
+            arguments = ["report", str(bad)]
+        elif damage == "no ticks":
+            with RunWriter(bad) as bag:
+                bag.write("/other", joints(0, ["a"], position=[1.0]), 1)
+        elif damage == "alone":
+            arguments = ["compare", str(run.bag)]
+        assert cli.main(arguments) == EXIT_REFUSED
+        error = capsys.readouterr().err.strip()
+        assert error.startswith("tactile-hand: ") and len(error.splitlines()) == 1
+        assert not (bad.parent / "report.html").exists()
