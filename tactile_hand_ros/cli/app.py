@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, replay, reproduce, runs, scenarios, steer, sweep
+from tactile_hand_ros.cli import bags, reproduce, runs, scenarios, steer, sweep
 from tactile_hand_ros.command_line import prepare_for_ros, run_command
 from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -37,7 +37,6 @@ for _command in (
     *runs.COMMANDS,
     *sweep.COMMANDS,
     *bags.COMMANDS,
-    replay.replay,
     reproduce.reproduce,
 ):
     app.command()(_command)

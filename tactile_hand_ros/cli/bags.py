@@ -1,14 +1,186 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand recover`: repair a bag."""
+"""`tactile-hand replay` and `recover`: publish, recompute or repair a bag."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_hand_ros.cli.output import BagArgument
+from tactile_hand_ros.cli.output import EXIT_DIFFERS, BagArgument, print_table
+from tactile_hand_ros.command_options import with_options
+from tactile_hand_ros.errors import TactileHandError, counted
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.nodes.replay import Replay
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """The options of `tactile-hand replay`."""
+
+    bag: BagArgument = Path("runs/latest")
+    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
+    start_offset: Annotated[
+        float, typer.Option(min=0.0, help="Where to begin [s after the first message].")
+    ] = 0.0
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False
+    topics: Annotated[
+        list[str],
+        typer.Option(help="Only topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    exclude: Annotated[
+        list[str],
+        typer.Option(help="Not the topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    clock: Annotated[
+        bool, typer.Option("--clock", help="Publish the bag's time on /clock, 100 times a second.")
+    ] = False
+    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
+    paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
+    ] = False
+    changes: Annotated[
+        list[str],
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="With --recompute: another value, law.name=contact."
+        ),
+    ] = field(default_factory=list)
+    law: Annotated[
+        str,
+        typer.Option(
+            metavar="MODULE:CLASS",
+            help="With --recompute: a law of your own, here or on PYTHONPATH.",
+        ),
+    ] = ""
+
+
+@with_options
+def replay(request: ReplayRequest) -> None:
+    """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
+
+    Exit code of --recompute with the recorded law and without --set: 0 if all is as recorded, to
+    the bit, 1 if not. A law of your own is imported only if you name it here, by --law.
+    """
+    if request.recompute:
+        _recompute(request)
+        return
+    if request.changes or request.law:
+        raise TactileHandError("--set or --law was given, expected --recompute too.")
+    from tactile_hand_ros.bag.recover import find_bag
+
+    if not 0.0 < request.rate < float("inf"):
+        raise TactileHandError(f"--rate is {request.rate}, expected a number above 0.")
+    _publish(find_bag(request.bag), request)
+
+
+def _recompute(request: ReplayRequest) -> None:
+    """Ask the controllers again, and compare their answers with those in the bag."""
+    from tactile_hand_ros.config.plain_yaml import parse_changes
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify import recompute as r
+
+    run = Run(request.bag, namespace=request.namespace or None)
+    values = parse_changes(request.changes, "law.name=contact")
+    is_as_recorded = not values
+    if request.law:
+        values["law.name"] = request.law
+        recorded = r.scenario_of(run).manipulation_controller.law.name
+        is_as_recorded = is_as_recorded and request.law == recorded
+    result = r.recompute(run, values)
+    print_table(rich_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons)))
+    print(f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time")
+    if is_as_recorded and not result.same:
+        print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
+        raise typer.Exit(EXIT_DIFFERS)
+
+
+def _publish(bag: Path, request: ReplayRequest) -> None:
+    try:
+        from tactile_hand_ros.nodes.replay import replaying
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
+            "install its wheels."
+        ) from None
+
+    namespace = request.namespace.strip("/")
+    options = {
+        "rate": request.rate,
+        "start_offset": request.start_offset,
+        "loop": request.loop,
+        "topics": request.topics or [".*"],
+        "exclude": request.exclude,
+        "clock": request.clock,
+        "namespace": f"/{namespace}" if namespace else "",
+        "paused": request.paused,
+    }
+    with replaying(bag, **options) as player, _line(player) as watch, _keyboard(player):
+        for topic, reason in player.skipped.items():
+            print(f"{topic} is not published: {reason}", file=sys.stderr)
+        print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
+        try:
+            player.run(watch)
+        finally:
+            print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _line(player: Replay) -> Iterator[Any]:
+    """Show on a terminal where the replay is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    text = TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[state]}")
+    bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
+    task = bar.add_task("replay", total=player.duration, state="")
+
+    def watch(player: Replay) -> None:
+        state = "paused, space goes on" if player.paused else counted(player.messages, "message")
+        bar.update(task, completed=player.position, state=state)
+
+    with bar:
+        yield watch
+
+
+@contextlib.contextmanager
+def _keyboard(player: Replay) -> Iterator[None]:
+    """Let the space key pause, where there is a terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    import select
+    import termios
+    import threading
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    done = threading.Event()
+
+    def listen() -> None:
+        while not done.is_set():
+            if select.select([sys.stdin], [], [], 0.1)[0] and sys.stdin.read(1) == " ":
+                player.pause(not player.paused)
+
+    thread = threading.Thread(target=listen, daemon=True)
+    try:
+        tty.setcbreak(sys.stdin)
+        thread.start()
+        yield
+    finally:
+        done.set()
+        thread.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def recover(
@@ -27,4 +199,4 @@ def recover(
     print(r.recover(found, out).sentence)
 
 
-COMMANDS = (recover,)
+COMMANDS = (recover, replay)
