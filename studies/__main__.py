@@ -26,8 +26,9 @@ from tactile_hand_ros.cli.output import (
     print_files,
     print_table,
 )
-from tactile_hand_ros.cli.sweep import ClusterOption, backend, progress
+from tactile_hand_ros.cli.sweep import ClusterOption, progress
 from tactile_hand_ros.command_line import run_command
+from tactile_hand_ros.sweep.engine import workers
 
 
 def slip(
@@ -43,22 +44,19 @@ def slip(
     """Measure how fast slip is found and stopped, and at what squeeze."""
     from studies.slip import figures as study_figures
     from studies.slip import roc as slip_roc
-    from studies.slip import roc_figure
-    from studies.slip import study as slip_study
-    from studies.slip import tables as s
+    from studies.slip import study as s
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.sweep.backends import Local
 
     kinds = folder_for_results(out, formats)
-    with Progress("holding", len(slip_study.tasks_of(runs, seed))) as advance:
-        result = slip_study.run_study(runs, seed, Local(jobs), advance)
+    with Progress("holding", len(s.tasks_of(runs, seed))) as advance, workers(jobs):
+        result = s.run_study(runs, seed, advance)
     drawn = study_figures.figures(result)
     points: list[slip_roc.Point] = []
     if roc:
-        with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance:
-            points = slip_roc.run_roc(seed=seed, backend=Local(jobs), progress=advance)
-        drawn["study_roc"] = roc_figure.roc_figure(points)
+        with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance, workers(jobs):
+            points = slip_roc.run_roc(seed=seed, progress=advance)
+        drawn["study_roc"] = slip_roc.roc_figure(points)
     files = s.write(result, out)
     if points:
         files += slip_roc.write(points, out)
@@ -87,21 +85,19 @@ def loads(
     What is in the folder already is kept: after an interruption the same command goes on.
     """
     from studies.slip import loads as slip_loads
-    from studies.slip import loads_report as report
     from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.sweep.backends import Local
 
     kinds = folder_for_results(out, formats)
     reserves = slip_loads.RESERVES
     if floor:
         reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
-    with progress("loading") as watch:
-        slip_loads.run_loads(runs, seed, out, Local(jobs), reserves, watch)
+    with progress("loading") as watch, workers(jobs):
+        slip_loads.run_loads(runs, seed, out, reserves, watch)
     found = slip_loads.outcomes_of(out)
-    files = [report.write(found, out)]
-    files += save(report.loads_figure(found), out, "study_loads", kinds)
-    print_table(tables.rich_table(f"{runs} loads", report.COLUMNS, report.rows(found)))
+    files = [slip_loads.write(found, out)]
+    files += save(slip_loads.loads_figure(found), out, "study_loads", kinds)
+    print_table(tables.rich_table(f"{runs} loads", slip_loads.HEADS, slip_loads.rows(found)))
     print_files(files, out)
 
 
@@ -144,8 +140,8 @@ def faults(
     done = campaign.load(out)
     outcomes = list(done)
     try:
-        with Progress("injecting", len(chosen)) as advance:
-            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, jobs, advance)):
+        with Progress("injecting", len(chosen)) as advance, workers(jobs):
+            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, advance)):
                 outcomes.append(outcome)
     except KeyboardInterrupt:
         print(f"interrupted after {len(outcomes)} runs; the same command goes on")
@@ -203,8 +199,8 @@ def robustness(
 
     kinds = folder_for_results(out, formats)
     names = tuple(scenario or r.all_scenarios())
-    with backend(jobs, cluster) as where, progress("robustness") as watch:
-        tally = r.run_map(names, out, where, seed, watch)
+    with workers(jobs, cluster), progress("robustness") as watch:
+        tally = r.run_map(names, out, seed, watch)
     files = save(r.figure(out, names), out, "robustness", kinds)
     print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
     print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")

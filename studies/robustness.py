@@ -21,20 +21,20 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.report.style import PAGE, look, new_figure
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, scenario_names
-from tactile_hand_ros.sweep.backends import Backend
-from tactile_hand_ros.sweep.keep import (
+from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.metrics import measures, outcome
+from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.table import (
     FAILED,
     LAST_COLUMNS,
     LOST,
     MISSED,
     REACHED,
+    Store,
     Tally,
     keep,
+    read_column,
 )
-from tactile_hand_ros.sweep.metrics import measures, outcome
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.store import Store, read_column
-from tactile_hand_ros.sweep.study import Point, Study, build
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,13 +147,12 @@ def study_of(scenarios: tuple[str, ...], seed: int) -> Study:
             "scenario": Choice(scenarios),
         }
     )
-    return Study(space, "grid", run_one, list, seed=seed)
+    return Study(space, "grid", run_one, seed=seed)
 
 
 def run_map(
     scenarios: tuple[str, ...],
     folder: Path,
-    backend: Backend,
     seed: int = 0,
     watch: Callable[[Tally], None] = lambda _: None,
 ) -> Tally:
@@ -162,13 +161,12 @@ def run_map(
     Args:
         scenarios: Names.
         folder: Of the results.
-        backend: Where runs are made.
         seed: Of noise and directions.
         watch: Called after each run.
 
     Raises:
         ConfigurationError: If there is no such scenario.
-        StudyError: If the folder cannot be written, or the backend fails.
+        StudyError: If the folder cannot be written.
     """
     for name in scenarios:
         _base(name)
@@ -176,7 +174,6 @@ def run_map(
     columns |= {"rank": int, "seed": int} | {name: float for name in measures(MEASURES)}
     description = {
         "version": tactile_hand_ros.__version__,
-        "build": build(),
         "scenarios": list(scenarios),
         "seed": seed,
     }
@@ -187,7 +184,7 @@ def run_map(
         return {**point.values, "size": size, "unit": error.unit, "seed": point.seed}
 
     store = Store(folder, {**columns, **LAST_COLUMNS}, {})
-    return keep(study_of(scenarios, seed), store, description, parameters, backend, watch)
+    return keep(study_of(scenarios, seed), store, description, parameters, watch)
 
 
 def figure(folder: Path, scenarios: tuple[str, ...] = ()) -> Figure:

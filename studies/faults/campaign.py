@@ -23,10 +23,7 @@ from studies.faults.outcome import (
 from studies.faults.running_hand import RunningHand
 from studies.faults.space import Run
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.sweep.backends import Local
-from tactile_hand_ros.sweep.runner import carry_out
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.study import Point, Study, in_order
+from tactile_hand_ros.sweep.engine import in_parallel
 
 RESULTS = "faults.jsonl"
 
@@ -42,7 +39,6 @@ _BROKEN = (TactileHandError, TimeoutError, OSError)
 def run_campaign(
     runs: Sequence[Run],
     done: Sequence[Outcome] = (),
-    jobs: int = -1,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Outcome]:
     """Yield the outcome of each run that is not done yet.
@@ -53,7 +49,6 @@ def run_campaign(
     Args:
         runs: The runs, in the order of their sessions.
         done: Outcomes of an earlier campaign.
-        jobs: Number of processes for the runs by function calls; real time needs the machine.
         progress: Called with the name of each run that is done.
     """
     known = {outcome.key for outcome in done}
@@ -61,8 +56,7 @@ def run_campaign(
     for _, group in itertools.groupby(waiting, key=_session):
         left = list(group)
         if left[0].cell.way == "calls":
-            study = Study(Space({"run": Choice(tuple(left))}), "grid", _by_calls, in_order)
-            for outcome in carry_out(study, Local(jobs)):
+            for outcome in in_parallel(run_by_calls, left):
                 progress(str(outcome.cell))
                 yield outcome
             continue
@@ -70,10 +64,6 @@ def run_campaign(
             for outcome in _run_session(tuple(left)):
                 progress(str(left.pop(0).cell))
                 yield outcome
-
-
-def _by_calls(point: Point) -> Outcome:
-    return run_by_calls(point.values["run"])
 
 
 def _session(run: Run) -> tuple[str, str, str]:

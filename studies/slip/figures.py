@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.slip.cases import EVENTS, RATES
-from studies.slip.outcomes import HELD, SlipOutcome
+from studies.slip.cases import EVENTS
+from studies.slip.outcomes import SlipOutcome
 from studies.slip.study import Study
 from tactile_hand_ros.report.style import (
     COLUMN,
@@ -21,26 +21,19 @@ from tactile_hand_ros.report.style import (
     look,
     new_figure,
 )
-from tactile_hand_ros.sweep.statistics import estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
-_LATENCIES = (0.0, 0.0025, 0.005, 0.0075, 0.0101)  # s
 _MARKS = ("o", "s", "^")
 _LONGEST = 40.0  # ms that are drawn
 
 
 def figures(study: Study) -> dict[str, Figure]:
     """Draw all figures of a study, by name."""
-    return {
-        "study_detection": detection_figure(study),
-        "study_slip": slip_figure(study),
-        "study_squeeze": squeeze_figure(study),
-        "study_delay": delay_figure(study),
-    }
+    return {"study_detection": detection_figure(study), "study_slip": slip_figure(study)}
 
 
 def detection_figure(study: Study) -> Figure:
@@ -101,76 +94,6 @@ def slip_figure(study: Study) -> Figure:
         axes.set_ylabel("slip distance [mm]")
         axes.legend()
     return figure
-
-
-def squeeze_figure(study: Study) -> Figure:
-    """Draw the steady squeeze against the least that holds."""
-    with look():
-        figure = new_figure(COLUMN, 2.4)
-        axes = figure.subplots()
-        for i, kind in enumerate(HELD):
-            runs = [h for h in study.held if h.kind == kind]
-            axes.plot(
-                [h.case.friction for h in runs],
-                [h.ratio for h in runs],
-                _MARKS[i],
-                color=finger_color(i),
-                markersize=4.0,
-                label=f"friction {kind}, after {HELD[kind]:g} s",
-            )
-        axes.axhline(1.4, color=FAINT, linewidth=0.8)
-        axes.axhline(1.0, color=FAINT, linewidth=0.8)
-        axes.set_ylim(bottom=0.9)
-        axes.set_xlabel("friction")
-        axes.set_ylabel("squeeze / least that holds")
-        axes.legend()
-    return figure
-
-
-def delay_figure(study: Study) -> Figure:
-    """Draw the median delay of detection and reaction against latency, by rate."""
-    with look():
-        figure = new_figure(PAGE, 2.4)
-        left, right = figure.subplots(1, 2)
-        for axes, of, letter, title in (
-            (left, _detection, "a", "from onset to alarm, median"),
-            (right, _reaction, "b", "from onset to rising squeeze, median"),
-        ):
-            for i, rate in enumerate(RATES):
-                _delays(axes, study, rate, of, i)
-            label_panel(axes, letter, title)
-            axes.set_ylim(-10.0, 30.0)
-            axes.set_xlabel("latency of the skin [ms]")
-        left.set_ylabel("time [ms]")
-        left.legend()
-    return figure
-
-
-def _delays(
-    axes: Axes, study: Study, rate: float, of: Callable[[SlipOutcome], float], i: int
-) -> None:
-    points = []
-    for low, high in zip(_LATENCIES, _LATENCIES[1:], strict=False):
-        runs = [o for o in _slipped(study.outcomes) if o.case.rate == rate]
-        e = estimate([1e3 * of(o) for o in runs if low <= o.case.latency < high])
-        if e.count and math.isfinite(e.high):
-            # Beside each other rather than one over the other.
-            x = 500.0 * (low + high) + 0.12 * (i - 1)
-            points.append((x, e.median, e.median - e.low, e.high - e.median))
-    if points:
-        x, y, down, up = np.array(points).T
-        mark = _MARKS[i] + "-"
-        axes.errorbar(
-            x, y, [down, up], fmt=mark, color=finger_color(i), markersize=4.0, label=f"{rate:g} Hz"
-        )
-
-
-def _detection(outcome: SlipOutcome) -> float:
-    return outcome.detection
-
-
-def _reaction(outcome: SlipOutcome) -> float:
-    return outcome.reaction
 
 
 def _goal(axes: Axes, value: float) -> None:

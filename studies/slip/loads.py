@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +22,27 @@ from studies.slip.survival import least_against
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.report import tables
+from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.sweep.backends import Backend
-from tactile_hand_ros.sweep.keep import (
+from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.statistics import share_of
+from tactile_hand_ros.sweep.table import (
     FAILED,
     LAST_COLUMNS,
     LOST,
     MISSED,
     REACHED,
+    Store,
     Tally,
     keep,
+    read_column,
 )
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.store import Store, read_column
-from tactile_hand_ros.sweep.study import Point, Study, build
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -258,7 +264,7 @@ def study_of(runs: int, seed: int, reserves: Sequence[tuple[float, float]] = RES
     space = Space(
         {"case": Choice(tuple(sample_loads(runs, seed))), "reserve": Choice(tuple(reserves))}
     )
-    return Study(space, "grid", run_one, list, seed=seed)
+    return Study(space, "grid", run_one, seed=seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:
@@ -273,32 +279,29 @@ def run_loads(
     runs: int,
     seed: int,
     folder: Path,
-    backend: Backend,
     reserves: Sequence[tuple[float, float]] = RESERVES,
     watch: Callable[[Tally], None] = lambda _: None,
 ) -> Tally:
-    """Make all runs that are not done yet, and write their table.
+    """Make all runs that are not done yet, where `workers` says, and write their table.
 
     Args:
         runs: Number of loads.
         seed: The same seed gives the same loads.
         folder: Of the results; holds those of an earlier, unfinished call.
-        backend: Where runs are made.
         reserves: Floors, N, and shares of the reserve.
         watch: Called after each run.
 
     Raises:
-        StudyError: If the folder holds another study or cannot be written, or the backend fails.
+        StudyError: If the folder holds another study or cannot be written.
     """
     description = {
         "version": tactile_hand_ros.__version__,
-        "build": build(),
         "loads": runs,
         "seed": seed,
         "reserves": [list(reserve) for reserve in reserves],
     }
     store = Store(folder, COLUMNS, UNITS)
-    return keep(study_of(runs, seed, reserves), store, description, _parameters, backend, watch)
+    return keep(study_of(runs, seed, reserves), store, description, _parameters, watch)
 
 
 def _parameters(point: Point) -> dict[str, Any]:
@@ -362,3 +365,52 @@ def trade_offs(outcomes: Sequence[LoadOutcome]) -> list[TradeOff]:
 def _mean(values: Sequence[float]) -> float:
     known = [value for value in values if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan
+
+
+LABELS = {"slid": "slid over 5 mm", "lost": "lost"}
+HEADS = ("floor", "share", "loads", "squeeze before", "over need", "lost", "slid over 5 mm")
+
+
+def rows(outcomes: Sequence[LoadOutcome]) -> list[list[str]]:
+    """Return the curve as text, columns as in `HEADS`."""
+    return [_row(point) for point in trade_offs(outcomes)]
+
+
+def _row(point: TradeOff) -> list[str]:
+    reserve = [f"{point.floor:g} N", f"{100 * point.share:g} %", str(point.runs)]
+    squeeze = [f"{point.squeeze:.1f} N", f"{point.squeeze / point.need:.1f}"]
+    return reserve + squeeze + [_text(point.lost, point.runs), _text(point.slid, point.runs)]
+
+
+def _text(count: int, runs: int) -> str:
+    value, low, high = share_of(count, runs)
+    return f"{100 * value:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def loads_figure(outcomes: Sequence[LoadOutcome]) -> Figure:
+    """Draw what slides and what is lost against the squeeze before the load, per least squeeze."""
+    curve = trade_offs(outcomes)
+    with look():
+        figure = new_figure(PAGE, 2.6)
+        axes = figure.subplots()
+        for share, marker in zip(sorted({point.share for point in curve}), "svo^", strict=False):
+            some = [point for point in curve if point.share == share]
+            over = [point.squeeze / point.need for point in some]
+            for i, name in enumerate(("slid", "lost")):
+                shares = [100.0 * getattr(point, name) / max(point.runs, 1) for point in some]
+                label = f"{LABELS[name]}, share {100 * share:g} %"
+                axes.plot(over, shares, f"{marker}-", color=finger_color(i), ms=3.5, label=label)
+        for point in some:
+            place = point.squeeze / point.need, 100.0 * point.slid / max(point.runs, 1)
+            axes.annotate(f" {point.floor:g} N", place, fontsize=7, va="bottom")
+        axes.set_xlabel("mean squeeze before the load per least squeeze, by floor of the reserve")
+        axes.set_ylabel("share of the loads [%]")
+        axes.legend()
+    return figure
+
+
+def write(outcomes: Sequence[LoadOutcome], folder: Path) -> Path:
+    """Write the table as Markdown and return the file."""
+    report = folder / "study_loads.md"
+    report.write_text(tables.markdown(HEADS, rows(outcomes)), encoding="utf-8")
+    return report

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from studies.slip.cases import EVENT_TIME, SlipCase, scenario_of
-from studies.slip.foresight import foresee
 from studies.slip.survival import least_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
@@ -38,8 +37,6 @@ class SlipOutcome:
         false_alarms: Alarms before the event while nothing slid.
         excess: Least squeeze after the event against the one that was held at it.
         survivable: Whether a grasp inside the crush limit can carry the load after the event.
-        in_time: Whether also a hand could that is told no earlier than its skin can tell, and that
-            squeezes no faster than the reflex; see `foresight`.
         lost: Whether a contact was gone at the end, or had slid too far.
         caught: Whether nothing slid any more at the end.
         peak: Largest sum of normal forces since the event against the least after it.
@@ -54,7 +51,6 @@ class SlipOutcome:
     false_alarms: int
     excess: float
     survivable: bool
-    in_time: bool
     lost: bool
     caught: bool
     peak: float
@@ -80,12 +76,9 @@ class Held:
 
 
 def run_case(case: SlipCase) -> SlipOutcome:
-    """Run a case and measure it; where it is lost, ask whether anybody could have held it."""
+    """Run a case and measure it."""
     scenario = scenario_of(case)
-    outcome = measure(ClosedLoop(scenario).run(), scenario, case)
-    if outcome.lost and outcome.survivable:
-        return replace(outcome, in_time=not measure(*foresee(case), case).lost)
-    return outcome
+    return measure(ClosedLoop(scenario).run(), scenario, case)
 
 
 def measure(record: Record, scenario: Scenario, case: SlipCase) -> SlipOutcome:
@@ -113,7 +106,6 @@ def measure(record: Record, scenario: Scenario, case: SlipCase) -> SlipOutcome:
         false_alarms=false_alarms(record.part(slice(0, event))),
         excess=least / held if held > 0.0 else math.inf,
         survivable=least <= scenario.slip_regulator.maximum,
-        in_time=not lost,
         lost=lost,
         caught=not gone and not slides[-5:].any(),
         peak=peak / least if least > 0.0 else math.inf,

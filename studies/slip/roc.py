@@ -4,26 +4,28 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from studies.slip.cases import SlipCase, sample_cases, scenario_of
+from studies.slip.study import estimate
 from studies.slip.trace import Trace, alarms, delay, onset, record_trace, replay
 from tactile_hand_ros.control.slip.detector import SlipDetectorConfig
 from tactile_hand_ros.report import tables
+from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel, look, new_figure
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
-from tactile_hand_ros.sweep.backends import Backend
-from tactile_hand_ros.sweep.runner import carry_out
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.statistics import estimate
-from tactile_hand_ros.sweep.study import Point as Run
-from tactile_hand_ros.sweep.study import Result, Study, results_of
+from tactile_hand_ros.sweep.engine import in_parallel
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MARKS = ("o", "s", "^")
 THRESHOLDS = (2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0, 28.0, 45.0)
 SLIPS = 120
 """Cases of the study that are recorded; about half of them slip."""
@@ -135,42 +137,31 @@ def run_roc(
     slips: int = SLIPS,
     seconds: float = SECONDS,
     seed: int = 0,
-    backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Point]:
-    """Record and replay; return a point for each noise and threshold.
+    """Record and replay, where `workers` says; return a point for each noise and threshold.
 
     Args:
         slips: Number of cases of the study.
         seconds: Simulated time of the paper's manipulation.
         seed: Of the cases.
-        backend: Where; all cores of this machine by default.
         progress: Called whenever a run or a replay is done.
     """
-    recorded = Space({"scenario": Choice(tuple(scenarios(slips, seconds, seed)))})
-    ordered = functools.partial(_in_order, progress)
-    traces: list[Trace] = carry_out(Study(recorded, "grid", _record, ordered), backend)
+    traces = []
+    for trace in in_parallel(record_trace, scenarios(slips, seconds, seed)):
+        traces.append(trace)
+        progress(f"run {len(traces)}")
     slid = [t for t in traces[1:] if not math.isnan(onset(t))]
-    space = Space({"noise": Choice(NOISES), "threshold": Choice(THRESHOLDS)})
+    points = []
     replays = functools.partial(_replay, traces[:1], slid)
-    points: list[Point] = carry_out(Study(space, "grid", replays, ordered), backend)
+    for found in in_parallel(replays, itertools.product(NOISES, THRESHOLDS)):
+        points.append(found)
+        progress(f"replay {len(points)}")
     return points
 
 
-def _record(run: Run) -> Trace:
-    return record_trace(run.values["scenario"])
-
-
-def _replay(sticks: Sequence[Trace], slips: Sequence[Trace], run: Run) -> Point:
-    return point(sticks, slips, run.values["noise"], run.values["threshold"])
-
-
-def _in_order(progress: Callable[[str], None], results: Iterable[Result]) -> list[Any]:
-    found = []
-    for run, result in results:
-        found.append((run.index, next(results_of([(run, result)]))))
-        progress(f"run {run.index}")
-    return [result for _, result in sorted(found, key=lambda pair: pair[0])]
+def _replay(sticks: Sequence[Trace], slips: Sequence[Trace], at: tuple[float, float]) -> Point:
+    return point(sticks, slips, *at)
 
 
 def steps(slips: int) -> int:
@@ -202,3 +193,30 @@ def rows(points: Sequence[Point]) -> list[list[str]]:
         ]
         for p in points
     ]
+
+
+def roc_figure(points: Sequence[Point]) -> Figure:
+    """Draw detection within 10 ms, and the median delay, against false alarms."""
+    with look():
+        figure = new_figure(PAGE, 2.6)
+        left, right = figure.subplots(1, 2)
+        for i, noise in enumerate(sorted({p.noise for p in points})):
+            some = [p for p in points if p.noise == noise]
+            # None at all still leaves one in the time that was looked at; a logarithm needs more.
+            x = [max(p.false_alarm_rate, 0.5 / p.minutes) for p in some]
+            name, mark = f"{1e3 * noise:g} mN", _MARKS[i % 3] + "-"
+            style = {"color": finger_color(i), "markersize": 3.5, "label": name}
+            left.plot(x, [p.in_time / max(p.slips, 1) for p in some], mark, **style)
+            right.plot([p.threshold for p in some], [1e3 * p.delay for p in some], mark, **style)
+        left.set_xscale("log")
+        left.set_ylim(0.0, 1.0)
+        left.set_xlabel("false alarms per minute (leftmost: none)")
+        left.set_ylabel("alarm within 10 ms")
+        label_panel(left, "a", "receiver operating curve")
+        right.axhline(10.0, color=FAINT, linewidth=0.8)
+        right.set_xlabel("threshold of evidence")
+        right.set_ylabel("median delay [ms]")
+        right.set_ylim(bottom=0.0)
+        label_panel(right, "b", "delay of detection")
+        left.legend(title="force noise")
+    return figure

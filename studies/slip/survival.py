@@ -3,16 +3,62 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
 
-from studies.slip.least_squeeze import least_squeeze
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import centred, grasp_map
+from tactile_hand_ros.extras import optional
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
 Array = NDArray[np.float64]
+
+SIDES = 64
+"""Edges of the pyramid in place of a cone; the result is too large by at most 1 / cos(pi / 64)."""
+
+
+def least_squeeze(
+    contacts: Contacts, wrench: Array, friction: ArrayLike, sides: int = SIDES
+) -> float:
+    """Return the least sum of normal forces with which contacts can carry a wrench, (12).
+
+        min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
+
+    Each force is a sum of edges (mu cos a, 1, mu sin a) of a pyramid inside its cone, with shares
+    that are not negative: a linear program in the shares.
+
+    Args:
+        contacts: Contact points and frames; those that do not touch carry nothing.
+        wrench: Force and torque about the centroid c of the contacts that touch, that they have to
+            put on the object, shape (6,), N and N m.
+        friction: mu of all contacts or of each, shape (k,).
+        sides: Edges of a pyramid.
+
+    Returns:
+        The sum in N; infinite when no forces inside the cones carry the wrench.
+    """
+    touching = contacts.touching
+    if not touching.any():
+        return 0.0 if not np.any(wrench) else math.inf
+    mu = np.broadcast_to(np.asarray(friction, dtype=float), touching.shape)[touching]
+    points, frames = contacts.positions[touching], contacts.rotations[touching]
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
+    edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
+    arms = centred(points)
+    # Torques in the length of the grasp, so that all rows weigh alike.
+    length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
+    blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)
+    rows = np.einsum("akj,ksj->aks", blocks, edges).reshape(6, -1)
+    goal = np.concatenate([wrench[:3], np.asarray(wrench[3:]) / length])
+    scale = max(float(np.abs(goal).max()), 1e-9)
+    linprog = optional("scipy.optimize", "The least squeeze").linprog
+    result = linprog(np.ones(rows.shape[1]), A_eq=rows, b_eq=goal / scale, method="highs")
+    return scale * float(result.fun) if result.status == 0 else math.inf
 
 
 def least_against(contacts: Contacts, position: Array, wrench: Array, friction: float) -> float:

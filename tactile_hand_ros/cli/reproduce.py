@@ -37,12 +37,12 @@ def reproduce(
     from tactile_hand_ros.reproduce.experiments import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.reproduce.reproduce import draw, write
     from tactile_hand_ros.reproduce.reproduce import reproduce as run
-    from tactile_hand_ros.sweep.backends import Local
+    from tactile_hand_ros.sweep.engine import workers
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
     kinds = folder_for_results(out, formats)
-    with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance:
-        results = run(layouts, duration, Local(jobs), advance)
+    with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
+        results = run(layouts, duration, advance)
     with Progress("drawing", len(results)) as advance:
         files = []
         for result in results:

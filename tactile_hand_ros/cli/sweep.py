@@ -17,6 +17,7 @@ import typer
 
 from tactile_hand_ros.cli.output import (
     FormatOption,
+    JobsOption,
     SeedOption,
     check_writable,
     console,
@@ -27,9 +28,8 @@ from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.sweep.backends import Backend
-    from tactile_hand_ros.sweep.keep import Tally
     from tactile_hand_ros.sweep.sweep import Sweep
+    from tactile_hand_ros.sweep.table import Tally
 
 ClusterOption = Annotated[
     str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
@@ -58,9 +58,7 @@ class SweepOptions:
         typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
     ] = field(default_factory=list)
     runs: Annotated[int, typer.Option(help="Number of runs.", min=1)] = 100
-    sampler: Annotated[
-        str, typer.Option(help="grid, latin, sobol, random or saltelli (for Sobol' indices).")
-    ] = ""
+    sampler: Annotated[str, typer.Option(help="grid, latin, sobol or random.")] = ""
     metric: Annotated[
         list[str],
         typer.Option(
@@ -69,7 +67,7 @@ class SweepOptions:
         ),
     ] = field(default_factory=list)
     seed: SeedOption = 0
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1
+    jobs: JobsOption = -1
     cluster: ClusterOption = ""
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
     rerun: Annotated[
@@ -133,11 +131,11 @@ def sweep(options: SweepOptions) -> None:
 
 
 def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
-    from tactile_hand_ros.sweep.run import run_sweep
+    from tactile_hand_ros.sweep.engine import workers
 
-    with backend(jobs, cluster) as where, progress(", ".join(asked.scenarios)) as watch:
+    with workers(jobs, cluster), progress(", ".join(asked.scenarios)) as watch:
         try:
-            tally = run_sweep(asked, out, where, watch)
+            tally = asked.carry_out(out, watch)
         except KeyboardInterrupt:
             print(f"interrupted; {_again(out)}", file=sys.stderr)
             raise
@@ -149,23 +147,6 @@ def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
 
 def _again(out: Path) -> str:
     return f"What is done is in {out}; `tactile-hand sweep {out}` goes on."
-
-
-@contextlib.contextmanager
-def backend(jobs: int, cluster: str) -> Iterator[Backend]:
-    """Provide where runs are made: processes of this machine, or a Dask cluster."""
-    from tactile_hand_ros.sweep.backends import Cluster, Local
-
-    if not cluster:
-        if jobs == 0:
-            raise TactileHandError("--jobs is 0, expected a number of processes or -1 for all.")
-        yield Local(jobs)
-        return
-    connected = Cluster(cluster)
-    try:
-        yield connected
-    finally:
-        connected.close()
 
 
 @contextlib.contextmanager
@@ -223,8 +204,7 @@ def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     print_table(rich_table("outcomes", tables.SHARE_COLUMNS, tables.share_rows(results)))
     print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
     if rows := tables.effect_rows(results):
-        columns = tables.effect_columns(results[0])
-        print_table(rich_table("what it depends on most", columns, rows[:10]))
+        print_table(rich_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10]))
     print(f"{page}, runs.parquet, runs.csv and {len(pictures)} figures")
 
 
@@ -232,11 +212,10 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     """Replay one run through the nodes, recorded, with the values that it had."""
     from tactile_hand_ros import files
     from tactile_hand_ros.scenario.scenario import resolved
-    from tactile_hand_ros.sweep.run import study_of
-    from tactile_hand_ros.sweep.store import read_description
-    from tactile_hand_ros.sweep.study import build
+    from tactile_hand_ros.sweep.engine import build
+    from tactile_hand_ros.sweep.table import read_description
 
-    point = study_of(asked).point(index)
+    point = asked.study.point(index)
     scenario = asked.trial.scenario(point)
     before = read_description(folder)["build"]
     if before != build():

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,8 +11,6 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.metrics import Metrics, metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.study import Point, Result, Study
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -91,23 +88,3 @@ def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenari
         changes["duration"] = duration
     options = {"layout": "--layout", "duration": "--duration"}
     return load_scenario(experiment.scenario, changes, options)
-
-
-def study_of(
-    layouts: Sequence[str],
-    duration: float | None,
-    reduce: Callable[[Iterable[Result]], Any],
-) -> Study:
-    """Return the study that runs all experiments in all layouts.
-
-    Args:
-        layouts: Layouts of the hand's fingers.
-        duration: Simulated time in s instead of the scenarios'.
-        reduce: Takes the results, each an `ExperimentResult`.
-    """
-    space = Space({"layout": Choice(tuple(layouts)), "key": Choice(tuple(EXPERIMENTS))})
-    return Study(space, "grid", functools.partial(_run, duration), reduce)
-
-
-def _run(duration: float | None, point: Point) -> ExperimentResult:
-    return run_experiment(point.values["key"], point.values["layout"], duration)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,12 @@ from tactile_hand_ros.reproduce.claims import Claim, LawResult, compare_laws, ju
 from tactile_hand_ros.reproduce.experiments import (
     EXPERIMENTS,
     ExperimentResult,
+    run_experiment,
     scenario_of,
-    study_of,
 )
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.scenario.preflight import check_scenario
-from tactile_hand_ros.sweep.backends import Backend
-from tactile_hand_ros.sweep.runner import carry_out
-from tactile_hand_ros.sweep.study import Result, results_of
+from tactile_hand_ros.sweep.engine import in_parallel
 
 Outcomes = Mapping[str, ExperimentResult]
 
@@ -53,32 +51,30 @@ class Reproduction:
 def reproduce(
     layouts: Sequence[str],
     duration: float | None = None,
-    backend: Backend | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Reproduction]:
-    """Run all experiments and judge the paper's claims.
+    """Run all experiments, where `workers` says, and judge the paper's claims.
 
     Args:
         layouts: Layouts of the hand's fingers.
         duration: Simulated time in s instead of the scenarios'.
-        backend: Where; all cores of this machine by default.
         progress: Called with a sentence whenever an experiment is done.
 
     Raises:
         ConfigurationError: If a layout or duration cannot be used.
     """
-
-    def reduce(results: Iterable[Result]) -> list[Reproduction]:
-        found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
-        for outcome in results_of(results):
-            found[outcome.layout][outcome.key] = outcome
-            progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
-        return [_judged(layout, outcomes) for layout, outcomes in found.items()]
-
     for layout in layouts:  # before any process starts
         check_scenario(scenario_of("optimal", layout, duration))
-    made: list[Reproduction] = carry_out(study_of(layouts, duration, reduce), backend)
-    return made
+    found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
+    tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
+    for outcome in in_parallel(_run, tasks, ordered=False):
+        found[outcome.layout][outcome.key] = outcome
+        progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
+    return [_judged(layout, outcomes) for layout, outcomes in found.items()]
+
+
+def _run(task: tuple[str, str, float | None]) -> ExperimentResult:
+    return run_experiment(*task)
 
 
 def _judged(layout: str, outcomes: Outcomes) -> Reproduction:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.report.style import FAINT, PAGE, look, new_figure, run_color
-from tactile_hand_ros.sweep.keep import REACHED
 from tactile_hand_ros.sweep.results import Results
 from tactile_hand_ros.sweep.space import Range
 from tactile_hand_ros.sweep.statistics import median_interval, share_of
+from tactile_hand_ros.sweep.table import REACHED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,7 +144,6 @@ def sensitivity_figure(results: Results) -> Figure:
     paths = list(dict.fromkeys(effect.parameter for effect in effects))[::-1]
     across = min(3, len(names))
     rows = math.ceil(len(names) / across)
-    is_index = results.sweep.sampler == "saltelli"
     with look():
         figure = new_figure(PAGE, rows * (0.6 + 0.22 * len(paths)))
         panels = figure.subplots(rows, across, squeeze=False, sharey=True, sharex=True).ravel()
@@ -158,7 +157,7 @@ def sensitivity_figure(results: Results) -> Figure:
             axes.set_yticks(range(len(paths)), paths)
         for axes in panels[len(names) :]:
             axes.set_visible(False)
-        figure.supxlabel("total Sobol' index" if is_index else "rank correlation", fontsize=8.0)
+        figure.supxlabel("rank correlation", fontsize=8.0)
     return figure
 
 

@@ -17,7 +17,7 @@ from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.sweep.keep import LOST, MISSED, REACHED
+from tactile_hand_ros.sweep.table import LOST, MISSED, REACHED
 
 Measure = Callable[[Record, Scenario, Metrics], float]
 

@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.sweep.keep import OUTCOMES, REACHED
 from tactile_hand_ros.sweep.metrics import measures
-from tactile_hand_ros.sweep.samplers import base_size
 from tactile_hand_ros.sweep.space import Choice, Parameter
 from tactile_hand_ros.sweep.statistics import median_interval, share_of
-from tactile_hand_ros.sweep.store import read_column
 from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
+from tactile_hand_ros.sweep.table import OUTCOMES, REACHED, read_column
 
 Array = NDArray[np.float64]
 
@@ -32,10 +30,9 @@ class Effect:
     Attributes:
         parameter: Its path.
         metric: Its column.
-        value: Spearman's rank correlation, or the total-order Sobol' index.
+        value: Spearman's rank correlation.
         low: Lower end of the 95 % interval.
         high: Upper end.
-        first: First-order Sobol' index; NaN for a rank correlation.
     """
 
     parameter: str
@@ -43,7 +40,6 @@ class Effect:
     value: float
     low: float
     high: float
-    first: float = math.nan
 
 
 class Results:
@@ -98,39 +94,11 @@ class Results:
 
     def effects(self) -> list[Effect]:
         """Return the effect of each parameter on reaching the goal and on each metric."""
-        if self.sweep.sampler == "saltelli":
-            return [e for name in (REACHED, *self.metrics) for e in self._indices(name)]
         return [
             _correlation(path, name, self.column(path), self.column(name))
             for name in (REACHED, *self.metrics)
             for path in self.parameters
         ]
-
-    def _indices(self, metric: str) -> list[Effect]:
-        """Return Sobol' indices; none where a run does not know the metric."""
-        stats = optional("scipy.stats", "Sobol' indices")
-        paths = list(self.sweep.space.parameters)
-        n = base_size(self.sweep.runs, len(paths))
-        values = self.column(metric)
-        if (
-            len(values) != n * (len(paths) + 2)
-            or not np.isfinite(values).all()
-            or not np.ptp(values)
-        ):
-            return []
-        blocks = values.reshape(-1, 1, n)
-        design = {"f_A": blocks[0], "f_B": blocks[1], "f_AB": blocks[2:]}
-        found = stats.sobol_indices(func=design, n=n)
-        interval = found.bootstrap(n_resamples=200).total_order.confidence_interval
-        each = zip(
-            paths,
-            np.ravel(found.total_order),
-            np.ravel(interval.low),
-            np.ravel(interval.high),
-            np.ravel(found.first_order),
-            strict=True,
-        )
-        return [Effect(path, metric, *map(float, numbers)) for path, *numbers in each]
 
 
 def _is_number(parameter: Parameter) -> bool:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study varies: parameters, each a range of numbers or a choice of values."""
+"""What a study varies, each a range of numbers or a choice of values, and where it is run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +14,9 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.extras import optional
+
+Array = NDArray[np.float64]
 
 _FORMS = "LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or a list such as A,B,C"
 
@@ -122,3 +127,45 @@ def _range(path: str, text: str, is_whole: bool) -> Range:
     if is_whole and not (found.low.is_integer() and found.high.is_integer()):
         raise ConfigurationError(f"--over {path} got {text}, expected whole numbers.")
     return found
+
+
+def grid(space: Space, runs: int, seed: int) -> Array:
+    """Return all combinations of levels; ranges without levels divide what `runs` leaves."""
+    del seed
+    fixed = math.prod(p.levels for p in space.parameters.values() if p.levels)
+    free = sum(not p.levels for p in space.parameters.values())
+    each = max(2, round((runs / fixed) ** (1.0 / free))) if free else 0
+    shape = tuple(p.levels or each for p in space.parameters.values())
+    levels = np.indices(shape).reshape(len(shape), -1).T
+    return np.asarray(levels / np.maximum(1, np.array(shape) - 1))
+
+
+def latin(space: Space, runs: int, seed: int) -> Array:
+    """Return a Latin hypercube: every n-th of each parameter holds one of n runs."""
+    qmc = optional("scipy.stats.qmc", "Sampling a study")
+    # `seed` is the name that all supported versions of scipy know.
+    drawn = qmc.LatinHypercube(d=len(space), seed=np.random.default_rng(seed)).random(runs)
+    return np.asarray(drawn)
+
+
+def sobol(space: Space, runs: int, seed: int) -> Array:
+    """Return a scrambled Sobol' sequence, which fills the space evenly from the first run on."""
+    qmc = optional("scipy.stats.qmc", "Sampling a study")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the number need not be a power of two
+        drawn = qmc.Sobol(d=len(space), seed=np.random.default_rng(seed)).random(runs)
+    return np.asarray(drawn)
+
+
+def random(space: Space, runs: int, seed: int) -> Array:
+    """Return independent points; those of a longer study begin with those of a shorter one."""
+    return np.random.default_rng(seed).random((runs, len(space)))
+
+
+SAMPLERS: dict[str, Callable[[Space, int, int], Array]] = {
+    "grid": grid,
+    "latin": latin,
+    "sobol": sobol,
+    "random": random,
+}
+"""Each returns the points of a study in the unit cube, shape (n, d)."""

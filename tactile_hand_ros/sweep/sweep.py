@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,17 @@ from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
-from tactile_hand_ros.sweep.keep import LAST_COLUMNS
+from tactile_hand_ros.sweep.engine import Point, Study
 from tactile_hand_ros.sweep.metrics import measures, outcome
-from tactile_hand_ros.sweep.samplers import SAMPLERS
-from tactile_hand_ros.sweep.space import Choice, Parameter, Range, Space, parse_parameter
-from tactile_hand_ros.sweep.store import Store, read_description
-from tactile_hand_ros.sweep.study import Point, build
+from tactile_hand_ros.sweep.space import (
+    SAMPLERS,
+    Choice,
+    Parameter,
+    Range,
+    Space,
+    parse_parameter,
+)
+from tactile_hand_ros.sweep.table import LAST_COLUMNS, Store, Tally, keep, read_description
 
 SCENARIO, SEED = "scenario", "seed"
 
@@ -140,10 +145,9 @@ class Sweep:
                 raise ConfigurationError(str(error).splitlines()[0]) from None
 
     def description(self) -> dict[str, Any]:
-        """Return it as plain data, with the build that runs it."""
+        """Return it as plain data."""
         return {
             "version": tactile_hand_ros.__version__,
-            "build": build(),
             "sampler": self.sampler,
             "runs": self.runs,
             "seed": self.seed,
@@ -152,7 +156,29 @@ class Sweep:
             "scenarios": dict(self.scenarios),
         }
 
-    def store(self, folder: Path) -> Store:
+    @property
+    def study(self) -> Study:
+        """The sweep as a study."""
+        return Study(self.space, self.sampler, self.trial, self.runs, self.seed)
+
+    def carry_out(self, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
+        """Make all runs that are not done yet and write the table of all that are.
+
+        Args:
+            folder: Of the results; holds those of an earlier, unfinished call.
+            watch: Called after each run.
+
+        Raises:
+            StudyError: If the folder holds another study or cannot be written, or processes die.
+        """
+
+        def parameters(point: Point) -> dict[str, Any]:
+            name, changes = self.trial.changes(point)
+            return {SCENARIO: name, **changes}
+
+        return keep(self.study, self._store(folder), self.description(), parameters, watch)
+
+    def _store(self, folder: Path) -> Store:
         """Return the folder of its results."""
         units = {path: unit_of(field) for path, field in leaves(Scenario).items()}
         columns: dict[str, type] = {SCENARIO: str, SEED: int}

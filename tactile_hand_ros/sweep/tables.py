@@ -13,6 +13,7 @@ from tactile_hand_ros.sweep.results import Results
 
 SUMMARY = "summary.md"
 SHARE_COLUMNS = ("scenario", "outcome", "runs", "share", "95 % interval")
+EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation", "95 % interval")
 METRIC_COLUMNS = ("scenario", "metric", "runs", "median", "95 % interval")
 
 
@@ -34,12 +35,6 @@ def metric_rows(results: Sequence[Results]) -> list[list[str]]:
     ]
 
 
-def effect_columns(results: Results) -> tuple[str, ...]:
-    """Return the heads of `effect_rows`."""
-    what = "total Sobol' index" if results.sweep.sampler == "saltelli" else "rank correlation"
-    return ("scenario", "parameter", "metric", what, "95 % interval", "first order")
-
-
 def effect_rows(results: Sequence[Results]) -> list[list[str]]:
     """Return sensitivities as text, the strongest first; what is unknown is left out."""
     rows = []
@@ -47,8 +42,7 @@ def effect_rows(results: Sequence[Results]) -> list[list[str]]:
         known = [effect for effect in each.effects() if not math.isnan(effect.value)]
         for e in sorted(known, key=lambda effect: -abs(effect.value)):
             interval = _span((e.value, e.low, e.high), _number)
-            first = "" if math.isnan(e.first) else _number(e.first)
-            rows.append([_name(each), e.parameter, e.metric, _number(e.value), interval, first])
+            rows.append([_name(each), e.parameter, e.metric, _number(e.value), interval])
     return rows
 
 
@@ -61,7 +55,7 @@ def write(results: Sequence[Results], folder: Path, pictures: Sequence[Path]) ->
         "`runs.parquet` and `runs.csv` is a run.\n",
         tables.markdown(SHARE_COLUMNS, share_rows(results)),
         tables.markdown(METRIC_COLUMNS, metric_rows(results)),
-        tables.markdown(effect_columns(results[0]), effect_rows(results)),
+        tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
         *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
     ]
     files.replace_text(folder / SUMMARY, "\n".join(text))

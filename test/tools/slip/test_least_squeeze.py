@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from studies.slip.least_squeeze import SIDES, least_squeeze
+from studies.slip.survival import SIDES, least_squeeze
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.grasp import net_wrench
 

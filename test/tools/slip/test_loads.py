@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random loads: the same seed gives the same ones, and a reserve is what saves the object."""
 
-import json
-
 import pytest
 
 from studies.slip.loads import (
     LoadCase,
     LoadOutcome,
     outcomes_of,
+    rows,
     run_load,
     run_loads,
     sample_loads,
     trade_offs,
 )
-from studies.slip.loads_report import rows
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.sweep.study import Batch, build
 
 # A light object, hit by a pulse that twists it out of a pinch.
 PULSE = LoadCase(0, "pinch", 0.054, 0.74, "pulse", 0.066, (0.0, -6.0, 0.0), (0.0, 0.0, 0.27))
@@ -48,53 +45,19 @@ def test_the_curve_counts_only_what_can_be_survived():
     assert row[:5] == ["0 N", "10 %", "3", "4.0 N", "4.0"] and row[5].startswith("33.3 %")
 
 
-class Calls:
-    """A backend that makes the results up, and stops after some of them as Ctrl-C does."""
-
-    workers = 1
-
-    def __init__(self, most):
-        self.left, self.made = most, []
-
-    def map(self, run, batches):
-        for batch in batches:
-            for point in batch:
-                if not self.left:
-                    raise KeyboardInterrupt
-                self.left -= 1
-                case, (floor, share) = point.values.values()
-                self.made.append((case.index, floor))
-                slip = 1e-3 * case.index
-                came = {"squeeze": floor, "need": share, "survivable": True, "slip": slip}
-                yield Batch([(point, {**came, "outcome": "reached"})], 0.01, build())
-
-
 def test_a_study_that_was_interrupted_goes_on_and_ends_as_if_it_had_not_been(tmp_path):
     reserves = ((0.0, 0.2), (3.0, 0.2))
 
-    def study(folder, most):
-        calls = Calls(most)
-        return run_loads(4, 7, folder, calls, reserves).done, calls.made
+    def interrupt(tally):
+        if tally.done == 1:
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study(tmp_path / "halves", 3)
-    done, rest = study(tmp_path / "halves", 100)
-    total, everything = study(tmp_path / "whole", 100)
-    assert done == total == 8 and everything[3:] == rest
-    first, second = outcomes_of(tmp_path / "halves"), outcomes_of(tmp_path / "whole")
-    assert first == second and [o.slip for o in first[2:]] == [1e-3, 1e-3, 2e-3, 2e-3, 3e-3, 3e-3]
-    assert json.loads((tmp_path / "whole" / "study.json").read_text())["loads"] == 4
+        run_loads(2, 7, tmp_path, reserves, interrupt)
+    tally = run_loads(2, 7, tmp_path, reserves)
+    assert (tally.before, tally.done) == (1, 4)
+    found = outcomes_of(tmp_path)
+    assert found[0] == run_load(sample_loads(2, 7)[0], 0.0)
+    assert [(o.floor, o.share) for o in found] == [*reserves, *reserves]
     with pytest.raises(TactileHandError, match="holds another study: seed is 7 there and 8 here"):
-        run_loads(4, 8, tmp_path / "whole", Calls(0), reserves)
-
-
-def test_a_run_that_failed_counts_as_a_loss(tmp_path):
-    class Fails(Calls):
-        def map(self, run, batches):
-            for batch in super().map(run, batches):
-                [(point, result)] = batch.results
-                yield batch._replace(results=[(point, {"outcome": "failed", "reason": "diverged"})])
-
-    run_loads(1, 7, tmp_path, Fails(100), ((3.0, 0.2),))
-    [point] = trade_offs(outcomes_of(tmp_path))
-    assert (point.runs, point.lost, point.slid) == (1, 1, 1)
+        run_loads(2, 8, tmp_path, reserves)

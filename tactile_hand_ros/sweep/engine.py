@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many runs on all cores or on a cluster: joblib makes them, on processes or on Dask's workers."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import logging
+import signal
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tactile_hand_ros
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.sweep.space import SAMPLERS, Space
+
+_PATIENCE = 10.0  # s, longest wait for a scheduler, and for its first worker
+
+
+class StudyError(TactileHandError):
+    """A study that cannot go on; what was finished is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One run that is to be made.
+
+    Attributes:
+        index: Number of the run in its study.
+        seed: Follows from the study's seed and the index.
+        values: The parameters.
+    """
+
+    index: int
+    seed: int
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that came to no result, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Study:
+    """A description of many runs.
+
+    Attributes:
+        space: What is varied.
+        sampler: Name of one of `SAMPLERS`.
+        run: Makes one run; pickled, and called in other processes.
+        runs: Number of runs; a grid comes as close as it can.
+        seed: Of the sampler and of all runs.
+    """
+
+    space: Space
+    sampler: str
+    run: Callable[[Point], Any]
+    runs: int = 0
+    seed: int = 0
+
+    @functools.cached_property
+    def shares(self) -> Any:
+        """The points of the study in the unit cube, shape (n, d)."""
+        return SAMPLERS[self.sampler](self.space, self.runs, self.seed)
+
+    def point(self, index: int) -> Point:
+        """Return one run.
+
+        Raises:
+            StudyError: If the study has no such run.
+        """
+        if not 0 <= index < len(self.shares):
+            raise StudyError(
+                f"there is no run {index}, expected a number from 0 to {len(self.shares) - 1}."
+            )
+        seed = int(np.random.SeedSequence([self.seed, index]).generate_state(1)[0])
+        return Point(index, seed, self.space.values(self.shares[index]))
+
+    def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
+        """Make some runs, or all, and yield each with what came of it, in any order.
+
+        A run that fails gives a `Failure` and stops no other.
+
+        Raises:
+            MissingLibraryError: If joblib is not installed.
+            StudyError: If processes die, or a worker has other sources.
+        """
+        chosen = range(len(self.shares)) if indices is None else indices
+        attempt = functools.partial(_attempt, self.run, build())
+        yield from in_parallel(attempt, map(self.point, chosen), ordered=False)
+
+
+def _attempt(run: Callable[[Point], Any], expected: str, point: Point) -> tuple[Point, Any]:
+    if build() != expected:
+        raise StudyError(
+            f"a worker runs tactile_hand_ros {build()}, this is {expected}; install the same "
+            "sources there, or equal seeds would not give equal results."
+        )
+    try:
+        return point, run(point)
+    except TactileHandError as error:
+        return point, Failure(str(error))
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        return point, Failure(f"{type(error).__name__}: {error} ({where})")
+
+
+def in_parallel(
+    function: Callable[[Any], Any], items: Iterable[Any], *, ordered: bool = True
+) -> Iterator[Any]:
+    """Yield what a function makes of each item, on the cores of this machine or of `workers`.
+
+    Args:
+        function: Pickled, and called in other processes.
+        items: Its arguments; a few are taken ahead.
+        ordered: Whether results come in the order of the items, or as they are done.
+
+    Raises:
+        MissingLibraryError: If joblib is not installed.
+        StudyError: If processes die.
+    """
+    joblib = optional("joblib", "Running on several cores")
+    died = optional("joblib.externals.loky.process_executor", "").TerminatedWorkerError
+    parallel = joblib.Parallel(return_as="generator" if ordered else "generator_unordered")
+    try:
+        with _interrupts_held_back():
+            results = parallel(joblib.delayed(function)(item) for item in items)
+        yield from results
+    except died:
+        raise StudyError(
+            "a process died while it made a run (out of memory?); use fewer --jobs, or find the "
+            "run with --jobs 1."
+        ) from None
+
+
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Hold Ctrl-C back for a moment: processes started inside never see it, only this one does."""
+    # Its start would let Ctrl-C through again.
+    optional("joblib.externals.loky.backend.resource_tracker", "").ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
+    """Choose where `in_parallel` runs inside the block.
+
+    Args:
+        jobs: Number of processes of this machine; -1 for one on each core.
+        cluster: Address or scheduler file of a Dask cluster instead.
+
+    Raises:
+        MissingLibraryError: If joblib or Dask is not installed.
+        StudyError: If there is no such cluster, or it has no worker.
+    """
+    joblib = optional("joblib", "Running on several cores")
+    if not cluster:
+        with joblib.parallel_config(n_jobs=jobs):
+            yield
+        return
+    with contextlib.closing(_connected(cluster)) as client:
+        with joblib.parallel_config(backend="dask", client=client, n_jobs=-1):
+            yield
+
+
+def _connected(cluster: str) -> Any:
+    distributed = optional("distributed", "Running on a Dask cluster")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say it in a sentence
+    is_file = cluster.endswith(".json")
+    place = {"scheduler_file" if is_file else "address": cluster}
+    try:
+        if is_file and not Path(cluster).is_file():  # it would be waited for without end
+            raise FileNotFoundError("no such file")
+        client = distributed.Client(**place, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:  # a TimeoutError is an OSError
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise StudyError(
+            f"no Dask scheduler answers at {cluster} ({reason}); start one with `dask scheduler`, "
+            "and name its address with the port, as tcp://127.0.0.1:8786, or its scheduler file."
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except OSError:
+        client.close()
+        raise StudyError(
+            f"the scheduler at {cluster} has no worker; start some: dask worker {cluster}."
+        ) from None
+    return client
+
+
+@functools.cache
+def build() -> str:
+    """Return version and fingerprint of the installed sources: equal ones give equal bits."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return f"{tactile_hand_ros.__version__}+{digest.hexdigest()[:8]}"
