@@ -38,7 +38,7 @@ from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
     Effects,
     Inputs,
-    Request,
+    ServiceCall,
     read_inputs,
 )
 
@@ -387,7 +387,7 @@ class _Controller(Controller):
         for target in self._poses.until(stamp):
             self.schedule(target, stamp, judged=True)
 
-    def _apply(self, request: Request) -> None:
+    def _apply(self, request: ServiceCall) -> None:
         """Repeat a service call."""
         if request.service == "reset":
             self.forget()

@@ -40,14 +40,14 @@ class Effect(NamedTuple):
 
     Attributes:
         stamp: The first tick whose answer it could change, ns.
-        value: A `Target`, a squeeze in N, a `Request` or a configuration.
+        value: A `Target`, a squeeze in N, a `ServiceCall` or a configuration.
     """
 
     stamp: int
     value: Any
 
 
-class Request(NamedTuple):
+class ServiceCall(NamedTuple):
     """A service call or a latched topic, such as whether the joints are held, with its value."""
 
     service: str
@@ -203,7 +203,7 @@ def _requests(run: Run, node: str) -> list[Effect]:
     topic = run.topics.full(names.accepted_requests(node))
     states = run.series[run.topics.full(names.JOINT_STATES)]
     found = read_asked(run.messages[topic], states)
-    return [Effect(each.stamp, Request(each.key, each.value == "true")) for each in found]
+    return [Effect(each.stamp, ServiceCall(each.key, each.value == "true")) for each in found]
 
 
 def _ns(stamp: Any) -> int:

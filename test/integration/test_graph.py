@@ -29,7 +29,7 @@ from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.recompute import recompute
-from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, Request, read_inputs
+from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, ServiceCall, read_inputs
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
@@ -258,7 +258,11 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     requests = [request for _, request in inputs.requests[names.CONTROLLER]]
     # On a busy computer a command may be late, and the joints are held for a while.
     calls = [request for request in requests if request.service != names.JOINT_HOLD]
-    assert calls == [Request("enable", True), Request("enable", True), Request("reset", False)]
+    assert calls == [
+        ServiceCall("enable", True),
+        ServiceCall("enable", True),
+        ServiceCall("reset", False),
+    ]
     assert {effect.stamp for effect in (*inputs.forces, *inputs.poses)} <= ticks
     assert [c for c in recompute(run).comparisons if not c.same] == []
     assert bag == run.bag

@@ -29,7 +29,7 @@ from tactile_hand_ros.verify.recorded_inputs import (
     Effect,
     Effects,
     Inputs,
-    Request,
+    ServiceCall,
     _values,
     configured,
     read_inputs,
@@ -134,8 +134,10 @@ def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
     assert (config.stamp, config.value.law.k_p) == (7, 2.0)
     regulator = SCENARIO.slip_regulator
     assert inputs.configurations["slip_regulator"] == [Effect(0, regulator)]
-    assert inputs.requests["manipulation_controller"] == [Effect(8_000_000, Request("grasp", True))]
-    assert inputs.requests["slip_regulator"] == [Effect(8_000_000, Request("reset", False))]
+    assert inputs.requests["manipulation_controller"] == [
+        Effect(8_000_000, ServiceCall("grasp", True))
+    ]
+    assert inputs.requests["slip_regulator"] == [Effect(8_000_000, ServiceCall("reset", False))]
     assert inputs.requests["force_optimizer"] == [] and not inputs.may_skip
     other = load_scenario("paper", {"plant.pacing": "realtime"})
     assert read_inputs(run, other).may_skip
