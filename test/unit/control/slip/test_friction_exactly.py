@@ -181,6 +181,19 @@ def test_a_neighbour_that_is_as_low_tells_nothing():
     assert hand.estimate[1] == pytest.approx(0.5 * (1.0 + 0.3 * BRIEF), rel=1e-12)
 
 
+def test_a_contact_is_cautious_only_while_a_better_known_one_is_lower():
+    hand = FrictionEstimator(FrictionConfig(explore=0.3, forget=0.0), 2)
+    for other, sure in ((0.3, 0.9), (0.6, 0.5)):  # lower, then higher than the second contact
+        memory = hand.memory
+        memory["estimate"], memory["confidence"] = [other, 0.5], [0.9, 0.5]
+        hand.restore(memory)
+        hand.share()
+        told = np.full(2, STICK), np.zeros(2), BRIEF, np.full(2, True), np.full(2, True)
+        hand.step(np.array([[0.0, 5.0, 0.0]] * 2), *told)
+        expected = 0.5 * (1.0 + 0.3 * (1.0 - sure) * BRIEF)
+        assert hand.estimate[1] == pytest.approx(expected, rel=1e-12)
+
+
 def test_sticking_proves_a_ratio_once_three_time_constants_have_passed():
     """Smoothing of 8 ticks: the first sample starts it, and 24 more are 3 of them to the bit."""
     estimator = still(smoothing=8.0 * BRIEF)
