@@ -21,26 +21,17 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     Target,
 )
-from tactile_hand_ros.control.plausibility import (
-    ForceTorqueCheck,
-    FrozenJointCheck,
-    implausible_shape,
-    implausible_touch,
-)
+from tactile_hand_ros.control.plausibility import InputCheck, implausible_shape
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.kinematics import Fingertips
 
 Array = NDArray[np.float64]
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
-_STANDING = 0.2  # share of the tolerance of touch that contacts may move under standing joints
-
-_LONGEST_GAP = 0.05  # s; over a longer pause nothing is integrated and no reference moves on
-_LONGEST_MOVE = 0.05  # s of movement that opening or closing fingers do in one tick
+_LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
 
 
 class ControllerConfig(Config):
@@ -110,6 +101,22 @@ class Mode(enum.Enum):
     DISABLED = "disabled"
 
 
+class Held(NamedTuple):
+    """What a hold keeps of the last good tick.
+
+    Attributes:
+        internal: Torque of the internal force, shape (m,), N m.
+        load: Torque that compensates the load, shape (m,), N m.
+        grasp_force: k_f of that tick, N; 0 where it is not known.
+        rise: Fraction by which k_f has asked for more since.
+    """
+
+    internal: Array
+    load: Array
+    grasp_force: float = 0.0
+    rise: float = 0.0
+
+
 class Command(NamedTuple):
     """What the controller answers to one tick.
 
@@ -157,7 +164,7 @@ class Controller:
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
-        self._press, self._joint_watch = ForceTorqueCheck(), FrozenJointCheck()
+        self._inputs = InputCheck(self.hand)
         self._reference = SmoothReference()
         self._hold = PostureHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
@@ -179,18 +186,14 @@ class Controller:
     def forget(self) -> None:
         """Forget grasp, targets and integral; open or closing fingers go on with that."""
         self._law.reset()
-        self._press.reset()
-        self._joint_watch.reset()
+        self._inputs.reset()
         self._reference.reset()
         self._hold.release()
-        self._internal = self._load = np.zeros(self.hand.joints)
-        self._is_new = True  # nothing has been grasped
-        self._grasp_force = self._more = 0.0
+        self._held: Held | None = None  # nothing has been grasped
         self._last_torque: Array | None = None
         self._last_stamp: int | None = None
         self._trust()
-        self._drove = False
-        self._open_stamp: int | None = None
+        self._mode: Mode | None = None  # of the last answer
         self._grasp: Grasp | None = None
         self._targets.reset()
 
@@ -295,13 +298,18 @@ class Controller:
         self._targets.begin_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
-        if self._regrasp.active and not self._regrasped(contacts):
-            return self._open(theta, rates, contacts, stamp)
+        if self._regrasp.active:
+            if not self._regrasped(contacts):
+                return self._open(theta, rates, contacts, dt)
+            dt = 0.0  # a new grasp has no past
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
-            self._press.reset()
+            self._inputs.begin_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
-        tips, problem = self._seen(stamp, theta, rates, contacts, forces, applied)
+        pressing = None
+        if self._compares_forces and forces is not None and applied is not None:
+            pressing = forces, applied
+        tips, problem = self._inputs.step(stamp, theta, rates, contacts, self.config, pressing)
         self.touch_rejected = bool(problem)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
@@ -339,9 +347,8 @@ class Controller:
         if bearable is not parts:
             parts, total = bearable, bearable.total
         self._hold.release()
-        self._drove, self._is_new = True, False
-        self._internal, self._load = parts.internal, parts.load_compensation
-        self._grasp_force, self._more = grasp_force, 0.0
+        self._mode = Mode.DRIVE
+        self._held = Held(parts.internal, parts.load_compensation, grasp_force)
         return _sum(self._for_middle_of_period(total), weight)
 
     def hold(
@@ -382,44 +389,30 @@ class Controller:
         """
         self._last_torque = None
         self._targets.begin_tick()
-        self._drove = False
-        self._open_stamp = None
         if not self.enabled:
             return self._disabled(theta, rates)
+        self._mode = Mode.HOLD
         self._reference.reset()
-        if self._is_new and applied is not None and applied.any() and all_finite(applied):
-            weight = self._weight(theta)
-            self._internal = applied if weight is None else applied - weight
-            self._is_new = False
-        self._hold.engage(theta, self._internal + self._load)
-        if self._grasp_force > 0.0 and math.isfinite(grasp_force):
-            self._more = max(self._more, grasp_force / self._grasp_force - 1.0)
-        held = self._with_gravity(self._held(theta, rates), theta)
-        more = self._more * self._internal
+        kept = self._kept(theta, grasp_force, applied)
+        self._hold.engage(theta, kept.internal + kept.load)
+        held = self._with_gravity(self._posture_torque(theta, rates), theta)
+        more = kept.rise * kept.internal
         torque = held + bearable_fraction(more, held, self.hand.effort_limits) * more
         return Command(torque, Mode.HOLD, None, reason)
 
-    def _seen(
-        self,
-        stamp: int,
-        theta: Array,
-        rates: Array,
-        contacts: Contacts,
-        forces: Array | None,
-        applied: Array | None,
-    ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why joints and touch do not fit; empty if they do."""
-        c, problem = self.config, ""
-        if self._feels and forces is not None and applied is not None:
-            terms = self.hand.dynamics(theta, rates)
-            tips, touch = terms[0], (contacts, forces, applied)
-            allowed = c.force_tolerance, c.touch_latency
-            problem = self._press.step(stamp, rates, terms, *touch, *allowed)
-        else:
-            tips = self.hand.fingertips(theta)
-        touch_gap = implausible_touch(tips, self.hand.radii, contacts, c.touch_tolerance)
-        stands = self._joint_watch.step(theta, contacts, _STANDING * c.touch_tolerance)
-        return tips, problem or touch_gap or stands
+    def _kept(self, theta: Array, grasp_force: float, applied: Array | None) -> Held:
+        """Return what the hold keeps, for a k_f in N and torques applied since the last tick."""
+        kept = self._held
+        if kept is None:
+            kept = self._nothing
+            if applied is None or not applied.any() or not all_finite(applied):
+                return kept  # still nothing that is known to act
+            weight = self._weight(theta)
+            kept = kept._replace(internal=applied if weight is None else applied - weight)
+        if kept.grasp_force > 0.0 and math.isfinite(grasp_force):
+            kept = kept._replace(rise=max(kept.rise, grasp_force / kept.grasp_force - 1.0))
+        self._held = kept
+        return kept
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:
         """Return why f* or k_f is implausible; empty if they are not."""
@@ -430,7 +423,7 @@ class Controller:
         return implausible_shape(optimal_forces) if c.law.name == "optimal" else ""
 
     @property
-    def _feels(self) -> bool:
+    def _compares_forces(self) -> bool:
         """Whether measured forces decide what the hand does, and are compared with torques."""
         c = self.config
         return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
@@ -451,13 +444,12 @@ class Controller:
         self._reference.reset()
         self._regrasp.follow(theta)
         self._last_torque = None
-        self._drove = self._is_new = False
-        self._open_stamp = None
-        self._internal = self._load = np.zeros(self.hand.joints)
+        self._mode = Mode.DISABLED
+        self._held = self._nothing
         torque = self._with_gravity(-self.config.law.damping * rates, theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
-    def _held(self, theta: Array, rates: Array) -> Array:
+    def _posture_torque(self, theta: Array, rates: Array) -> Array:
         """Return the torque of the safe hold, shape (m,), N m."""
         inertia = self.hand.dynamics(theta, rates)[1]
         return self._hold.torque(theta, rates, inertia)
@@ -467,30 +459,33 @@ class Controller:
         if not (self._regrasp.closing and contacts.all_touching):
             return False
         self._regrasp.finish()
-        self._open_stamp = None
         self._law.reset()
-        self._press.reset()
+        self._inputs.begin_grasp()
         self._reference.reset()
         self._targets.begin_grasp()
         return True
 
-    def _open(self, theta: Array, rates: Array, contacts: Contacts, stamp: int) -> Command:
+    def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
         self._trust()
-        # After a gap the fingers go on from where they are, and do not make up for it at once.
-        dt = 0.0 if self._open_stamp is None else 1e-9 * (stamp - self._open_stamp)
-        self._open_stamp = stamp
-        self._drove = self._is_new = False
+        self._mode = Mode.OPEN
         self._last_torque = None
-        self._internal = self._load = np.zeros(self.hand.joints)
-        self._hold.move(
-            self._regrasp.posture(contacts, min(max(dt, 0.0), _LONGEST_MOVE)), self._internal
-        )
-        torque = self._with_gravity(self._held(theta, rates), theta)
+        self._held = self._nothing
+        self._hold.move(self._regrasp.posture(contacts, dt), self._held.internal)
+        torque = self._with_gravity(self._posture_torque(theta, rates), theta)
         return Command(torque, Mode.OPEN, None, "let go by the user")
 
+    @property
+    def _nothing(self) -> Held:
+        """What an open or disabled hand holds."""
+        return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+
     def _elapsed(self, stamp: int) -> float:
-        """Return the time since the last tick in s; nothing is integrated over an interruption."""
-        if self._last_stamp is None or not self._drove:
+        """Return the time since the last tick in s; 0 after an interruption.
+
+        Nothing is integrated over it, and fingers that open or close go on from where they are.
+        """
+        goes_on = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
+        if self._last_stamp is None or not goes_on:
             return 0.0
         return min(max(0.0, 1e-9 * (stamp - self._last_stamp)), _LONGEST_GAP)
 

@@ -15,18 +15,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.hand.kinematics import Fingertips
 
 Array = NDArray[np.float64]
 
 
+_STANDING = 0.2  # fraction of the tolerance of touch that contacts may move under still joints
 _SUM = 1e-3  # largest error of sum f*_n = 1
 
 
@@ -82,13 +84,13 @@ class FrozenJointCheck:
 
 
 @compiled
-def _largest_gap(centres: Array, radii: Array, points: Array, rotations: Array) -> float:
+def _largest_gap(centers: Array, radii: Array, points: Array, rotations: Array) -> float:
     """Return the largest |p_c - p_f - r n|, m."""
     largest = 0.0
     for i in range(len(points)):
         square = 0.0
         for axis in range(3):
-            gap = points[i, axis] - centres[i, axis] - radii[i] * rotations[i, axis, 1]
+            gap = points[i, axis] - centers[i, axis] - radii[i] * rotations[i, axis, 1]
             square += gap * gap
         largest = max(largest, square)
     return math.sqrt(largest)
@@ -221,3 +223,68 @@ def _noticeable(torque: float, linear: Array, finest: float) -> float:
     lever = math.sqrt(np.square(linear).sum(axis=0).max())
     fine = _FINE_LEAST + _FINE_SHARE * torque + _STEPS * lever * finest
     return min(fine, _LEAST + _FROZEN_SHARE * torque)
+
+
+class InputLimits(Protocol):
+    """Parameters of `InputCheck`."""
+
+    @property
+    def touch_tolerance(self) -> float:
+        """Largest distance between a contact and its fingertip, m."""
+
+    @property
+    def force_tolerance(self) -> float:
+        """Largest error of J_h^T f_c as a fraction of it."""
+
+    @property
+    def touch_latency(self) -> float:
+        """Largest age of measured forces, s."""
+
+
+class InputCheck:
+    """The one check of joints against touch: inconsistent or frozen inputs of either."""
+
+    def __init__(self, hand: Hand) -> None:
+        """Start without a past."""
+        self._hand = hand
+        self._forces, self._joints = ForceTorqueCheck(), FrozenJointCheck()
+
+    def reset(self) -> None:
+        """Forget the past: time or hand are new."""
+        self.begin_grasp()
+        self._joints.reset()
+
+    def begin_grasp(self) -> None:
+        """Compare no forces with torques from before: a contact or the grasp is new."""
+        self._forces.reset()
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        limits: InputLimits,
+        pressing: tuple[Array, Array] | None,
+    ) -> tuple[Fingertips, str]:
+        """Return the fingertips, and why joints and touch do not fit; empty if they do.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            contacts: Contact points and frames; all must touch.
+            limits: Tolerances.
+            pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
+                since the last tick, shape (m,), N m; None where they are not compared.
+        """
+        problem = ""
+        if pressing is None:
+            tips = self._hand.fingertips(theta)
+        else:
+            terms = self._hand.dynamics(theta, rates)
+            tips, allowed = terms[0], (limits.force_tolerance, limits.touch_latency)
+            problem = self._forces.step(stamp, rates, terms, contacts, *pressing, *allowed)
+        gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch_tolerance)
+        frozen = self._joints.step(theta, contacts, _STANDING * limits.touch_tolerance)
+        return tips, problem or gap or frozen

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.loads import LoadMarginConfig, required_grasp_force, split
+from tactile_hand_ros.control.loads import LoadMargin, LoadMarginConfig, required_grasp_force, split
 from tactile_hand_ros.control.optimizer.cones import ConeTracker, cone_margin, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import CollinearContactsError
@@ -243,3 +243,11 @@ def test_a_tick_of_the_optimizer_follows_reset_rejection_and_configuration():
     optimizer.configure(wider)
     found = optimizer.step(6 * MS, GRASP, MU, FORCES)
     assert found.cone_margin == pytest.approx(found.learned_margin)
+
+
+def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_recent_load():
+    margin = LoadMargin(LoadMarginConfig(floor=0.6, share=0.5, memory=2.0), 3)
+    load = np.array([[0.3, 0.0, 0.4], [0.0, 0.1, 0.0], [0.0, 0.0, 4.0]])
+    np.testing.assert_allclose(margin.step(load, 0.0), [0.25, 0.2, 2.0])
+    faded = 2.0 * math.exp(-0.5)
+    np.testing.assert_allclose(margin.step(0.0 * load, 1.0), [0.2, 0.2, faded])

@@ -332,6 +332,24 @@ def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(lat
     np.testing.assert_allclose(misled.learned_friction, blind.learned_friction, rtol=0.02)
 
 
+def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
+    """A false slip lowers the friction and a false load raises the margin; both are taken back."""
+    slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
+    feel(slip, 300)
+    known, ready = slip.learned_friction, slip.ready
+    for i in range(300, 310):
+        shaken = 4.0 * FELT * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
+        slip.step(i * TICK, three_faces(), shaken)
+    assert (slip.learned_friction < 0.9 * known).any()
+    slip.reject_touch(True)
+    np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
+    slip.step(310 * TICK, three_faces(), FELT)
+    slip.reject_touch(False)
+    for i in range(311, 400):
+        slip.step(i * TICK, three_faces(), FELT)
+    assert slip.ready == pytest.approx(ready, rel=0.03)
+
+
 def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     slip, heavy = regulator(mode="auto"), FELT + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     feel(slip, 300)
