@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several nodes share: a log of modes, a check for a second sender, publishers of touch."""
+"""What several nodes share: a log of modes, publishers of touch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.wire import ContactsCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 
@@ -57,20 +56,6 @@ class ModeLog:
         others = f" ({self._unlogged} changes before it not logged)" if self._unlogged else ""
         self._unlogged = 0
         self._log(f"{before} -> {mode}{others}" + (f": {reason}" if reason else ""))
-
-
-def report_publishers(node: TactileNode[Any], topic: str) -> None:
-    """Warn in the diagnostics while a topic has more than one publisher.
-
-    A publisher that was killed counts until the middleware gives it up, after some seconds.
-    """
-    count = node.count_publishers(node.resolve_topic_name(topic))
-    node.diagnostics.judge(
-        f"publishers of {topic}",
-        count > 1,
-        f"{count} publishers of {topic}, expected one; two hands need two namespaces",
-        WARN,
-    )
 
 
 class ReadingPublisher:

@@ -32,7 +32,7 @@ from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.common import ModeLog, report_publishers
+from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges, DesiredPoses
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
@@ -247,7 +247,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Report mode, missing inputs, distance to the target and the margins of the grasp."""
         if hasattr(self, "_inputs"):
             self._inputs.report()
-        report_publishers(self, names.JOINT_STATES)
         self._report.report(self._controller.target)
 
     def _on_joint_hold(self, message: Bool) -> None:

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
 
 from tactile_hand_ros.errors import counted
-from tactile_hand_ros.ros.histogram import percentiles
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
@@ -184,6 +184,20 @@ def _latest(entries: dict[str, _Rejections], now: float) -> tuple[str, _Rejectio
     """Return the newest entry of the last `WARN_SECONDS`."""
     recent = [item for item in entries.items() if now - item[1].last < WARN_SECONDS]
     return max(recent, key=lambda item: item[1].last, default=None)
+
+
+def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum as ``p50``, ``p99`` and ``max``.
+
+    The nearest of the values. `numpy.percentile`, which interpolates, takes four times as long.
+
+    Args:
+        values: At least one.
+    """
+    last = len(values) - 1
+    ranks = {"p50": last // 2, "p99": round(0.99 * last), "max": last}
+    ordered = np.partition(values, sorted(set(ranks.values())))
+    return {name: float(ordered[rank]) for name, rank in ranks.items()}
 
 
 class Mostly:

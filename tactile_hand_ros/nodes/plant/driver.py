@@ -246,10 +246,10 @@ class PlantDriver:
         if waited and not self._waits:
             self._let_time_pass(True)
         if stamp == run.stamp:
-            self._diagnostics.latency(self._answered_at - self._sent_at)
             self._pace.answered()
         # A tick that others have followed is older than the newest by their number.
-        self._pace.ages.note(self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp))
+        age = self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp)
+        self._diagnostics.latency(age)
         if self._is_lockstep:
             self._advance(1)
 

@@ -24,7 +24,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
-from tactile_hand_ros.nodes.common import report_publishers
 from tactile_hand_ros.nodes.plant.driver import InProcessHand, PlantDriver
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages.wire import JointCodec
@@ -95,8 +94,6 @@ class PlantNode(TactileNode[PlantConfig]):
         """Report mode, time, silence and the margins of contact."""
         put, state = self.diagnostics.value, self._run.state
         self._driver.report(put)
-        for topic in (names.JOINT_COMMAND, names.JOINT_STATES):
-            report_publishers(self, topic)
         put("touching", int(state.contacts.touching.sum()))
         put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
         self._report_contact_laws()

@@ -6,8 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from tactile_hand_ros.ros.histogram import Histogram
-
 _MOST_BEHIND_NS = 200_000_000
 """Delay beyond which time is given up instead of made up for [ns]."""
 
@@ -22,8 +20,6 @@ class Pace:
         late: Ticks whose command was late or never came.
         skipped: Ticks that came due together with a later one, so that no node saw them.
         lost_ns: Wall time that was given up because the machine could not follow [ns].
-        jitter: How far from its time each tick came.
-        ages: How old a tick was when its command came, of all ticks that were answered.
     """
 
     def __init__(
@@ -40,7 +36,6 @@ class Pace:
         self._lead = min(busy_wait_ns, tick_ns // 2)
         self._clock = clock
         self.late = self.skipped = self.lost_ns = 0
-        self.jitter, self.ages = Histogram(), Histogram()
         self.start()
         self.stop()
 
@@ -61,7 +56,6 @@ class Pace:
         if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
             return 0
         count = max(1, behind // self._tick + 1)
-        self.jitter.note(1e-9 * abs(behind))
         if behind > _MOST_BEHIND_NS:
             self.lost_ns += behind
             self._due_at += behind
@@ -78,13 +72,7 @@ class Pace:
         self._awaits_command = False
 
     def report(self, put: Callable[[str, object], None]) -> None:
-        """Report counters and durations, each as key and value."""
+        """Report counters, each as key and value."""
         put("late_commands", self.late)
         put("missed_ticks", self.skipped)
         put("lost_s", 1e-9 * self.lost_ns)
-        if self.ages.count:
-            put("age_p50_us", f"{1e6 * self.ages.quantile(0.5):.0f}")
-            put("age_p99_us", f"{1e6 * self.ages.quantile(0.99):.0f}")
-            put("age_histogram_us", self.ages.text())
-        if self.jitter.count:
-            put("jitter_histogram_us", self.jitter.text())

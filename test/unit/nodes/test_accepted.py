@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Float64
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.nodes.common import report_publishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.diagnostics import OK, WARN
+from tactile_hand_ros.ros.diagnostics import OK
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
@@ -111,20 +109,3 @@ def test_a_refusal_is_answered_at_once_with_the_last_tick_and_no_flood(stage: St
     stage.accepted.take_effect(6)
     stage.accepted.rejected(names.USER_GRASP_FORCE, "again")
     assert len(stage.heard(REJECTED)) == 1
-
-
-def test_two_publishers_of_one_topic_are_a_warning_while_there_are_two(stage: Stage) -> None:
-    def level() -> bytes:
-        report_publishers(stage.node, "x")
-        return bytes(stage.node.diagnostics.status().level)
-
-    add: Callable[[], Any] = lambda: stage.node.create_publisher(Float64, "x", 1)  # noqa: E731
-    add()
-    wait_until(lambda: stage.node.count_publishers("x") == 1)
-    assert level() == OK
-    second = add()
-    wait_until(lambda: level() == WARN)
-    expected = "2 publishers of x, expected one; two hands need two namespaces"
-    assert stage.node.diagnostics.status().message == expected
-    stage.node.destroy_publisher(second)
-    wait_until(lambda: level() == OK)

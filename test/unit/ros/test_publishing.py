@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from support.spinning import spinning
 
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.messages.serialized import serialized
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.publishing import TickPublisher
 
@@ -34,7 +34,7 @@ class Encoder:
 
     def __call__(self, value: float) -> bytes:
         self.encoded.append(value)
-        return serialized(Float64(data=value))
+        return serialize_message(Float64(data=value))
 
 
 def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
@@ -52,7 +52,7 @@ def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> N
     publisher.add_tap(tapped.append)
     publisher.publish(encode, 1.0)
     assert publisher.wanted and encode.encoded == [1.0]
-    assert tapped == 2 * [serialized(Float64(data=1.0))]
+    assert tapped == 2 * [serialize_message(Float64(data=1.0))]
     node.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
     wait_until(lambda: publisher.get_subscription_count() == 1)
     with spinning(node):
