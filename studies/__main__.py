@@ -22,6 +22,7 @@ from tactile_hand_ros.cli.output import (
     JobsOption,
     Progress,
     SeedOption,
+    check_writable,
     folder_for_results,
     print_files,
     print_table,
@@ -102,9 +103,9 @@ def loads(
 
 
 def faults(
-    out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("faults"),
+    out: Annotated[Path, typer.Option(help="Folder for tables and data.")] = Path("faults"),
     runs: Annotated[
-        int, typer.Option(help="Number of injections; 0 only draws what is stored.", min=0)
+        int, typer.Option(help="Number of injections; 0 only shows what is stored.", min=0)
     ] = 500,
     seed: SeedOption = 0,
     way: Annotated[
@@ -116,7 +117,6 @@ def faults(
         typer.Option(help="Only nodes that are killed or stopped, or only all other faults."),
     ] = None,
     jobs: JobsOption = -1,
-    formats: FormatOption = None,
 ) -> None:
     """Let parts of the running hand fail, and measure drops, time to safety and forces.
 
@@ -124,17 +124,15 @@ def faults(
     """
     from studies.faults import campaign, space
     from studies.faults import tables as fault_tables
-    from studies.faults.figure import faults_figure
     from tactile_hand_ros.errors import ConfigurationError
     from tactile_hand_ros.report import tables
-    from tactile_hand_ros.report.style import save
 
     ways = tuple(dict.fromkeys(way or space.WAYS))
     if unknown := [name for name in ways if name not in space.WAYS]:
         raise ConfigurationError(
             f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
         )
-    kinds = folder_for_results(out, formats)
+    check_writable(out)
     among = [cell for cell in space.cells() if deaths in (None, cell.is_death)]
     chosen = space.sample(runs, seed, ways=ways, among=among)
     done = campaign.load(out)
@@ -146,7 +144,6 @@ def faults(
     except KeyboardInterrupt:
         print(f"interrupted after {len(outcomes)} runs; the same command goes on")
     files = [out / campaign.RESULTS, *fault_tables.write(outcomes, out)]
-    files += save(faults_figure(outcomes), out, "faults", kinds)
     title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
     print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
     print_files(files, out)

@@ -91,7 +91,7 @@ def soak(
     seen, scheduling = Soak(), Scheduling(priority)
     with (
         tempfile.TemporaryDirectory() as folder,
-        RunningHand(scenario, Path(folder), "", composed=composed, scheduling=scheduling) as hand,
+        RunningHand(scenario, Path(folder), composed=composed, scheduling=scheduling) as hand,
     ):
         nodes = {name: psutil.Process(process.pid) for name, process in hand.processes.items()}
         hand.begin()

@@ -43,7 +43,7 @@ def run_campaign(
 ) -> Iterator[Outcome]:
     """Yield the outcome of each run that is not done yet.
 
-    One session of nodes serves all runs of the same way, situation and tap that follow each other;
+    One session of nodes serves all runs of the same way and situation that follow each other;
     it is started again when a run has broken it.
 
     Args:
@@ -53,7 +53,7 @@ def run_campaign(
     """
     known = {outcome.key for outcome in done}
     waiting = [run for run in runs if run.key not in known]
-    for _, group in itertools.groupby(waiting, key=_session):
+    for _, group in itertools.groupby(waiting, key=lambda run: run.session):
         left = list(group)
         if left[0].cell.way == "calls":
             for outcome in in_parallel(run_by_calls, left):
@@ -66,11 +66,6 @@ def run_campaign(
                 yield outcome
 
 
-def _session(run: Run) -> tuple[str, str, str]:
-    cell = run.cell
-    return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
-
-
 def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:
     """Yield outcomes until all runs are done or one could not be judged."""
     cell, run = runs[0].cell, runs[0]
@@ -78,7 +73,7 @@ def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:
     composed = cell.way == "composed"
     with tempfile.TemporaryDirectory() as folder:
         try:
-            with RunningHand(scenario, Path(folder), cell.tap, composed=composed) as hand:
+            with RunningHand(scenario, Path(folder), composed=composed) as hand:
                 for run in runs:
                     yield run_one(hand, run)
         except _BROKEN as error:

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
-from studies.faults import space, taps
+from studies.faults import space
 from studies.faults.running_hand import RunningHand
 from studies.faults.space import Run
 from tactile_hand_ros import names
@@ -48,23 +48,9 @@ def injected(hand: RunningHand, run: Run) -> Iterator[None]:
             stack.enter_context(_user(hand, run))
         elif cell.component == space.COMPUTER:
             stack.enter_context(_computer(hand, cell.fault))
-        elif cell.component == space.RECORDER or cell.is_signal:
-            stack.enter_context(_process(hand, _NODE_OF[cell.component], cell.fault))
         else:
-            stack.enter_context(_tapped(hand, run))
+            stack.enter_context(_process(hand, _NODE_OF[cell.component], cell.fault))
         yield
-
-
-@contextmanager
-def _tapped(hand: RunningHand, run: Run) -> Iterator[None]:
-    topics = taps.topics_of(run.cell.component, hand.fingers)
-    hand.control.publish(
-        String(data=" ".join([run.cell.fault.replace(" ", "_"), str(run.seed), *topics]))
-    )
-    try:
-        yield
-    finally:
-        hand.control.publish(String(data=""))
 
 
 @contextmanager

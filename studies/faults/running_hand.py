@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,11 +17,9 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from studies.faults import taps
-from studies.faults.fault_node import CONTROL
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
@@ -36,7 +33,7 @@ from tactile_hand_ros.ros.messages.conversions import (
     stamp_to_ns,
 )
 from tactile_hand_ros.ros.messages.wire import PoseCodec
-from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
+from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
 from tactile_hand_ros.ros.scheduling import Scheduling
@@ -73,7 +70,6 @@ class RunningHand:
         self,
         scenario: Scenario,
         folder: Path,
-        tap: str,
         *,
         composed: bool,
         scheduling: Scheduling = Scheduling(),
@@ -83,11 +79,10 @@ class RunningHand:
         Args:
             scenario: What they run.
             folder: For parameter files and the recording.
-            tap: Topics that pass the fault node; empty for none.
             composed: Whether the nodes share one process.
             scheduling: How the nodes run; in real time they prepare for it in any case.
         """
-        self.scenario, self._folder, self._tap = scenario, folder, tap
+        self.scenario, self._folder = scenario, folder
         self._scheduling = scheduling
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
@@ -103,10 +98,7 @@ class RunningHand:
         """Start everything and wait until the hand holds its object."""
         try:
             domain = self._stack.enter_context(isolated_domain())
-            if self._tap:
-                self.processes["fault_node"] = self._stack.enter_context(_fault_node(self._tap))
-            else:
-                self._start_recorder()
+            self._start_recorder()
             if self.composed:
                 self._launch(names.COMPOSED, NODES)
             else:
@@ -148,9 +140,6 @@ class RunningHand:
             file = self._folder / f"{name}.yaml"
             file.write_text(to_params_yaml(self.scenario.node_config(name), name))
             arguments += ["--params-file", str(file)]
-        for topic, (owner, _) in taps.tapped(self._tap, self.fingers).items():
-            if owner in nodes:
-                arguments += ["-r", f"{owner}:{topic}:={taps.PREFIX}{topic}"]
         process = start_executable(executable, *arguments)
         self.processes[executable] = self._stack.enter_context(process)
 
@@ -158,7 +147,6 @@ class RunningHand:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
         self.squeezes = make(Float64, names.USER_GRASP_FORCE, profile)
-        self.control = make(String, CONTROL, profile)
         self._hear(PoseStamped, names.OBJECT_POSE)
         self._hear(PoseArray, names.TRUE_CONTACTS)
         self._hear(PoseStamped, names.AUXILIARY_POSE)
@@ -177,8 +165,7 @@ class RunningHand:
         self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
 
     def _await_readiness(self) -> None:
-        """Wait until every node has met all that it listens to, and the fault node."""
-        taken = [f"/{taps.PREFIX}{topic}" for topic in taps.tapped(self._tap, self.fingers)]
+        """Wait until every node has met all that it listens to."""
 
         def met() -> bool:
             values = self._peers()
@@ -187,7 +174,6 @@ class RunningHand:
                 for facts in values.values()
                 for key, count in facts.items()
                 if key.startswith(f"{SUBSCRIPTIONS} ")
-                or key.removeprefix(f"{PUBLICATIONS} ") in taken
             )
 
         self.wait(met, "nodes that have met each other")
@@ -322,10 +308,6 @@ class RunningHand:
                     if status.level == ERROR:
                         found.append((event.time, f"{status.name}: {status.message}"))
         return found
-
-
-def _fault_node(tap: str) -> CapturedProcess:
-    return CapturedProcess([sys.executable, str(Path(__file__).with_name("fault_node.py")), tap])
 
 
 @contextmanager

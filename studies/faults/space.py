@@ -45,14 +45,6 @@ FAULTS_OF = {
 HAND = (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER)
 """The nodes that are killed and stopped."""
 
-_TAPS = {
-    "joints": (JOINTS, CONTROLLER),
-    "touch": (FINGER, SKIN, SENSOR),
-    "forces": (REGULATOR, OPTIMIZER),
-    "": (RECORDER, USER, COMPUTER),
-}
-"""Which topics go through the fault node while a component may fail; see `taps.TAPPED`."""
-
 
 class Cell(NamedTuple):
     """One fault of one component, in one situation and one way to run."""
@@ -67,18 +59,6 @@ class Cell(NamedTuple):
         """Whether a node of the hand is killed or stopped."""
         return self.component in HAND and self.fault in ("off", STOPPED)
 
-    @property
-    def is_signal(self) -> bool:
-        """Whether that is done by a signal; where nodes share a process, a topic falls silent."""
-        return self.is_death and self.way in ("lockstep", "processes")
-
-    @property
-    def tap(self) -> str:
-        """Name of the group of topics that pass the fault node; empty where none has to."""
-        if self.is_signal:
-            return ""
-        return next(tap for tap, parts in _TAPS.items() if self.component in parts)
-
     def __str__(self) -> str:
         """Return the cell in words."""
         return f"{self.way}, {self.situation}: {self.component} {self.fault}"
@@ -90,24 +70,28 @@ def cells() -> list[Cell]:
         Cell(way, situation, component, fault)
         for way, situation in itertools.product(WAYS, SITUATIONS)
         for component, faults in FAULTS_OF.items()
-        for fault in (*faults, *((NONE,) if component in _BASES else ()))
+        for fault in (*faults, *((NONE,) if component in _bases(way) else ()))
         if _exists(way, component, fault)
     ]
 
 
-_BASES = (JOINTS, FINGER, REGULATOR, USER)
-"""One component of each tap, with which the runs without a fault are counted."""
+def _bases(way: str) -> tuple[str, ...]:
+    """Return the components with which the runs without a fault are counted."""
+    return (JOINTS, FINGER, REGULATOR, USER) if way == "calls" else (USER,)
 
 
 def _exists(way: str, component: str, fault: str) -> bool:
     """Return whether a fault can be injected there.
 
-    Composed nodes stop together with the plant, whose time then stands still. By function calls
-    there are no processes: a node that is stopped is one that is off, and the sensor is the skin.
+    What travels on wires fails in-process only, where a node that is stopped is one that is off and
+    the sensor is the skin. Nodes are killed and stopped where each has a process of its own.
     """
-    if fault == STOPPED:
-        return way in ("lockstep", "processes") or (way == "calls" and component == COMPUTER)
-    return not (way == "calls" and component in (RECORDER, SENSOR))
+    if way == "calls":
+        at_hand = component not in (RECORDER, SENSOR)
+        return at_hand and (fault != STOPPED or component == COMPUTER)
+    if component in HAND or fault == STOPPED:
+        return way != "composed" and fault in ("off", STOPPED)
+    return component in (RECORDER, USER, COMPUTER)
 
 
 class Run(NamedTuple):
@@ -120,6 +104,11 @@ class Run(NamedTuple):
     def delay(self) -> float:
         """By how much the fault begins later than the first moment of its situation, s."""
         return random.Random(self.seed).uniform(0.0, SPREAD)
+
+    @property
+    def session(self) -> tuple[str, str]:
+        """Runs with equal ones share the nodes, or the cores."""
+        return self.cell.way, "" if self.cell.way == "calls" else self.cell.situation
 
     @property
     def key(self) -> str:
@@ -151,13 +140,9 @@ def sample(
 
 
 def _by_session(runs: list[Run], chance: random.Random) -> Iterator[Run]:
-    def session(run: Run) -> tuple[str, str, str]:
-        cell = run.cell
-        return (cell.way, "", "") if cell.way == "calls" else (cell.way, cell.situation, cell.tap)
-
-    groups: dict[tuple[str, str, str], list[Run]] = {}
+    groups: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
-        groups.setdefault(session(run), []).append(run)
+        groups.setdefault(run.session, []).append(run)
     order = list(groups)
     chance.shuffle(order)
     for key in order:

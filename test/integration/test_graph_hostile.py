@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -22,7 +21,6 @@ from std_msgs.msg import Float64
 from support.graph import Graph
 from support.messages import force_message, pose_message
 
-from studies.fuzz.raw_writer import RawWriter, request_topic
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.domains import isolated_domain
@@ -178,24 +176,6 @@ def test_parameters_of_unknown_types_are_refused(graph: Graph, node: str) -> Non
     assert len(results) == len(odd)
     assert not any(result.successful for result in results)
     assert all("has type" in result.reason for result in results)
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_damaged_requests_jam_no_service_and_take_no_memory(graph: Graph, node: str) -> None:
-    """The first four bytes of a request's content are a length that the middleware believes."""
-    service, process = f"/{node}/set_parameters", psutil.Process(graph.processes[node].pid)
-    writer = RawWriter(graph.node, SetParameters.Request, request_topic(service))
-    graph.wait(lambda: writer.readers, f"the reader of {service}")
-    before = process.memory_info().rss
-    for count in (2**17, 2**20, 2**21, 2**23, 2**25, 2**31):
-        writer.write(CUT[:4] + struct.pack("<I", count))
-    for _ in range(100):
-        writer.write(CUT)
-    worked = sum(process.cpu_times()[:2])
-    graph.call(SetParameters, service, SetParameters.Request())
-    assert sum(process.cpu_times()[:2]) - worked < 1.0
-    assert process.memory_info().rss < before + 48 * 2**20
-    writer.close()
 
 
 def floods(graph: Graph) -> dict[str, tuple[str, Any]]:

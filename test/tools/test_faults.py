@@ -5,21 +5,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from studies.faults.campaign import run_campaign
 from studies.faults.space import Cell, Run
 from studies.fuzz.fuzz import Report
 from studies.fuzz.live import fuzz_nodes
 from studies.soak import soak, soak_scenario
 
-FAULTS = (("skin of one finger", "stuck"), ("skin of all fingers", "off"))
 DEATHS = (("sensor", "stopped"), ("regulator", "off"))
 
 
-@pytest.mark.parametrize("faults", [FAULTS, DEATHS])
-def test_a_session_of_the_campaign_keeps_the_object(faults: tuple[tuple[str, str], ...]) -> None:
-    runs = [Run(Cell("lockstep", "at rest", *fault), 1) for fault in faults]
+def test_a_session_of_the_campaign_keeps_the_object() -> None:
+    runs = [Run(Cell("lockstep", "at rest", *fault), 1) for fault in DEATHS]
     outcomes = list(run_campaign(runs))
     assert [o.error for o in outcomes] == ["", ""]
     assert not any(o.dropped for o in outcomes)
@@ -38,4 +34,4 @@ def test_running_nodes_survive_hostile_bytes(tmp_path: Path) -> None:
     report = Report(3)
     fuzz_nodes(report, 4.0, tmp_path)
     assert report.findings == [] and report.inputs["live"] > 200
-    assert report.growth < 600 * 2**20
+    assert report.growth < 100 * 2**20

@@ -7,7 +7,6 @@ from contextlib import nullcontext
 import pytest
 
 from studies.faults import campaign, space, tables
-from studies.faults.figure import faults_figure
 from studies.faults.outcome import Outcome
 
 RUNS = space.sample(12, seed=5, ways=("composed",))
@@ -58,4 +57,3 @@ def test_the_tables_leave_out_what_could_not_be_judged(tmp_path):
     content = json.loads(summary.read_text())
     assert content["started again before the fault"] == 1 and len(content["not judged"]) == 1
     assert all(each["survivable"] for each in content["survivability"])
-    assert faults_figure(outcomes).axes

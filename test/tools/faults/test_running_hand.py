@@ -22,7 +22,7 @@ def test_a_request_that_a_dead_server_took_with_it_is_sent_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_AGAIN", 0.05)
-    hand = module.RunningHand(load_scenario("paper"), tmp_path, "", composed=False)
+    hand = module.RunningHand(load_scenario("paper"), tmp_path, composed=False)
 
     def answer(_: Any, response: Any) -> Any:
         response.message = "back at the start"
