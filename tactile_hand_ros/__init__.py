@@ -13,6 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tactile_hand_ros import sweep
     from tactile_hand_ros.closed_loop.loop import ClosedLoop
     from tactile_hand_ros.closed_loop.record import Record
     from tactile_hand_ros.control.contact import Contacts
@@ -50,6 +51,7 @@ __all__ = [
     "metrics",
     "recompute",
     "simulate",
+    "sweep",
     "write_report",
 ]
 
@@ -77,6 +79,8 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Load a public name on first use (PEP 562): a node pays only for what it imports itself."""
+    if name == "sweep":  # a package: `sweep.run`
+        return importlib.import_module(f"{__name__}.sweep")
     if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,2 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweeps: scenarios over any of their parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.sweep.results import Results
+
+
+def run(
+    scenarios: str | Sequence[str],
+    over: Sequence[str],
+    changes: Mapping[str, Any] | None = None,
+    *,
+    folder: Path | str,
+    metrics: Sequence[str] = (),
+    sampler: str = "",
+    runs: int = 100,
+    seed: int = 0,
+    jobs: int = -1,
+) -> Results:
+    """Run scenarios over ranges of their parameters, on all cores.
+
+    Args:
+        scenarios: Names or files.
+        over: Parameters as on the command line, such as ``plant.object.mass=0.05..0.5``.
+        changes: Values that stay the same, by dotted key.
+        folder: Of the results; an unfinished sweep in it is continued.
+        metrics: What is asked of each run; everything that has a name by default.
+        sampler: By default a grid of choices, a Latin hypercube where there is a range.
+        runs: Number of runs.
+        seed: Of the sampler and of all runs.
+        jobs: Number of processes, -1 for one on each core.
+
+    Returns:
+        The table: ``column(name)``, ``shares()``, ``medians()`` and ``effects()``.
+
+    Raises:
+        TactileHandError: If a name, path, range or value cannot be used.
+    """
+    from tactile_hand_ros.sweep.engine import workers
+    from tactile_hand_ros.sweep.metrics import METRICS
+    from tactile_hand_ros.sweep.results import Results
+    from tactile_hand_ros.sweep.sweep import make_sweep
+
+    names = [scenarios] if isinstance(scenarios, str) else list(scenarios)
+    asked = make_sweep(
+        names, over, changes or {}, metrics or list(METRICS), sampler=sampler, runs=runs, seed=seed
+    )
+    with workers(jobs):
+        asked.carry_out(Path(folder))
+    return Results(asked, Path(folder))

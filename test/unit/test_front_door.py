@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tactile_hand_ros
-from tactile_hand_ros import Metrics, Run, simulate
+from tactile_hand_ros import Metrics, Run, simulate, sweep
 from tactile_hand_ros.control.laws import OptimalLaw
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.report.result import Result
@@ -73,3 +73,10 @@ def test_a_wrong_key_is_named_as_it_was_given() -> None:
         simulate("paper", {"plant.object.wight": 1.0})
     assert str(caught.value).startswith("the change of plant.object.wight: unknown key 'wight'")
     assert "--set" not in str(caught.value)
+
+
+def test_a_sweep_returns_its_table(tmp_path: Path) -> None:
+    over = ["plant.object.mass=0.01..0.02"]
+    results = sweep.run("paper", over, SHORT, folder=tmp_path / "masses", runs=2, jobs=1)
+    masses = results.column("plant.object.mass")
+    assert len(masses) == 2 and 0.01 <= masses.min() < masses.max() <= 0.02
