@@ -18,6 +18,12 @@ def nearest(wrong: str, valid: Sequence[str]) -> str:
     return f", did you mean '{near[0]}'?" if near else "."
 
 
+def shortened(text: object, limit: int = 300) -> str:
+    """Return a text in one line of at most so many characters, which no sender can make long."""
+    line = " ".join(str(text)[:1000].split())
+    return line if len(line) <= limit else f"{line[: limit - 3]}..."
+
+
 class TactileHandError(Exception):
     """Base of every error that this package raises on purpose.
 

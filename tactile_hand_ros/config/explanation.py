@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from tactile_hand_ros.errors import ConfigurationError, nearest
+from tactile_hand_ros.errors import ConfigurationError, nearest, shortened
 
 _MOST_LISTED = 30  # names in a sentence
 
@@ -37,11 +37,11 @@ def explain(
 
 def _said_once(findings: Sequence[Any]) -> list[Any]:
     """Leave out repetitions: of the top's value in a section, of a mistake in a list."""
-    known = {(finding["loc"], shortened(finding.get("input"))) for finding in findings}
+    known = {(finding["loc"], value_text(finding.get("input"))) for finding in findings}
     kept, lists = [], set()
     for finding in findings:
         location = finding["loc"]
-        if len(location) > 1 and (location[1:], shortened(finding.get("input"))) in known:
+        if len(location) > 1 and (location[1:], value_text(finding.get("input"))) in known:
             continue
         if location and isinstance(location[-1], int):
             if (location[:-1], finding["type"]) in lists:
@@ -74,21 +74,21 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
     expected = allowed_at(model, location)
     if location and isinstance(location[-1], int):
         expected = " ".join([expected, *_phrases(finding.get("ctx", {}).get)])
-    return f"{place} is {shortened(given)}, expected {expected}."
+    return f"{place} is {value_text(given)}, expected {expected}."
 
 
 def _is_lookalike(finding: Any) -> bool:
     return str(finding["ctx"]["error"]) == LOOKALIKE
 
 
-def shortened(value: Any, limit: int = 60) -> str:
-    """Return a value as text of at most so many characters; references may make it huge."""
+def value_text(value: Any) -> str:
+    """Return a value as text of at most 60 characters; references may make it huge."""
     value = value.value if isinstance(value, enum.Enum) else value
     try:
         text = repr(value) if isinstance(value, str) else _SHORT.repr(value)
     except ValueError:  # a number of thousands of digits
         return "a number that is too long"
-    return text if len(text) <= limit else text[: limit - 3] + "..."
+    return shortened(text, 60)
 
 
 _SHORT = reprlib.Repr()

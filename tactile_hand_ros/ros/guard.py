@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 
-from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError
+from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError, shortened
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 
 _THIS = Path(__file__)
@@ -160,12 +160,6 @@ def location(error: BaseException) -> str:
             inner, is_inside = f"{name}:{trace.tb_lineno}", is_ours
         trace = trace.tb_next
     return inner
-
-
-def shortened(text: object) -> str:
-    """Return a text in one line that no sender can make long."""
-    line = " ".join(str(text)[:1000].split())
-    return line if len(line) <= 300 else f"{line[:300]}..."
 
 
 def refusal(request: Any, response: Any, reason: str) -> Any:

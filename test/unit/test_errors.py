@@ -3,7 +3,7 @@
 
 import pytest
 
-from tactile_hand_ros.errors import CollinearContactsError, ConfigurationError, counted
+from tactile_hand_ros.errors import CollinearContactsError, ConfigurationError, counted, shortened
 from tactile_hand_ros.extras import MissingLibraryError, optional
 
 
@@ -33,3 +33,11 @@ def test_a_missing_library_is_named_and_what_it_lacks_itself_is_not_hidden(tmp_p
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="no_such_lib"):
         optional("broken_lib", "A figure")
+
+
+def test_no_text_is_long_or_has_more_than_one_line() -> None:
+    assert shortened("a \n b\t c") == "a b c"
+    assert shortened("x" * 300) == "x" * 300
+    assert shortened("x" * 301) == "x" * 297 + "..."
+    assert shortened("y" * 61, 60) == "y" * 57 + "..."
+    assert shortened(" " * 999 + "abc") == "a"

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.guard import CallbackGuard, described, location, refusal, shortened
+from tactile_hand_ros.ros.guard import CallbackGuard, described, location, refusal
 from tactile_hand_ros.ros.messages.conversions import JointOrder
 
 HERE = Path(__file__).name
@@ -153,10 +153,3 @@ def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
     node = Node()
     CallbackGuard(node).wrap("a", throwing(ValueError("x")))()
     assert f" at {HERE}:" in node.said[0][1]  # not the guard's own line
-
-
-def test_a_line_is_never_long() -> None:
-    assert shortened("a \n b\t c") == "a b c"
-    assert shortened("x" * 300) == "x" * 300
-    assert shortened("x" * 301) == "x" * 300 + "..."
-    assert shortened(" " * 999 + "abc") == "a"
