@@ -215,7 +215,7 @@ class SlipResponse:
     telling of slip, or a contact that is left after another was lost is at the edge of its cone.
 
     Attributes:
-        squeeze: What it asks for, N.
+        grasp_force: The k_f that it asks for, N.
     """
 
     def __init__(self, config: SlipResponseConfig, squeeze: float) -> None:
@@ -225,7 +225,7 @@ class SlipResponse:
 
     def start(self, squeeze: float) -> None:
         """Go on from a squeeze in N, without a grasp that could be lost."""
-        self.squeeze = self._settled = squeeze
+        self.grasp_force = self._settled = squeeze
         self._calm_for = self._grown = 0.0
         self._whole = False
 
@@ -252,14 +252,14 @@ class SlipResponse:
         c = self.config
         touches = touching.tolist()
         whole, some = all(touches), any(touches)
-        goal = needed if math.isfinite(needed) else self.squeeze
+        goal = needed if math.isfinite(needed) else self.grasp_force
         goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
         if not some:  # nothing is left that a squeeze could hold
             goal = self._settled
-        falls = max(c.release_rate, (self.squeeze - goal) / c.release_time)
-        low, high = self.squeeze - falls * dt, self.squeeze + c.rise_rate * dt
-        self.squeeze = min(max(goal, low), high, limit)
-        return self.squeeze
+        falls = max(c.release_rate, (self.grasp_force - goal) / c.release_time)
+        low, high = self.grasp_force - falls * dt, self.grasp_force + c.rise_rate * dt
+        self.grasp_force = min(max(goal, low), high, limit)
+        return self.grasp_force
 
     def _startled(
         self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
@@ -270,7 +270,7 @@ class SlipResponse:
         if not slips and not lost:
             self._calm_for += dt
             if self._calm_for > _CALM and whole:
-                self._settled = self.squeeze
+                self._settled = self.grasp_force
             self._grown = 0.0
             return 0.0
         c = self.config
@@ -278,5 +278,5 @@ class SlipResponse:
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
             growth = math.exp(min(dt, _LONGEST) / c.doubling_time * math.log(2.0))
-            self._grown = min(growth * max(self._grown, self.squeeze), limit)
+            self._grown = min(growth * max(self._grown, self.grasp_force), limit)
         return self._grown

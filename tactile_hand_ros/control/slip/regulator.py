@@ -95,10 +95,10 @@ class SlipRegulatorConfig(Config):
 
 
 class _Known(NamedTuple):
-    """What touch has taught: the friction, with all that belongs to it, and the squeeze, N."""
+    """What touch has taught: the friction, with all that belongs to it, and k_f, N."""
 
     friction: Rows
-    squeeze: float
+    grasp_force: float
 
 
 class SlipRegulator:
@@ -127,9 +127,9 @@ class SlipRegulator:
         self.config = config
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        self._need = RequiredGraspForce(config.reflex.need, fingers)
+        self._required = RequiredGraspForce(config.reflex.need, fingers)
         self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
-        self._reflex = SlipResponse(config.reflex, config.grasp_force)
+        self._response = SlipResponse(config.reflex, config.grasp_force)
         self._checkpoints: RollbackBuffer[_Known] = RollbackBuffer()
         self._doubted = False
         self.reset()
@@ -138,24 +138,24 @@ class SlipRegulator:
         """Take other limits, rates and mode; the squeeze moves on from where it is."""
         if config.mode != self.config.mode:
             self._asked = self.grasp_force
-            self._reflex.start(self.grasp_force)
-            self._need.reset()
+            self._response.start(self.grasp_force)
+            self._required.reset()
         # What a limit has cut off would come back as a jump when the limit is lifted.
         self._asked = min(max(self._asked, config.minimum), config.maximum)
-        self.config, self._reflex.config = config, config.reflex
+        self.config, self._response.config = config, config.reflex
         self._detector.configure(config.detector)
         self._estimator.configure(config.friction)
-        self._need.configure(config.reflex.need)
+        self._required.configure(config.reflex.need)
 
     def reset(self) -> None:
         """Go back to the configured squeeze and forget what was learned."""
         start = self.config.grasp_force
         self.grasp_force: float = start
         self._asked = self.goal = start
-        self._reflex.start(start)
+        self._response.start(start)
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
-        self._need.reset()
+        self._required.reset()
         self._squeezes: deque[float] = deque(maxlen=3)
         self._bends: deque[tuple[int, float]] = deque()
         self._detector.reset()
@@ -168,9 +168,9 @@ class SlipRegulator:
             known = self._checkpoints.before
             if known is not None:
                 self._estimator.restore(known.friction)
-            squeeze = self._reflex.squeeze if known is None else known.squeeze
-            self._reflex.start(min(squeeze, self._reflex.squeeze))
-            self._need.reset()
+            force = self._response.grasp_force if known is None else known.grasp_force
+            self._response.start(min(force, self._response.grasp_force))
+            self._required.reset()
         self._doubted = doubted
 
     @property
@@ -226,13 +226,13 @@ class SlipRegulator:
         c = self.config
         goal = self._asked
         if c.mode != "user":
-            reflex = self._reflex.squeeze
+            reflex = self._response.grasp_force
             goal = reflex if c.mode == "auto" else max(self._asked, reflex)
         self.grasp_force = min(max(goal, c.minimum), c.maximum)
         return self.grasp_force
 
     def _known(self) -> _Known:
-        return _Known(self._estimator.memory, self._reflex.squeeze)
+        return _Known(self._estimator.memory, self._response.grasp_force)
 
     def _follow_user(self, dt: float) -> None:
         c = self.config
@@ -258,7 +258,7 @@ class SlipRegulator:
         if not contacts.all_touching:
             slides = slides or self._strained(touching, forces)
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
-        self._reflex.step(goal, slips, slides, touching, limit, dt)
+        self._response.step(goal, slips, slides, touching, limit, dt)
 
     def _strained(self, touching: NDArray[np.bool_], forces: Array) -> bool:
         """Return whether a contact that is left carries all that its friction is trusted with."""
@@ -307,6 +307,6 @@ class SlipRegulator:
     def _needed(self, parts: Split | None, dt: float) -> tuple[float, float]:
         """Return the least squeeze that holds, and with a reserve, N; NaN while unknown."""
         if parts is None or parts.grasp_force <= 0.0:
-            self._need.lose()
+            self._required.lose()
             return math.nan, math.nan
-        return self._need.step(parts, self.learned_friction, dt, self.config.reflex.margin)
+        return self._required.step(parts, self.learned_friction, dt, self.config.reflex.margin)

@@ -62,7 +62,7 @@ def test_a_contact_that_comes_and_goes_does_not_wind_it_up():
     for _ in range(20):
         run(reflex, 5, needed=START, touching=TWO)
         run(reflex, 5, needed=START)
-    assert reflex.squeeze <= 2.0 * START + 1e-9
+    assert reflex.grasp_force <= 2.0 * START + 1e-9
 
 
 def test_fingers_that_have_not_yet_held_anything_lose_nothing():
@@ -142,5 +142,5 @@ def test_it_starts_over_from_another_squeeze():
     step(reflex, START)
     step(reflex, slips=True, slides=True)
     reflex.start(4.0)
-    assert reflex.squeeze == step(reflex, touching=TWO) == 4.0  # nothing is lost
+    assert reflex.grasp_force == step(reflex, touching=TWO) == 4.0  # nothing is lost
     assert step(reflex, slips=True) == 6.0
