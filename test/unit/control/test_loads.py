@@ -128,12 +128,13 @@ def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(
 
 def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
     """Also the loads of the recent past, which may have been none."""
-    watch = cone_watch()
+    reserve = LoadMarginConfig(floor=0.0, share=0.5)
+    watch, other = cone_watch(reserve=reserve), cone_watch(reserve=reserve)
     watch.step(3 * MS, GRASP, 3.0 * HEAVY, MU)
     watch.reject_touch(True)
     assert watch.step(5 * MS, GRASP, 3.0 * HEAVY, MU) is None
     watch.reject_touch(False)
-    found, fresh = watch.step(7 * MS, GRASP, FORCES, MU), cone_watch().step(0, GRASP, FORCES, MU)
+    found, fresh = watch.step(7 * MS, GRASP, FORCES, MU), other.step(0, GRASP, FORCES, MU)
     np.testing.assert_array_equal(found.load, fresh.load)
     np.testing.assert_array_equal(found.wanted, fresh.wanted)
 
