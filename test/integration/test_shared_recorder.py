@@ -55,9 +55,14 @@ class RecordedGraph(Graph):
         self.processes[name] = process
         return process
 
-    def wait_for_readers(self, recorders: int = 0) -> None:
-        """Wait until the recorders have met everybody, too."""
-        super().wait_for_readers(recorders + self._recorders)
+    def wait_until_matched(self) -> None:
+        """Wait until this test and a recorder outside have met the publishers of the hand."""
+        watched = {self.full(topic) for topic in self._types}
+        mine = [each for each in self.node.subscriptions if each.topic_name in watched]
+        self.wait(lambda: all(each.get_publisher_count() for each in mine), "the publishers")
+        topics = [topic for each in self._readers().values() for topic in each]
+        for topic in topics if self._recorders == 2 else ():
+            self.wait(lambda t=topic: self.hears("outside", t), f"the recorder of {topic}")
 
     @property
     def writer(self) -> psutil.Process:

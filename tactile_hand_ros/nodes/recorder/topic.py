@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -155,11 +154,7 @@ class RawTopic:
             self._sequence.change(self.publishers, younger=new)
 
     def _subscribe(self) -> Subscription:
-        # By default rclpy would log each publisher whose quality of service does not fit.
-        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        return subscribe_directly(
-            self._node, self._class, self.name, self._qos, event_callbacks=quiet
-        )
+        return subscribe_directly(self._node, self._class, self.name, self._qos)
 
     def _take(self) -> Iterator[tuple[bytes, int, int]]:
         """Yield data, time of reception and time of publication (ns) of the waiting messages."""
