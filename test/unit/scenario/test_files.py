@@ -5,7 +5,7 @@ import pytest
 
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.scenario.files import merged, put_changes, read_layers
-from tactile_hand_ros.scenario.scenario import Scenario, _overlap, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 
 def chain(folder, layers):
@@ -32,24 +32,6 @@ def test_mappings_are_laid_over_each_other_and_all_else_is_replaced():
     expected = {"a": {"b": 1, "c": {"d": 6, "e": 3}}, "f": [7], "g": 8, "i": {"j": 9}}
     assert merged(under, over) == expected
     assert under["a"] == {"b": 1, "c": {"d": 2, "e": 3}}
-
-
-@pytest.mark.parametrize(
-    ("place", "key", "found"),
-    [
-        ("plant.rate", "plant.rate", True),
-        ("plant.rate", "plant", True),
-        ("plant", "plant.rate", True),
-        ("plant.rates", "plant.rate", False),
-        ("plant.rate", "plant.rates", False),
-        ("targets[0].time", "targets", True),
-        ("targets[0].time", "targets.time", False),
-        ("seed", "plant", False),
-        ("", "plant", False),
-    ],
-)
-def test_a_place_belongs_to_a_change_that_is_part_of_it_or_that_it_is_part_of(place, key, found):
-    assert _overlap(place, key) == found
 
 
 def test_a_law_may_be_named_in_four_ways(tmp_path):

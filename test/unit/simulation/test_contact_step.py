@@ -11,10 +11,8 @@ from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
     Body,
     HandTerms,
-    _closing,
     _response,
     _since,
-    _strikes,
     half_step,
     no_past,
     observed,
@@ -218,25 +216,6 @@ def test_only_what_touches_or_is_pushed_is_seen():
     np.testing.assert_allclose(frames[seen][:, :, 1], -(faces @ rotation.T)[seen], atol=1e-12)
     expected = position + (on_face + gaps[:, None] * faces) @ rotation.T
     np.testing.assert_allclose(points[seen], expected[seen], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("gap", "speed"),
-    [(6e-4, 0.6), (0.0, 0.0), (-1e-5, -2e-3), (-2.4e-5, -4.8e-3), (-2.6e-5, -5e-3), (-1.0, -5e-3)],
-)
-def test_a_gap_may_close_in_a_step_and_a_fifth_of_a_penetration_is_left(gap, speed):
-    assert _closing(gap, 1e-3) == pytest.approx(speed, rel=1e-12)
-    assert _closing(2.0 * gap, 2e-3) == pytest.approx(speed, rel=1e-12)
-
-
-def test_a_push_on_a_contact_that_was_not_settled_strikes():
-    pushes = np.array([[9.0, 0.0, 9.0], [0.0, 0.1, 0.0]])
-    settled = np.array([False, True, False, True])
-    assert not _strikes(pushes, np.array([0, 1]), settled)
-    assert _strikes(pushes, np.array([0, 2]), settled)
-    assert not _strikes(pushes, np.array([2, 3]), settled)
-    assert _strikes(pushes[::-1].copy(), np.array([2, 3]), settled)
-    assert not _strikes(0.0 * pushes, np.array([0, 2]), settled)
 
 
 def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next():
