@@ -238,7 +238,11 @@ class Example(TactileNode[ExampleConfig]):
         if self.config.end == "close":
             raise TactileHandError("the bag is not finished, recover it.")
 
-sys.exit(run_nodes([Example, lambda: Example("second")]))
+def make():
+    yield Example()
+    yield Example("second")
+
+sys.exit(run_nodes(make))
 '''
 
 
