@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
 EXECUTABLES = [
     "composed",
+    "controllers",
     "force_optimizer",
     "manipulation_controller",
     "orchestrator",

@@ -162,9 +162,11 @@ class Graph:
 
     def wait_for_readers(self, recorders: int = 0) -> None:
         """Wait until every topic that carries ticks has just the readers that it should have."""
+        here = {names.JOINT_STATES, names.TRUE_CONTACTS, names.OBJECT_POSE, names.GRASP_FORCE}
+        here |= {names.AUXILIARY_POSE, *map(names.true_wrench, self.fingers)}
         for name, topics in self._readers().items():
             for topic, count in topics.items():
-                count += recorders
+                count = (int(topic in here) if self._composed else count) + recorders
                 self.wait(
                     lambda n=name, t=topic, k=count: self._peers(n, PUBLICATIONS, t) == k,
                     f"{count} readers of {topic}",

@@ -30,6 +30,7 @@ UNNEEDED = {
     "manipulation_controller": NODE | SOLVER | PLANT,
     "recorder": NODE | MODEL | SOLVER | PLANT | COMPILER,
     "composed": NODE,
+    "controllers": NODE,
     # It checks the scenario, but what it calls once need not be compiled.
     "orchestrator": FIGURES | COMPILER,
 }

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All nodes in one process: the numbers of the closed loop, and ordinary nodes beside them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, WrenchStamped
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from support.nodes import Process, process, tapped
+
+from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.nodes import composed
+from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.qos import tick_qos
+from tactile_hand_ros.scenario.scenario import NODES, Scenario, load_scenario
+
+TICKS = 60
+
+
+def short(name: str = "pull", **changes: Any) -> Scenario:
+    duration = TICKS / 1000.0 if name == "pull" else TICKS / 500.0
+    values = {"duration": duration, "targets": [], "plant.autostart": False, **changes}
+    return load_scenario(name, values)
+
+
+def start(here: Process, scenario: Scenario, tmp_path: Any, *, controllers: bool = False) -> Any:
+    """Make the nodes of a composition with the parameters of a scenario; return them by name."""
+    arguments = ["--ros-args"]
+    for name in NODES:
+        file = tmp_path / f"{name}.yaml"
+        file.write_text(to_params_yaml(scenario.node_config(name), name))
+        arguments += ["--params-file", str(file)]
+    kwargs = {"context": here.context, "cli_args": arguments}
+    make = composed.controller_nodes if controllers else composed.composed_nodes
+    nodes = {node.get_name(): node for node in make(**kwargs)}
+    here.add(*nodes.values())
+    return nodes
+
+
+def run_to_the_end(here: Process, plant: Any) -> None:
+    """Let time pass until the plant has finished."""
+    assert here.call(SetBool, "plant/run", data=True).success
+    here.wait(lambda: plant.work() or _mode(plant) == "finished", "the end")
+
+
+def _mode(plant: Any) -> str:
+    plant.on_report()
+    return next(p.value for p in plant.diagnostics.status().values if p.key == "mode")
+
+
+def test_the_numbers_are_those_of_the_closed_loop_to_the_bit(tmp_path: Any) -> None:
+    scenario = short()
+    with process() as here:
+        nodes = start(here, scenario, tmp_path)
+        sent = {name: tapped(node) for name, node in nodes.items()}
+        run_to_the_end(here, nodes["plant"])
+    expected = ClosedLoop(scenario).run(TICKS)
+    joints = expected.joint_names
+    states = [JointCodec(joints).decode(data)[1] for data in sent["plant"]["joint_states"][:TICKS]]
+    np.testing.assert_array_equal([state[0] for state in states], expected.theta)
+    commands = sent["manipulation_controller"]["joint_command"][:TICKS]
+    torques = [JointCodec(joints, ("effort",)).decode(data)[1][0] for data in commands]
+    np.testing.assert_array_equal(torques, expected.command)
+    contacts = [
+        ContactsCodec(3).decode(d)[1] for d in sent["tactile_sensor"]["tactile/contacts"][:TICKS]
+    ]
+    np.testing.assert_array_equal([c.positions for c in contacts], expected.contact_positions)
+    k_f = [WrenchCodec(names.PALM_FRAME).decode(d) for d in sent["slip_regulator"]["grasp_force"]]
+    assert [stamp for stamp, _ in k_f[:TICKS]] == list(expected.stamps)
+    np.testing.assert_array_equal([force[1] for _, force in k_f[:TICKS]], expected.grasp_force)
+
+
+def test_nothing_is_encoded_when_nobody_wants_it(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with process() as here:
+        nodes = start(here, short(), tmp_path)
+        encoded: list[int] = []
+        template = "tactile_hand_ros.ros.messages.wire.CdrTemplate.stamped"
+        monkeypatch.setattr(template, lambda _, stamp: encoded.append(stamp) or b"")
+        run_to_the_end(here, nodes["plant"])
+        assert encoded == []
+        assert nodes["manipulation_controller"].diagnostics.ticks >= TICKS
+
+
+def test_an_ordinary_node_of_the_process_meets_topics_services_and_logs(tmp_path: Any) -> None:
+    with process() as here:
+        nodes = start(here, short(), tmp_path)
+        plant, log = nodes["plant"], "/rosout"
+        received: list[Any] = []
+        here.user.create_subscription(JointState, "joint_states", received.append, tick_qos())
+        here.receive(DiagnosticArray, names.DIAGNOSTICS)
+        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        here.receive(Log, log, kept)
+        here.wait(lambda: plant.peers()["publications /joint_states"] == 1, "the match")
+        run_to_the_end(here, plant)
+        here.wait(lambda: len(received) > TICKS, "all ticks")
+        assert [len(each.position) for each in received[:2]] == [9, 9]
+        here.messages(names.DIAGNOSTICS, 1)
+        nodes["slip_regulator"].get_logger().get_child("grip").warning("a child logs too")
+        here.wait(lambda: "slip_regulator.grip" in {m.name for m in here.messages(log, 1)}, "log")
+
+
+def test_a_node_that_fails_leaves_its_tick_without_a_command(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time the guard holds the joints until it answers again."""
+    scenario = short("paper", **{"plant.pacing": "realtime", "plant.rate": 100.0, "duration": 60.0})
+    with process() as here:
+        nodes = start(here, scenario, tmp_path)
+        plant, regulator = nodes["plant"], nodes["slip_regulator"]
+        assert here.call(SetBool, "plant/run", data=True).success
+        here.wait(lambda: regulator.diagnostics.ticks > 5, "ticks")
+        core = "tactile_hand_ros.control.slip.regulator.SlipRegulator.step"
+        monkeypatch.setattr(core, lambda *_: {}["left"])
+        here.wait(lambda: _mode(plant) == "holding", "the hold")
+        assert regulator.diagnostics.errors["ticks"] > 0
+        monkeypatch.undo()
+        here.wait(lambda: _mode(plant) == "running", "the end of the hold")
+
+
+def test_time_that_starts_over_gives_the_same_answers(tmp_path: Any) -> None:
+    with process() as here:
+        nodes = start(here, short(), tmp_path)
+        sent = tapped(nodes["manipulation_controller"])["joint_command"]
+        run_to_the_end(here, nodes["plant"])
+        first = list(sent)
+        sent.clear()
+        assert here.call(Trigger, "plant/reset").success
+        here.wait(lambda: nodes["plant"].work() or _mode(nodes["plant"]) == "finished", "the end")
+        assert sent == first and len(first) > TICKS
+
+
+def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path: Any) -> None:
+    """Fed with what the drivers of a hand publish, they answer as in the closed loop."""
+    scenario = short("paper")
+    expected = ClosedLoop(scenario).run(20)
+    with process() as here:
+        nodes = start(here, scenario, tmp_path, controllers=True)
+        sent = tapped(nodes["manipulation_controller"])["joint_command"]
+        fingers = expected.finger_names
+        frames = [WrenchCodec(names.contact_frame(name)) for name in fingers]
+        user, tick = here.user, tick_qos()
+        joints = user.create_publisher(JointState, names.JOINT_STATES, tick)
+        contacts = user.create_publisher(PoseArray, names.CONTACTS, tick)
+        wrenches = [user.create_publisher(WrenchStamped, names.wrench(n), tick) for n in fingers]
+        for each in (joints, contacts, *wrenches):
+            here.wait(lambda each=each: each.get_subscription_count() == 1, each.topic_name)
+        r = expected
+        for row, stamp in enumerate(int(s) for s in r.stamps):
+            states = JointCodec(r.joint_names).encode
+            joints.publish(states(stamp, r.theta[row], r.rates[row], r.torque[row]))
+            touch = r.contact_positions[row], r.contact_quaternions[row]
+            contacts.publish(ContactsCodec(3).encode(*touch, stamp))
+            for publisher, codec, force in zip(wrenches, frames, r.forces[row], strict=True):
+                publisher.publish(codec.encode(force, stamp))
+            here.wait(lambda row=row: len(sent) == row + 1, f"the answer to {stamp}")
+    torques = [JointCodec(r.joint_names, ("effort",)).decode(data)[1][0] for data in sent]
+    np.testing.assert_array_equal(torques, expected.command)

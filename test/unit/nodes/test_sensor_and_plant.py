@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensor publishes of true contacts, and what the plant makes of commands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import Log
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+from support.nodes import Process, facts, tapped
+
+from tactile_hand_ros import names
+from tactile_hand_ros.nodes.plant.node import PlantNode
+from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
+from tactile_hand_ros.ros.messages.wire import JointCodec
+from tactile_hand_ros.ros.qos import tick_qos
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.miscalibration import Miscalibration
+from tactile_hand_ros.simulation.plant import Plant, true_reading
+from tactile_hand_ros.simulation.skin import TactileReading
+
+TICK = 2_000_000
+PLANT = Plant(load_scenario("paper").plant)
+STATE, HAND = PLANT.state, PLANT.hand
+TRUE, STILL = true_reading(STATE), np.zeros(3)
+
+
+def sense(node: Any, stamp: int) -> TactileReading:
+    reading: TactileReading = node.step(stamp, TRUE, STILL, STATE.theta)
+    return reading
+
+
+def test_noise_is_live_and_repeats_when_the_ticks_start_over(here: Process) -> None:
+    node = here.make(TactileSensorNode, force_noise=0.1)
+    sent = tapped(node)
+    node.on_repeat()
+    assert not any(sent.values())
+    first = sense(node, 0).forces
+    assert not np.array_equal(first, TRUE.forces)
+    assert not np.array_equal(sense(node, TICK).forces, first)
+    node.on_restart()
+    np.testing.assert_array_equal(sense(node, 0).forces, first)
+    node.set_parameters([Parameter("force_noise", value=0.0)])
+    np.testing.assert_array_equal(sense(node, TICK).forces, TRUE.forces)
+    node.on_repeat()
+    assert all(messages[-1] == messages[-2] for messages in sent.values()) and len(sent) == 4
+
+
+def test_a_wrong_calibration_moves_contacts_with_the_joints(here: Process) -> None:
+    node = here.make(TactileSensorNode, **{"calibration.skin_rotation": [0.0, 0.0, 0.1]})
+    expected = Miscalibration(node.config.calibration, HAND).step(STATE.theta, TRUE)
+    np.testing.assert_allclose(sense(node, 5).positions, expected.positions)
+    assert np.abs(expected.positions - TRUE.positions).max() > 1e-4
+
+
+def test_a_plant_takes_commands_by_joint_name_and_its_services_answer_with_its_mode(
+    here: Process,
+) -> None:
+    node = here.make(PlantNode, composed=False)
+    publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
+    here.wait(lambda: publisher.get_subscription_count() == 1)
+    encode = JointCodec(HAND.joint_names, ("effort",)).encode
+    publisher.publish(encode(0, np.full(HAND.joints, 0.01)))
+    here.wait(lambda: facts(node)["tick_ns"] == str(TICK), "the next tick")
+    for on, mode in ((False, "paused"), (True, "running")):
+        answer = here.call(SetBool, "plant/run", data=on)
+        assert (answer.success, answer.message) == (True, mode)
+    answer = here.call(Trigger, "plant/reset")
+    assert (answer.success, answer.message) == (True, "running")
+    assert facts(node)["tick_ns"] == "0" and facts(node)["touching"] == "3"
+
+
+def _kind(node: Any) -> Any:
+    (kind,) = (each.kind for each in node.tick_publishers if each.topic == "/joint_states")
+    return kind
+
+
+def test_a_plant_that_holds_says_why(here: Process) -> None:
+    node, lines = here.make(PlantNode, composed=False, command_timeout=0.2), list[str]()
+    publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
+    here.wait(lambda: publisher.get_subscription_count() == 1)
+    facts(node)
+    here.user.create_subscription(Log, "/rosout", lambda m: lines.append(m.msg), 100)
+    publisher.publish(
+        JointCodec(HAND.joint_names, ("effort",)).encode(0, np.full(HAND.joints, 0.01))
+    )
+    here.wait(lambda: facts(node)["mode"] == "holding", "the hold")
+    here.wait(lambda: any("running -> holding: no usable joint_command" in x for x in lines), "log")
