@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
 from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.executor import make_executor
+from tactile_hand_ros.ros.executor import SurvivingExecutor
 from tactile_hand_ros.ros.processes import wait_until
 
 
@@ -24,7 +24,7 @@ class Process:
     def __init__(self, context: Any) -> None:
         self.context = context
         self.user = Node("user", context=context)
-        self._executor = make_executor(context)
+        self._executor = SurvivingExecutor(context=context)
         self._nodes: list[Any] = [self.user]
         self._received: dict[str, tuple[Any, list[Any]]] = {}
         self._executor.add_node(self.user)

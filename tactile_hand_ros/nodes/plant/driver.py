@@ -409,7 +409,7 @@ class PlantDriver:
     def report(self, put: Callable[[str, object], None]) -> None:
         """Report mode, time and silence under the keys of diagnostics."""
         put("mode", self.mode)
-        self._modes.note(self.mode, self._run.reason)
+        self._modes.note(self.mode, self._run.reason if self.mode == "holding" else "")
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)
