@@ -134,8 +134,8 @@ def _run(session: Session, joining: AbstractContextManager[Node], options: RunOp
         console.print(results.table(plan, outcome, found))
         if options.report:
             if not options.quiet:
-                about = max(1.0, time.monotonic() - start)  # a report takes as long as reading
-                tell(f"writing the report, about {about:.0f} s")
+                took = time.monotonic() - start  # of a long run, the report takes about as long
+                tell("writing the report" + (f", about {took:.0f} s" if took > 10.0 else ""))
             tell(results.report_line(found.run))
     if options.open_report:
         tell(results.open_report(directory))
