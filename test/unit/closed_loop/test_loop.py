@@ -205,7 +205,7 @@ def test_what_is_recorded_of_a_tick_is_what_the_blocks_say():
 
 
 def test_a_run_that_diverges_ends_with_the_drop():
-    push = [{"start": 0.05, "force": [30.0, 0.0, 0.0]}]
-    record = run(ticks=200, changes={"plant.disturbances": push})
-    assert 25 < len(record) < 200 and np.isfinite(record.object_position).all()
+    push = [{"start": 0.05, "force": [1000.0, 0.0, 0.0]}]
+    record = run(ticks=60, changes={"plant.disturbances": push})
+    assert 25 < len(record) < 60 and np.isfinite(record.object_position).all()
     assert 0.05 < dropped_at(record) < record.times[-1]
