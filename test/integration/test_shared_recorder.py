@@ -26,7 +26,10 @@ from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
-SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
+SHARED = {
+    *("/diagnostics", "/rosout", "/parameter_events", "/joint_hold"),
+    "/rejected/manipulation_controller",  # not tapped; the gaps in the bytes are dirty
+}
 """Topics of which something may be said before a recorder is there, or by many publishers."""
 
 
