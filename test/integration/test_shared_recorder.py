@@ -26,10 +26,7 @@ from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
-SHARED = {
-    *("/diagnostics", "/rosout", "/parameter_events", "/joint_hold"),
-    "/rejected/manipulation_controller",  # not tapped; the gaps in the bytes are dirty
-}
+SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
 """Topics of which something may be said before a recorder is there, or by many publishers."""
 
 
@@ -122,7 +119,9 @@ def test_it_writes_what_a_recorder_outside_writes(domain: int, tmp_path: Path) -
     assert inside["/note"] == [bytes(serialize_message(Float64(data=float(i)))) for i in range(20)]
     assert said(outside) and said(outside) <= said(inside)
     for topic in outside.keys() - SHARED:
-        assert inside[topic] == outside[topic], topic
+        assert len(inside[topic]) == len(outside[topic]), topic
+        if not topic.startswith(("/accepted/", "/rejected/")):  # the gaps in their bytes are dirty
+            assert inside[topic] == outside[topic], topic
     known, others = announced(graph.bag), announced(graph.other_bag)
     for topic in others.keys() - SHARED:
         assert known[topic] == others[topic]
