@@ -42,7 +42,11 @@ def loaded() -> Callable[[str], set[str]]:
 
     The orchestrator imports what runs only when it knows that it has to.
     """
-    conduct = ["-c", "import tactile_hand_ros.orchestrator.execute"]
+    conduct = [
+        "-c",
+        "from tactile_hand_ros.compiled import run_interpreted; run_interpreted();"
+        "import tactile_hand_ros.orchestrator.execute",
+    ]
 
     def start(name: str) -> subprocess.CompletedProcess[str]:
         what = conduct if name == "orchestrator" else [str(executable_path(name)), "--help"]
