@@ -12,7 +12,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-from mutation.coverage_map import coverage_map, folder_of
 from mutation.mutants import Mutant, in_changed_functions, mutants_of
 from mutation.scores import Score, equivalents, keep, package_of, scores
 from mutation.trial import KILLED, Trial, run_trials
@@ -98,7 +97,6 @@ def _files(packages: list[str]) -> list[Path]:
 def _try(
     chosen: list[Mutant], args: argparse.Namespace, scratch: Path, console: Console
 ) -> list[Trial]:
-    tests = coverage_map(ROOT, {folder_of(each.path) for each in chosen}, ROOT / ".mutation")
     console.print(f"{len(chosen)} mutants, {args.jobs} processes")
     counts: collections.Counter[str] = collections.Counter()
 
@@ -113,7 +111,7 @@ def _try(
             told = ", ".join(f"{number} {verdict}" for verdict, number in sorted(counts.items()))
             console.print(f"{done}/{len(chosen)}: {told}", highlight=False)
 
-    return run_trials(chosen, tests, ROOT, scratch, args.jobs, args.budget, on_trial)
+    return run_trials(chosen, ROOT, scratch, args.jobs, args.budget, on_trial)
 
 
 def _source(trial: Trial) -> str:
