@@ -150,13 +150,6 @@ def test_scenario(folder: Path, text: str) -> None:
 
 
 @HOSTILE
-@given(text=yaml_like(FILES["hand"].read_text()))
-def test_hand(folder: Path, text: str) -> None:
-    with refused_in_time():
-        Hand.load(str(write(folder / "x.yaml", text)))
-
-
-@HOSTILE
 @given(text=mutated(URDF.replace('"', ' " ')) | st.text(max_size=40))
 @example(text='<robot name="a">' + "<link>" * 5000)
 @example(text="<robot/>")

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thin plates, whose normals hardly balance: what a linear program can balance, (13) must solve.
+"""Thin plates, whose normals hardly balance: what a linear program can balance, (13) must solve."""
 
-More of them, 4,000 unless a number is given: PYTHONPATH=test python <this file> [number]
-"""
-
-import sys
 from collections import Counter
 
 import numpy as np
@@ -61,9 +57,3 @@ def outcomes(number, solver="exact"):
 def test_what_balances_is_solved():
     for solver in ("exact", "osqp"):
         assert outcomes(40, solver) == {Status.SOLVED: 40}
-
-
-if __name__ == "__main__":
-    for method in ("exact", "osqp"):
-        ends = outcomes(int(sys.argv[1]) if len(sys.argv) > 1 else 4000, method)
-        print(method, {status.value: count for status, count in ends.items()})

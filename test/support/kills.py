@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kill recorders at random moments and recover what they wrote: ``python -m support.kills 200``."""
+"""Kill recorders at random moments and recover what they wrote."""
 
 from __future__ import annotations
 
-import random
 import signal
 import struct
 import sys
@@ -25,7 +24,6 @@ from std_msgs.msg import Int64
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 
@@ -140,28 +138,5 @@ def number_in(data: bytes) -> int:
     return int.from_bytes(data[4:12], "little", signed=True)
 
 
-def main(count: int, seed: int = 1) -> int:
-    """Kill `count` recorders and print what was lost; 0 if never more than 0.2 s."""
-    rng = random.Random(seed)
-    outcomes: list[Outcome] = []
-    with tempfile.TemporaryDirectory() as name, isolated_domain():
-        diary = Path(name) / "diary"
-        with talker(diary):
-            for run in range(count):
-                folder = Path(name) / str(run)
-                outcomes.append(kill(folder, diary, rng.uniform(0.0, 2.0), 0.2))
-                print(run, outcomes[-1], flush=True)
-    lost = np.array([outcome.lost for outcome in outcomes])
-    print(
-        f"{count} kills, {count} recoveries, {sum(o.recovered for o in outcomes)} messages; lost "
-        f"before a kill: median {np.median(lost):.3f} s, p99 {np.percentile(lost, 99):.3f} s, "
-        f"largest {lost.max():.3f} s; gaps {sum(o.gaps for o in outcomes)}, kills that lost more "
-        f"than 0.2 s: {int((lost > 0.2).sum())}"
-    )
-    return int(any(o.unsaved or o.gaps for o in outcomes))
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "talk":
-        talk(Path(sys.argv[2]))
-    sys.exit(main(int(sys.argv[1])))
+    talk(Path(sys.argv[2]))

@@ -71,16 +71,6 @@ def test_messages_with_other_strings_of_the_same_length_are_kept_apart() -> None
     ]
 
 
-def test_messages_are_compared_with_the_first_of_their_length() -> None:
-    given = [recorded.joints(1, names, position=[1.0, 2.0]) for names in ("ab", "ab", "ba", "ac")]
-    found = list(tables(JOINTS, [cdr(m) for m in given]))
-    assert [(t.rows.tolist(), t.layout.texts[1:]) for t in found] == [
-        ([0, 1], ["a", "b"]),
-        ([2], ["b", "a"]),
-        ([3], ["a", "c"]),
-    ]
-
-
 def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_matter() -> None:
     content = recorded.wrench(3, (1.0, 2.0, 3.0), "abcd")
     small, large = cdr(content), cdr(content, little=False)
@@ -90,18 +80,6 @@ def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_ma
     for table in found:
         assert table.stamps.tolist() == [3] * len(table.rows)
         assert table.doubles("wrench")[:, :3].tolist() == [[1.0, 2.0, 3.0]] * len(table.rows)
-
-
-def test_bytes_between_the_numbers_do_not_matter() -> None:
-    """Nobody initialises the padding."""
-    message = bytearray(cdr(recorded.wrench(1, (1.0, 2.0, 3.0), "abcd")))
-    padded = bytearray(message)
-    end = 4 + 8 + 4 + len("abcd") + 1
-    start = struct.pack("<d", 1.0)
-    assert message.index(start) > end
-    padded[end : message.index(start)] = b"\xff" * (message.index(start) - end)
-    [table] = tables(WRENCH, [bytes(message), bytes(padded)])
-    assert table.doubles("wrench")[:, :3].tolist() == [[1.0, 2.0, 3.0]] * 2
 
 
 def test_arrays_of_poses_may_change_their_length() -> None:
@@ -130,10 +108,3 @@ def test_foreign_encoding(encoding: str) -> None:
     message = bytes.fromhex(encoding) + cdr(recorded.wrench(1, (1.0, 2.0, 3.0)))[2:]
     with pytest.raises(BagError, match=f"encoding {encoding}"):
         list(tables(WRENCH, [message]))
-
-
-def test_four_bytes_are_an_encoding_without_a_message() -> None:
-    message = cdr(recorded.wrench(1, (1.0, 2.0, 3.0)))
-    for size, words in ((4, "4 bytes, but at least 12 announced"), (3, "encoding 0001")):
-        with pytest.raises(BagError, match=words):
-            list(tables(WRENCH, [message[:size]]))

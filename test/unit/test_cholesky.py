@@ -36,19 +36,6 @@ def test_rows_that_depend_on_each_other_are_found():
     assert not factorize(np.full((2, 2), np.nan))[1]
 
 
-def test_factors_of_whole_numbers_are_exact():
-    """Also where an entry is 0, 1 or -1."""
-    u = np.array([[2.0, 1.0, -1.0, 0.0], [0.0, 3.0, 1.0, -1.0], [0.0, 0.0, 4.0, 1.0],
-                  [0.0, 0.0, 0.0, 5.0]])  # fmt: skip
-    factor, regular = factorize(u.T @ u)
-    assert regular
-    np.testing.assert_array_equal(factor, u)
-    wanted = np.array([[1.0, -2.0], [3.0, 5.0], [-4.0, 2.0], [7.0, 1.0]])
-    right = u.T @ u @ wanted
-    substitute(u, right)
-    np.testing.assert_allclose(right, wanted, atol=1e-14)
-
-
 def test_a_pivot_counts_down_to_1e_13_of_its_diagonal():
     for left, regular in ((3e-13, True), (0.5e-13, False), (0.0, False), (-1.0, False)):
         upper = np.array([[4.0, 6.0], [0.0, 9.0 * (1.0 + left)]])

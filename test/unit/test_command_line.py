@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tactile_hand_ros.command_line import LastingOutput, nearest, os_sentence, run_command, say
+from tactile_hand_ros.command_line import os_sentence, run_command
 from tactile_hand_ros.errors import BagError
 
 
@@ -49,14 +49,6 @@ def test_an_error_is_one_sentence(
 def test_a_defect_is_not_hidden() -> None:
     with pytest.raises(ZeroDivisionError):
         run_command("program", failing(ZeroDivisionError()))
-
-
-@pytest.mark.parametrize("name", ["exit_code", "format_message"])
-def test_what_only_looks_like_a_wrong_option_is_a_defect(name: str) -> None:
-    error = RuntimeError("x")
-    setattr(error, name, lambda: "text")
-    with pytest.raises(RuntimeError):
-        run_command("program", failing(error))
 
 
 def test_an_input_that_ended_too_early_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,16 +147,6 @@ def test_what_the_system_refuses_is_explained(error: OSError, sentence: str) -> 
     assert os_sentence(error).startswith(sentence) and os_sentence(error).endswith(".")
 
 
-def test_the_nearest_name_is_offered() -> None:
-    assert nearest("pape", ["gravity", "paper", "papers"]) == ", did you mean 'paper'?"
-    assert nearest("xyz", ["gravity", "paper"]) == "."
-
-
-def test_nothing_is_said_without_words(capsys: pytest.CaptureFixture[str]) -> None:
-    say("program", "")
-    assert capsys.readouterr().err == ""
-
-
 def test_without_an_output_a_command_is_not_begun(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,28 +176,6 @@ class Full(io.StringIO):
 
 
 @pytest.mark.parametrize(
-    ("error", "is_told"), [(OSError(errno.ENOSPC, "Full"), True), (BrokenPipeError(), False)]
-)
-def test_work_goes_on_when_nothing_can_be_written(
-    error: OSError, is_told: bool, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (tmp_path / "file").open("w") as file:
-        monkeypatch.setattr(sys, "stdout", Full(file, error))
-        output = LastingOutput()
-        assert output.write("four") == 4 and output.problem is (error if is_told else None)
-        output.write("more")
-        assert output.problem is (error if is_told else None)
-        assert (output.encoding, output.isatty(), output.fileno()) == (
-            "ascii",
-            False,
-            file.fileno(),
-        )
-        file.write("lost")  # what the descriptor leads to now
-        file.flush()
-    assert (tmp_path / "file").read_text() == ""
-
-
-@pytest.mark.parametrize(
     ("error", "code"), [(OSError(errno.ENOSPC, "Full"), 2), (BrokenPipeError(), 0)]
 )
 @pytest.mark.parametrize("is_refused", [False, True])
@@ -239,30 +199,6 @@ def test_output_that_cannot_be_written_is_dropped(
     assert told in capsys.readouterr().err
 
 
-def test_a_reader_that_has_left_is_no_failure(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (tmp_path / "file").open("w") as file:
-        monkeypatch.setattr(sys, "stdout", file)
-        assert run_command("program", failing(BrokenPipeError())) == 0
-        file.write("lost")
-        file.flush()
-    assert (tmp_path / "file").read_text() == ""
-
-
-def test_what_is_buffered_may_be_what_cannot_be_written(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (tmp_path / "file").open("w") as file:
-        monkeypatch.setattr(sys, "stdout", Full(file, OSError(errno.ENOSPC, "Full")))
-        output = LastingOutput()
-        output.flush()
-        assert output.problem is not None
-        file.write("lost")
-        file.flush()
-    assert (tmp_path / "file").read_text() == ""
-
-
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
 def test_letters_that_the_terminal_lacks_are_written_as_escapes(
     name: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
@@ -272,19 +208,6 @@ def test_letters_that_the_terminal_lacks_are_written_as_escapes(
         monkeypatch.setattr(sys, name, stream)
         assert run_command("program", lambda: print("é", file=getattr(sys, name)) or 3) == 3
     assert file.read_text() == "\\xe9\n"
-
-
-def test_a_sentence_has_nowhere_to_go_without_a_terminal(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "stderr", None)
-    say("program", "lost")
-    with (tmp_path / "file").open("w") as file:
-        monkeypatch.setattr(sys, "stderr", Full(file, OSError(errno.EIO, "gone")))
-        say("program", "lost")
-        file.write("lost")  # what the descriptor leads to now
-        file.flush()
-    assert (tmp_path / "file").read_text() == ""
 
 
 @pytest.mark.usefixtures("hangups_count")

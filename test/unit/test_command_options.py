@@ -51,9 +51,3 @@ def test_what_does_not_fit_a_field_is_refused(line: str) -> None:
     seen.clear()
     assert CliRunner().invoke(app, line.split()).exit_code == 2
     assert not seen
-
-
-def test_help_shows_what_the_fields_say() -> None:
-    shown = CliRunner().invoke(app, ["--help"]).output
-    assert "Count names." in shown and "NAME..." in shown
-    assert "--how-many" in shown and "[default: 3; x>=1]" in shown

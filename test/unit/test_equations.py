@@ -66,12 +66,6 @@ def test_the_named_code_exists_and_names_its_equation(row: list[str]) -> None:
     assert ".".join(path.relative_to(ROOT).with_suffix("").parts) == module.__name__
 
 
-@pytest.mark.parametrize("row", table("module"), ids=lambda row: row[0])
-def test_a_second_form_says_that_it_is_independent(row: list[str]) -> None:
-    _, module = resolve(row[0].strip("`"))
-    assert "independent" in module.__doc__.lower()
-
-
 def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again() -> None:
     """Skew matrices and cross products of many vectors are how they are written elsewhere."""
     allowed = {f"{row[0].strip('`').replace('.', '/')}.py" for row in table("module")}

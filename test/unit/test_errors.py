@@ -3,19 +3,8 @@
 
 import pytest
 
-from tactile_hand_ros.errors import CollinearContactsError, ConfigurationError, counted, shortened
+from tactile_hand_ros.errors import CollinearContactsError, shortened
 from tactile_hand_ros.extras import MissingLibraryError, optional
-
-
-def test_one_is_singular_and_all_others_are_plural():
-    texts = [counted(number, "tick") for number in (0, 1, 2, -1)]
-    assert texts == ["0 ticks", "1 tick", "2 ticks", "-1 ticks"]
-
-
-def test_an_error_of_a_configuration_knows_its_place():
-    error = ConfigurationError("bad", source="file", place="a.b")
-    assert (str(error), error.source, error.place) == ("bad", "file", "a.b")
-    assert (ConfigurationError("bad").source, ConfigurationError("bad").place) == ("", "")
 
 
 def test_contacts_on_a_line_are_listed():

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from tactile_hand_ros.files import replace_link, replace_text
+from tactile_hand_ros.files import replace_text
 
 
 def test_text_takes_the_place_of_a_file_and_of_a_link_to_one(tmp_path):
@@ -18,20 +18,6 @@ def test_text_takes_the_place_of_a_file_and_of_a_link_to_one(tmp_path):
     assert (file.read_text(), link.read_text()) == ("one", "two")
     assert not link.is_symlink()
     assert file.stat().st_mode & 0o777 == 0o666 & ~_umask()
-
-
-def test_a_text_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
-    """A crash of the machine could leave an empty file otherwise."""
-    file, sizes, sync = tmp_path / "file", [], os.fsync
-
-    def watched(descriptor):
-        assert not file.exists()
-        sizes.append(os.fstat(descriptor).st_size)
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", watched)
-    replace_text(file, "some")
-    assert sizes == [4] and file.read_text() == "some"
 
 
 def _umask():
@@ -66,11 +52,15 @@ def test_a_link_planted_under_the_name_of_the_draft_is_not_followed(tmp_path, mo
     assert victim.read_text() == "precious" and not (tmp_path / "file").exists()
 
 
-def test_a_link_always_points_somewhere(tmp_path):
-    for target in ("a", "b"):
-        replace_link(tmp_path / "latest", target)
-        assert os.readlink(tmp_path / "latest") == target
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(IsADirectoryError):
-        replace_link(tmp_path / "folder", "a")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "latest"]
+def test_a_text_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+    """A crash of the machine could leave an empty file otherwise."""
+    file, sizes, sync = tmp_path / "file", [], os.fsync
+
+    def watched(descriptor):
+        assert not file.exists()
+        sizes.append(os.fstat(descriptor).st_size)
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", watched)
+    replace_text(file, "some")
+    assert sizes == [4] and file.read_text() == "some"

@@ -6,13 +6,11 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PIP_INSTALL = ROOT / "requirements" / "pip_install.py"
 
 
 @pytest.fixture
@@ -51,11 +49,6 @@ def test_any_name_of_a_scenario_arrives_whole(tree: Path, name: str) -> None:
     assert done.stdout == f"<run><{name}><--duration><3>", done.stderr
 
 
-def test_demo_is_the_paper(tree: Path) -> None:
-    done = make(tree, "demo", "ARGS=--quiet")
-    assert done.stdout == "<run><paper><--quiet>", done.stderr
-
-
 def test_a_python_that_is_named_later_makes_the_environment_again(tree: Path) -> None:
     (tree / ".venv" / ".python").write_text("python3\n")
     assert make(tree, "demo", "PYTHON=python3").stdout == "<run><paper>"
@@ -69,34 +62,3 @@ def test_a_python_that_is_named_later_makes_the_environment_again(tree: Path) ->
 def test_tools_run_beside_the_package(tree: Path, words: list[str], command: str) -> None:
     done = make(tree, "--dry-run", *words, "ARGS=--help")
     assert command in done.stdout, done.stderr
-
-
-def test_set_up_shows_what_pip_does() -> None:
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import pip_install as p; "
-        "print(*map(p.progress, sys.stdin.read().splitlines()), sep='|')"
-    )
-    said = """Collecting numpy==1.26.4
-  Downloading numpy-1.26.4-cp311-cp311-manylinux_2_17_x86_64.whl (18.3 MB)
-  Downloading https://index/packages/ros_jazzy_rclpy-7.1.3-py3-none-any.whl (4.2 MB)
-  Downloading tiny-1.0-py3-none-any.whl (12 kB)
-  Using cached pin-3.4.0-cp311-cp311-manylinux_2_28_x86_64.whl (9.1 MB)
-Installing collected packages: a, b, c"""
-    folder = str(PIP_INSTALL.parent)
-    command = [sys.executable, "-c", code, folder]
-    shown = subprocess.run(command, input=said, capture_output=True, text=True, timeout=60).stdout
-    assert shown.strip().split("|") == [
-        "",
-        "  downloads numpy (18.3 MB)",
-        "  downloads ros_jazzy_rclpy (4.2 MB)",
-        "",
-        "  takes pin (9.1 MB) from the cache",
-        "  unpacks 3 packages",
-    ]
-
-
-def test_set_up_that_fails_shows_what_pip_said(tmp_path: Path) -> None:
-    missing = str(tmp_path / "missing")
-    command = [sys.executable, PIP_INSTALL, "--no-index", missing]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1 and missing in done.stderr and done.stdout == ""

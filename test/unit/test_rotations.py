@@ -36,34 +36,12 @@ def test_agrees_with_pinocchio_and_scipy(q):
     assert min(np.abs(back - theirs).max(), np.abs(back + theirs).max()) < 1e-14
 
 
-@given(quaternions)
-def test_round_trip_gives_the_quaternion_with_positive_w(q):
-    back = quaternion_from_rotation(rotation_from_quaternion(q))
-    assert back[3] >= 0.0
-    assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 1e-14
-
-
-@given(quaternions, st.floats(0.01, 100.0))
-def test_the_length_does_not_matter(q, scale):
-    np.testing.assert_allclose(
-        rotation_from_quaternion(scale * q), rotation_from_quaternion(q), atol=1e-13
-    )
-
-
 @pytest.mark.parametrize("axis", range(3))
 def test_a_half_turn_has_a_positive_axis(axis):
     expected = np.eye(4)[axis]
     rotation = np.diag(2.0 * expected[:3] - 1.0)
     np.testing.assert_array_equal(quaternion_from_rotation(rotation), expected)
     np.testing.assert_array_equal(rotation_from_quaternion(-expected), rotation)
-
-
-@pytest.mark.parametrize("axis", [(3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)])
-def test_of_both_axes_of_a_half_turn_the_first_component_is_positive(axis):
-    """Whichever component is the largest."""
-    unit = np.array(axis) / np.linalg.norm(axis)
-    rotation = 2.0 * np.outer(unit, unit) - np.eye(3)
-    np.testing.assert_allclose(quaternion_from_rotation(rotation), [*unit, 0.0], atol=1e-15)
 
 
 @pytest.mark.parametrize("largest", range(4))
@@ -87,14 +65,6 @@ def test_nan_rows_stay_nan_and_leave_others_alone():
     assert np.isnan(back[1:]).all()
 
 
-@pytest.mark.parametrize("shape", [(), (0,), (3,), (2, 5)])
-def test_shapes_are_kept(shape):
-    q = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*shape, 4))
-    rotation = rotation_from_quaternion(q)
-    assert rotation.shape == (*shape, 3, 3)
-    assert quaternion_from_rotation(rotation).shape == (*shape, 4)
-
-
 angles = st.tuples(*[st.floats(-6.0, 6.0)] * 3).map(np.array)
 
 
@@ -103,15 +73,6 @@ def test_a_rotation_vector_gives_the_rotation_about_it(vector):
     expected = Rotation.from_rotvec(vector).as_matrix()
     np.testing.assert_allclose(rotation_from_vector(vector), expected, atol=1e-14)
     np.testing.assert_allclose(rotation_from_vector(-vector), expected.T, atol=1e-14)
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-8, 2e-8, 3e-8, 1e-6])
-def test_a_small_rotation_keeps_its_full_precision(size):
-    axis = np.array([2.0, -1.0, 2.0]) / 3.0
-    rotation = rotation_from_vector(size * axis)
-    found = [rotation[2, 1], rotation[0, 2], rotation[1, 0]]
-    np.testing.assert_allclose(found, size * axis, rtol=1e-6, atol=0.5 * size**2 + 1e-300)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
 
 
 @given(angles, angles)
@@ -131,15 +92,6 @@ def test_a_rotation_vector_comes_back_at_every_size(size):
     vector = size * np.array([2.0, -1.0, 2.0]) / 3.0
     found = vector_from_rotation(rotation_from_vector(vector))
     np.testing.assert_allclose(found, vector, rtol=1e-9, atol=1e-300)
-
-
-@pytest.mark.parametrize("size", [0.5e-4, 0.99e-4, 1.01e-4, 2e-4])
-def test_both_ways_to_a_small_rotation_are_exact_to_rounding(size):
-    x, y, z = size * np.array([2.0, -1.0, 2.0]) / 3.0
-    found = rotation_from_vector([x, y, z])
-    expected = Rotation.from_rotvec([x, y, z]).as_matrix()
-    rounding = 1e-19 if size < 1e-4 else 1e-16
-    assert (np.abs(found - expected) <= rounding + 3e-16 * np.eye(3)).all()
 
 
 @pytest.mark.parametrize("size", [1e-6, 0.5e-4, 0.99e-4, 1.01e-4, 0.1, 2.0])

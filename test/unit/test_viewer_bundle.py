@@ -14,7 +14,6 @@ import pytest
 VIEWER = Path(__file__).resolve().parents[2] / "viewer"
 FIXED = ("build.mjs", "package.json", "package-lock.json")
 PACKAGE = json.loads((VIEWER / "package.json").read_text("utf-8"))
-LOCK = json.loads((VIEWER / "package-lock.json").read_text("utf-8"))
 
 
 def bundle(name: str) -> str:
@@ -44,17 +43,3 @@ def test_keeps_the_licences_of_what_it_contains() -> None:
         assert f"{name} {PACKAGE['dependencies'][name]}" in text
     assert "three.js authors" in text and "Leon Sorokin" in text
     assert text.count("Permission is hereby granted, free of charge") >= 2
-
-
-def test_versions_are_exact_and_locked_without_addresses() -> None:
-    wanted = PACKAGE["dependencies"] | PACKAGE["devDependencies"]
-    for name, version in wanted.items():
-        assert re.fullmatch(r"\d+\.\d+\.\d+", version)
-        assert LOCK["packages"][f"node_modules/{name}"]["version"] == version
-    locked = [entry for name, entry in LOCK["packages"].items() if name]
-    assert all("integrity" in entry and "resolved" not in entry for entry in locked)
-
-
-def test_each_source_begins_with_its_licence() -> None:
-    for path in [VIEWER / "build.mjs", *(VIEWER / "src").rglob("*.*")]:
-        assert path.read_text("utf-8")[3:].startswith("SPDX-License-Identifier: Apache-2.0"), path

@@ -11,7 +11,6 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant, true_reading
 
 NOISY = {
     "tactile_sensor.force_noise": 0.02,
@@ -75,26 +74,6 @@ def test_a_target_is_recorded_from_the_tick_it_holds():
     assert still < 1e-6 < np.abs(record.object_position[-1] - record.object_position[0]).max()
 
 
-def test_progress_is_told_as_ticks_are_done():
-    told = []
-    ClosedLoop(load_scenario("paper")).run(50, told.append)
-    assert told == list(range(1, 51))
-
-
-def test_parts_of_a_record_are_records():
-    record = run(ticks=10)
-    part = record.part(slice(2, 5))
-    assert len(part) == 3 and part.finger_names == record.finger_names
-    np.testing.assert_array_equal(part.theta, record.theta[2:5])
-
-
-def test_an_empty_record_knows_its_shapes():
-    record = Record.empty(4, ["a", "b", "c", "d"], [f"j{i}" for i in range(11)])
-    assert record.theta.shape == (4, 11) and record.true_positions.shape == (4, 4, 3)
-    assert record.contact_quaternions.shape == (4, 4, 4) and record.grasp_force.shape == (4,)
-    assert np.isnan(record.theta).all()
-
-
 @pytest.mark.parametrize(
     "joints", [[3, 4, 5], [3, 3, 4, 5], [3, 3, 3, 4, 5]], ids=["three", "four", "five"]
 )
@@ -144,13 +123,6 @@ def test_the_hand_holds_when_a_contact_is_lost_and_drives_when_it_is_back():
     assert np.isnan(record.auxiliary_position[lost]).all()
     assert np.isfinite(record.command).all() and np.abs(record.command).max() < 20.0
     assert np.isfinite(record.auxiliary_position[-1]).all()
-
-
-def test_what_is_true_of_a_finger_in_the_air_is_nan_without_force():
-    scenario = load_scenario("paper", {"plant.object.size": [0.24, 0.2604, 0.2604]})
-    reading = true_reading(Plant(scenario.plant).state)
-    assert np.isnan(reading.positions[:2]).all() and np.isnan(reading.quaternions[:2]).all()
-    assert not reading.forces.any() and np.isfinite(reading.positions[2]).all()
 
 
 @pytest.mark.parametrize(("ticks", "every"), [(199, 1), (300, 3)])

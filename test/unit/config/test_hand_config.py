@@ -89,11 +89,6 @@ def test_layouts_are_chosen_by_name_or_by_default() -> None:
         hand(["a", "b", "c"], default_layout="tall")
 
 
-def test_mounts_are_turned_in_radians() -> None:
-    with pytest.raises(ConfigurationError, match="rpy is refused: .* angles are in rad"):
-        hand(["a", "b", "c"], layouts={"x": {"base": {"rpy": [0.0, 90.0, 0.0]}}})
-
-
 def test_a_tip_has_a_name_and_a_radius() -> None:
     for changed in ({"tip": ""}, {"radius": 0.0}, {"radius": -0.01}):
         finger = {"name": "a", "tip": "t", "radius": 0.01}

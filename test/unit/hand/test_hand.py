@@ -3,13 +3,10 @@
 
 import numpy as np
 import pytest
-from support.equations import hand_jacobian
 from support.hands import tip_rotations, write_hand
 
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.kinematics import mirrored
 
 START = np.tile([1.047, 0.0, 1.571], 3)
 STEP = 1e-6
@@ -75,31 +72,6 @@ def test_tip_jacobians_are_the_derivatives_of_the_poses(mixed, seed):
     np.testing.assert_allclose(tips.angular @ rates, expected, atol=1e-8)
 
 
-def test_hand_jacobian_is_the_velocity_of_the_point_of_the_tip(mixed):
-    theta, rates = random_posture(mixed)
-    tips = mixed.fingertips(theta)
-    arms = 0.02 * np.eye(3)[[0, 1, 2, 0]]
-    fixed = np.einsum("kji,kj->ki", orientation_of_tips(mixed, theta), arms)  # in the tip's frame
-
-    def points(angles):
-        turned = np.einsum("kij,kj->ki", orientation_of_tips(mixed, angles), fixed)
-        return mixed.fingertips(angles).positions + turned
-
-    velocity = (points(theta + STEP * rates) - points(theta - STEP * rates)) / (2 * STEP)
-    jacobian = hand_jacobian(*tips, tips.positions + arms)
-    np.testing.assert_allclose(jacobian @ rates, velocity.ravel(), atol=1e-8)
-
-
-def test_a_finger_is_moved_by_its_own_joints_only(mixed):
-    theta, _ = random_posture(mixed)
-    jacobian = mixed.fingertips(theta).linear
-    for i, name in enumerate(mixed.finger_names):
-        own = np.array([joint.startswith(f"{name}_") for joint in mixed.joint_names])
-        assert not jacobian[i][:, ~own].any()
-        assert jacobian[i][:, own].any(axis=0).all()
-    assert (mixed.fingers, mixed.joints) == (4, 14)
-
-
 def test_inertia_is_symmetric_and_gives_the_kinetic_energy(mixed):
     theta, rates = random_posture(mixed)
     _, inertia, _ = mixed.dynamics(theta, rates)
@@ -133,12 +105,6 @@ def test_gravity_torque_is_the_slope_of_the_potential_energy():
     assert not Hand.load("paper").gravity_torque(theta).any()
 
 
-def test_limits_come_from_the_urdf():
-    hand = Hand.load("paper")
-    np.testing.assert_array_equal(hand.effort_limits, np.full(9, 20.0))
-    np.testing.assert_array_equal(hand.position_limits[1][:3], [3.1416, 1.5708, 3.1416])
-
-
 def edited(tmp_path, old, new, file="hand.urdf"):
     """Write a good hand with one text replaced; return its YAML file."""
     path = write_hand(tmp_path, [3, 3, 3])
@@ -169,8 +135,8 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         (
             "hand.urdf",
             "<mass value=",
-            '<mass value="-1" x=',
-            r"'f1_.*mass is -1, expected .*above 0",
+            '<mass value="0" x=',
+            r"'f1_.*mass is 0, expected .*above 0",
         ),
         ("hand.urdf", " ixx=", ' ixx="-1" x=', r"'f1_.*principal moments -1"),
         (
@@ -229,20 +195,6 @@ def test_a_layout_without_an_origin_in_the_urdf_is_applied(tmp_path):
     np.testing.assert_allclose(raised - plain, [0.0, 0.0, 1.0], atol=1e-12)
 
 
-def test_a_hand_file_is_checked(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    text = path.read_text()
-    for old, new, message in [
-        ("name: f2", "name: f1", "finger names must differ"),
-        ("radius: 0.02", "radius: -0.02", r"fingers\[0\].radius is -0.02.*> 0"),
-        ("urdf:", "default_layout: odd\nurdf:", "default_layout 'odd'"),
-        ("urdf:", "colour: red\nurdf:", "unknown key 'colour'"),
-    ]:
-        path.write_text(text.replace(old, new))
-        with pytest.raises(ConfigurationError, match=message):
-            load_hand_config(str(path))
-
-
 def test_a_speed_without_a_limit_is_unlimited(tmp_path):
     path = write_hand(tmp_path, [3, 3, 3])
     urdf = tmp_path / "hand.urdf"
@@ -251,6 +203,7 @@ def test_a_speed_without_a_limit_is_unlimited(tmp_path):
     hand = Hand.load(str(path))
     np.testing.assert_array_equal(hand.velocity_limits, np.full(9, float(speed)))
     np.testing.assert_array_equal(hand.effort_limits, np.full(9, 30.0))
+    np.testing.assert_array_equal(hand.position_limits, [[-3.0] * 9, [3.0] * 9])
     urdf.write_text(text.replace(f'velocity="{speed}"', 'velocity="0"', 1))
     limits = Hand.load(str(path)).velocity_limits
     assert np.isinf(limits[0]) and (limits[1:] == float(speed)).all()
@@ -269,20 +222,6 @@ def test_tips_frames_and_dynamics_agree_however_they_are_asked_for(mixed):
     before = bias.copy()
     mixed.dynamics(theta, 2.0 * rates)
     np.testing.assert_array_equal(bias, before)
-
-
-def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
-    """Twice as long, the same masses: gravity has twice the lever, also about the first joint."""
-    path, down = str(write_hand(tmp_path, [3, 4, 5])), np.array([0.0, 0.0, -9.81])
-    plain = Hand.load(path, gravity=down)
-    long = Hand.load(path, gravity=down, link_lengths=2.0, tip_radii=1.5)
-    theta, _ = random_posture(plain, 2)
-    torque = plain.gravity_torque(theta)
-    np.testing.assert_allclose(long.gravity_torque(theta), 2.0 * torque, atol=1e-12)
-    assert np.abs(torque).max() > 0.1
-    np.testing.assert_allclose(long.radii, 1.5 * plain.radii)
-    reach, longer = (h.tip_positions(theta) - h.bases for h in (plain, long))
-    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
 
 
 def test_chains_have_a_place_for_each_joint_and_the_tip(mixed):
@@ -307,19 +246,6 @@ def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
     assert count == 4
     with pytest.raises(HandModelError, match="inertia matrix with the eigenvalue"):
         Hand.load(str(path))
-
-
-def test_inertias_count_against_each_other_and_not_in_kilograms(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    urdf = tmp_path / "hand.urdf"
-    text = urdf.read_text().replace('mass value="0.2"', 'mass value="2e-11"')
-    for moment in ("0.001", "0.002", "0.0025"):
-        text = text.replace(f'"{moment}"', f'"{float(moment) * 1e-10!r}"')
-    urdf.write_text(text)
-    theta = np.ones(9)
-    light = Hand.load(str(path)).dynamics(theta, theta)[1]
-    heavy = Hand.load(str(write_hand(tmp_path, [3, 3, 3]))).dynamics(theta, theta)[1]
-    np.testing.assert_allclose(1e10 * light, heavy, rtol=1e-9, atol=1e-12)
 
 
 def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
@@ -349,27 +275,6 @@ def test_energies_and_weights_are_those_of_the_posture_that_is_asked_for(mixed):
         np.testing.assert_array_equal(getattr(mixed, name)(*values), first[name], err_msg=name)
 
 
-def test_slow_and_weak_joints_have_their_limits_too(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    urdf = tmp_path / "hand.urdf"
-    text = urdf.read_text()
-    speed = text.split('velocity="')[1].split('"')[0]
-    text = text.replace(f'velocity="{speed}"', 'velocity="0.25"').replace(
-        'effort="30"', 'effort="0.5"'
-    )
-    urdf.write_text(text)
-    hand = Hand.load(str(path))
-    np.testing.assert_array_equal(hand.velocity_limits, 0.25)
-    np.testing.assert_array_equal(hand.effort_limits, 0.5)
-
-
-def test_a_tip_that_is_not_there_is_answered_with_the_links_and_not_the_joints(tmp_path):
-    path = edited(tmp_path, "tip: f2_tip", "tip: f2_nail", "hand.yaml")
-    with pytest.raises(HandModelError, match=r"its links are: palm, f1_base, .*f3_tip$") as caught:
-        Hand.load(path)
-    assert "joint" not in str(caught.value)
-
-
 def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
     path = write_hand(tmp_path, [3, 3, 3])
     urdf, (name, end) = tmp_path / "hand.urdf", ('<joint name="f2_joint_3"', "</joint>")
@@ -380,7 +285,3 @@ def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
     urdf.write_text(head + name + joint.replace('upper="3"', 'upper="0.1"') + end + tail)
     added = Hand.load(str(path)).spans - plain.spans
     np.testing.assert_allclose(added, [0.0, 0.4, 0.0], atol=1e-12)
-
-
-def test_only_the_upper_triangle_counts():
-    np.testing.assert_array_equal(mirrored(np.array([[1.0, 2.0], [9.0, 3.0]])), [[1, 2], [2, 3]])

@@ -108,12 +108,3 @@ def test_an_orientation_that_is_kept_needs_a_grasp():
     smaller = {"plant.object.size": [0.24, 0.2604, 0.2604]}
     with pytest.raises(GraspError, match="rotation: keep needs a grasp at the start"):
         load_scenario("paper", {**keep, **smaller})
-
-
-def test_only_a_hand_and_a_law_that_are_named_are_looked_for():
-    data = {"hand": "paper", "layout": "pinch"}
-    put_changes(data, {"plant.pacing": "realtime.yaml"})
-    assert data == {"hand": "paper", "layout": "pinch", "plant": {"pacing": "realtime.yaml"}}
-    wrong = {}  # which validation will refuse
-    put_changes(wrong, {"hand": 7, "law.name": 8, "law": 9})
-    assert wrong == {"hand": 7, "manipulation_controller": {"law": 9}}

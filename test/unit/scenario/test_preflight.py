@@ -146,12 +146,3 @@ def test_a_law_of_the_user_s_own_is_asked_for_its_drive_too(tmp_path, body, erro
     (tmp_path / "mine.yaml").write_text("extends: paper\nlaw: driving_law:MyLaw\n")
     with np.errstate(all="ignore"), pytest.raises(error, match=message):
         check_scenario(load_scenario(str(tmp_path / "mine.yaml")))
-
-
-def test_all_targets_are_checked_and_the_first_finger_in_the_air_is_named():
-    near, far = ([0.0, 0.05, 0.41], [0.0, 0.0, 3.0])
-    with pytest.raises(PoseError, match=r"\(0.000, 0.000, 3.000\) m is out of reach"):
-        check(targets=[{"position": near}, {"time": 1.0, "position": far}])
-    check(targets=[{"position": near}, {"time": 1.0, "position": near}])
-    with pytest.raises(GraspError, match=r"finger_3 starts 10.2 mm away"):
-        check(plant__object__size=[0.2604, 0.24, 0.2604])

@@ -11,37 +11,20 @@ from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.scenario.files import find_scenario
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import (
-    NODES,
     Scenario,
     changed,
     load_scenario,
-    object_config,
     resolved,
 )
 from tactile_hand_ros.simulation.plant_config import PlantConfig
-
-SHIPPED = {
-    "paper",
-    "paper_nominal_weights",
-    "pinch",
-    "kawamura",
-    "contact_law",
-    "rotate",
-    "waypoints",
-}
 
 
 def load(tmp_path, text, name="mine", **changes):
     path = tmp_path / f"{name}.yaml"
     path.write_text(text)
     return load_scenario(str(path), changes)
-
-
-def test_the_promised_scenarios_ship():
-    assert SHIPPED <= set(scenario_names())
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -64,27 +47,6 @@ def test_the_paper_is_table_one():
     (target,) = paper.targets
     np.testing.assert_array_equal(target.target().position, [-0.1, 0.2, 0.4])
     np.testing.assert_array_equal(target.target().orientation, np.eye(3))
-
-
-def test_variants_differ_from_the_paper_in_what_they_say():
-    paper = load_scenario("paper")
-    assert load_scenario("pinch").plant.layout == "pinch"
-    assert load_scenario("kawamura").manipulation_controller.law.name == "kawamura"
-    contact = load_scenario("contact_law")
-    assert contact.manipulation_controller.law.changed({"name": "optimal"}) == (
-        paper.manipulation_controller.law
-    )
-    assert load_scenario("paper_nominal_weights").force_optimizer.weights == [1.0, 1.0, 1.0]
-
-
-def test_rotate_turns_about_each_axis_in_turn():
-    turns = [t.rotation for t in load_scenario("rotate").targets]
-    np.testing.assert_array_equal(turns, 0.2 * np.eye(3))
-
-
-def test_what_a_file_leaves_out_has_its_default(tmp_path):
-    scenario = load(tmp_path, "seed: 1")
-    assert scenario.name == "mine" and scenario.hand == "paper"
 
 
 @pytest.mark.parametrize("text", ["", "# nothing", "{}"])
@@ -114,16 +76,6 @@ def test_what_is_said_once_reaches_every_node(tmp_path):
     assert scenario.tactile_sensor.seed == 7
     assert scenario.plant.duration == 2.5
     assert scenario.ticks == 1251
-
-
-def test_defaults_of_the_scenario_reach_every_node_too(tmp_path):
-    """Without a duration the scenario ends after its default; so must the plant."""
-    for scenario in (load(tmp_path, "name: x"), Scenario()):
-        assert scenario.plant.duration == scenario.duration
-        assert scenario.tactile_sensor.seed == scenario.seed
-        for node in NODES:
-            section = scenario.node_config(node)
-            assert getattr(section, "hand", scenario.hand) == scenario.hand
 
 
 GRAVITY = (1.0, -2.0, 3.0)
@@ -222,13 +174,6 @@ def test_a_mistake_is_refused_with_its_place(tmp_path, text, message):
         load(tmp_path, text)
 
 
-@pytest.mark.parametrize("text", ["duration: .nan", "gravity: [0, .inf, 0]", "seed: -1"])
-def test_a_value_that_many_nodes_share_is_refused_once(tmp_path, text):
-    with pytest.raises(ConfigurationError) as refused:
-        load(tmp_path, text)
-    assert len(str(refused.value).splitlines()) == 1
-
-
 def test_an_unknown_scenario_names_the_known_ones(tmp_path):
     with pytest.raises(ConfigurationError, match=r"'papper', did you mean 'paper'.*waypoints"):
         load_scenario("papper")
@@ -277,29 +222,12 @@ def test_changes_go_over_the_file():
         load_scenario("paper", {"duration.x": 0.2})
 
 
-@pytest.mark.parametrize("name", scenario_names())
-def test_a_resolved_scenario_reads_back_to_the_same(tmp_path, name):
-    scenario = load_scenario(name)
-    assert load(tmp_path, resolved(scenario), name) == scenario
-
-
-def test_files_are_found_by_name_and_path(tmp_path):
-    assert find_scenario("paper").is_file()
-    (tmp_path / "x.yml").touch()
-    assert find_scenario(str(tmp_path / "x.yml")) == tmp_path / "x.yml"
-
-
 def test_a_scenario_that_extends_itself_is_a_loop(tmp_path):
     for base in ("mine", "mine.yaml"):
         with pytest.raises(ConfigurationError, match="makes a loop: mine -> mine"):
             load(tmp_path, f"extends: {base}")
     # A user's own `paper` may be built on that of the package.
     assert load(tmp_path, "extends: paper\nduration: 2", name="paper").duration == 2.0
-
-
-def test_a_child_has_its_own_description(tmp_path):
-    assert load(tmp_path, "extends: paper").description == ""
-    assert load(tmp_path, "extends: paper\ndescription: Mine.").description == "Mine."
 
 
 def test_a_hand_lies_beside_the_file_that_names_it(tmp_path, monkeypatch):
@@ -369,24 +297,6 @@ def test_the_hold_squeezes_up_to_the_limit_of_the_regulator():
     assert limit_of(Scenario(plant=PlantConfig(), slip_regulator={"maximum": 30.0})) == 30.0
 
 
-def test_a_hold_that_may_squeeze_harder_than_the_regulator_is_refused():
-    changes = {"plant.guard.hold.squeeze_limit": 16.0}
-    with pytest.raises(ConfigurationError, match=r"squeeze_limit = 16 N is above .* = 15 N; lower"):
-        load_scenario("crush_limit", changes)
-
-
-def test_the_controller_believes_squeezes_up_to_the_limit_of_the_regulator():
-    def limit_of(scenario: Scenario) -> float:
-        return scenario.manipulation_controller.grasp_force_limit
-
-    assert limit_of(load_scenario("paper")) == limit_of(Scenario()) == 40.0
-    assert limit_of(load_scenario("crush_limit")) == 15.0
-    raised = load_scenario("crush_limit").changed({"slip_regulator.maximum": 20.0})
-    assert limit_of(raised) == 20.0
-    own = load_scenario("paper", {"manipulation_controller.grasp_force_limit": 12.0})
-    assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
-
-
 def test_stamps_are_whole_nanoseconds():
     target = {"time": 0.0123456789, "position": [0.0, 0.0, 0.4]}
     changes = {"targets": [target], "user_forces": [{"time": 1.1, "force": 5.0}]}
@@ -402,13 +312,3 @@ def test_a_law_that_is_named_by_a_change_is_imported(tmp_path, monkeypatch):
     scenario = load_scenario("paper").changed({"law": "changed_law:MyLaw"})
     assert scenario.manipulation_controller.law.folder == str(tmp_path)
     assert law_of(scenario.manipulation_controller.law).__name__ == "ContactLaw"
-
-
-def test_a_hand_below_the_home_directory_is_left_to_be_found_there(tmp_path):
-    assert load(tmp_path, "extends: paper\nhand: ~/own.yaml").hand == "~/own.yaml"
-
-
-def test_an_object_alone_is_read_and_checked():
-    assert object_config({"mass": 0.5}, "here").mass == 0.5
-    with pytest.raises(ConfigurationError, match="^here: mass is -1"):
-        object_config({"mass": -1.0}, "here")

@@ -11,13 +11,10 @@ from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
     Body,
     HandTerms,
-    _response,
-    _since,
     half_step,
     no_past,
     observed,
     step,
-    velocity_map,
 )
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -110,18 +107,6 @@ def test_each_finger_rubs_with_its_own_friction_and_slides_its_own_way():
     np.testing.assert_array_equal(after.past.slid, before)
     np.testing.assert_allclose(scene.follow(after).past.slid - before, H * speeds, rtol=5e-3)
     np.testing.assert_array_equal(before, [1e-3, 3e-3, 2e-3])
-
-
-def test_a_finger_alone_in_contact_has_its_own_friction_force_and_slide():
-    scene = Scene(object__mass=100.0, object__inertia=(9.0, 9.0, 9.0), **ONE)
-    scene.press(0.0, 0.0, 4.0)
-    after = scene.step((0.03, 0.0, -0.05))
-    assert not after.past.impulses[:2].any() and not after.sliding[:2].any()
-    x, normal, z = after.past.impulses[2]
-    assert np.hypot(x, z) == pytest.approx(0.3 * normal) and normal > 1e-4
-    slid = scene.follow(after).past.slid
-    assert not slid[:2].any() and slid[2] > 1e-5
-    assert slid[2] == pytest.approx(H * np.hypot(*after.sliding[2]), rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -218,50 +203,6 @@ def test_only_what_touches_or_is_pushed_is_seen():
     np.testing.assert_allclose(points[seen], expected[seen], atol=1e-12)
 
 
-def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next():
-    """Pushed and settled, pushed only, not pushed, and one whose frame has jumped round."""
-    random, m = np.random.default_rng(2), 4
-    frames = [rotation_from_vector(0.3 * random.standard_normal(3)) for _ in range(4)]
-    turned = [rotation_from_vector(0.1 * random.standard_normal(3)) @ f for f in frames]
-    turned[3] = rotation_from_vector([0.0, 0.8, 0.0]) @ frames[3]
-    before, now = (random.standard_normal((4, 3, m + 6)) for _ in range(2))
-    before[:, :, m : m + 3] = np.swapaxes(frames, 1, 2)
-    now[:, :, m : m + 3] = np.swapaxes(turned, 1, 2)
-    v, slid = random.standard_normal(m + 6), np.array([1.0, 2.0, 3.0, 4.0])
-    impulses = np.array([[0.1, 1.0, 0.1], [0.1, 1e-9, 0.1], [0.1, 0.0, 0.1], [0.1, 1.0, 0.1]])
-    past = no_past(4, v)._replace(
-        rows=before, impulses=impulses, settled=np.array([True, False, True, True]), slid=slid
-    )
-    turning, found = _since(H, v, now, past)
-    new, old = now @ v, before @ v
-    np.testing.assert_allclose(turning[0], 0.5 * (new - old)[0], rtol=1e-12)
-    assert not turning[1:].any()
-    way = 0.5 * H * np.hypot(*(new + old)[:, [0, 2]].T)
-    np.testing.assert_allclose(found - slid, [way[0], way[1], 0.0, 0.0], rtol=1e-9)
-    np.testing.assert_array_equal(slid, [1.0, 2.0, 3.0, 4.0])
-
-
-def test_without_contact_hand_and_object_move_by_newton_and_euler():
-    """Against the equations in one matrix, for any posture, spin, torque and wrench."""
-    scene = Scene(object__mass=0.3, object__inertia=(1e-3, 2e-3, 2.5e-3))
-    random = np.random.default_rng(4)
-    v = random.standard_normal(15)
-    terms = scene.hand.raw_dynamics(scene.theta + 0.1, v[:9])
-    torque, wrench = random.standard_normal(9), random.standard_normal(6)
-    hand = HandTerms(scene.theta, *terms, torque, scene.hand.radii)
-    spin, rotation = random.standard_normal(3), rotation_from_vector([0.4, -0.8, 0.3])
-    body = Body(scene.position, rotation, spin, scene.mass, scene.inertia, wrench)
-    rows = random.standard_normal((6, 15))
-    inverse_times, free = _response(H, v, hand, body, rotation, rows)
-    matrix, turning = np.zeros((15, 15)), rotation @ scene.inertia @ rotation.T
-    matrix[:9, :9] = np.triu(terms.inertia) + np.triu(terms.inertia, 1).T
-    matrix[9:12, 9:12], matrix[12:, 12:] = 0.3 * np.eye(3), turning
-    forces = np.concatenate([torque - terms.bias, wrench])
-    forces[12:] -= np.cross(spin, turning @ spin)
-    np.testing.assert_allclose(free, v + H * np.linalg.solve(matrix, forces), rtol=1e-9)
-    np.testing.assert_allclose(inverse_times, np.linalg.solve(matrix, rows.T), rtol=1e-8)
-
-
 def test_a_step_that_nothing_touches_follows_its_own_mean_velocity():
     scene = Scene(**FAR)
     rates, velocity = np.linspace(-1.0, 1.0, 9), np.array([0.3, -0.2, 0.1])
@@ -277,20 +218,3 @@ def test_a_step_that_nothing_touches_follows_its_own_mean_velocity():
     assert after.residual == 0.0 and after.outcome == 0
     np.testing.assert_array_equal(after.past.velocities, v)
     assert not after.past.settled.any() and not after.past.impulses.any()
-
-
-def test_what_settles_is_pushed_and_closed():
-    """A contact that strikes has no past to extrapolate its velocities from."""
-    scene = Scene()
-    scene.press(5.0, 5.0, 5.0)
-    first = scene.step()
-    assert first.past.settled.all() and (first.past.impulses[:, 1] > 0.0).all()
-    np.testing.assert_array_equal(first.past.velocities, first.velocities)
-    second = scene.follow(first)
-    np.testing.assert_array_equal(second.past.velocities, first.velocities)
-    points = scene.contacts.positions
-    terms = scene.hand.raw_dynamics(scene.theta, np.zeros(9))
-    hand = HandTerms(scene.theta, *terms, scene.torque, scene.hand.radii)
-    rows = velocity_map(hand, scene.position, points, scene.contacts.rotations)
-    normal = (rows @ first.velocities)[:, 1]
-    np.testing.assert_allclose(normal, 0.0, atol=1e-5)  # closed contacts stay closed

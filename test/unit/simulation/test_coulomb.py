@@ -47,14 +47,6 @@ def test_the_cone_is_round():
         assert np.hypot(impulse[0], impulse[2]) == pytest.approx(0.5, abs=1e-10)
 
 
-def test_each_contact_has_its_own_mode():
-    """Stick, slip and open in one problem whose contacts do not feel each other."""
-    free = np.array([0.1, -1.0, 0.0, 3.0, -1.0, 0.0, 0.0, 1.0, 0.0])
-    solved = solve_contacts(np.eye(9), free, np.zeros(3), np.full(3, 0.5), np.zeros((3, 3)))
-    expected = [[-0.1, 1.0, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    np.testing.assert_allclose(solved.impulses, expected, atol=1e-10)
-
-
 def test_sliding_direction_and_force_agree_when_axes_are_coupled():
     """With unequal masses the slide turns; friction still points exactly against it."""
     delassus = np.array([[2.0, 0.3, 0.5], [0.3, 1.0, -0.2], [0.5, -0.2, 0.7]])

@@ -92,16 +92,6 @@ def test_a_falling_hand_keeps_its_energy():
     assert fine < 1e-3 and fine < 0.3 * coarse
 
 
-def test_energy_counts_the_object_in_motion_and_height():
-    world = plant(gravity=(0.0, 0.0, -10.0), object__inertia=UNEQUAL, **FAR)
-    links = world.energy() - 0.2 * 10.0 * 9.0
-    assert links == pytest.approx(world.hand.potential_energy(world.state.theta))
-    world = plant(disturbances=[push(force=(1.0, 0, 0), torque=(0, 0, 0.01))], **FAR)
-    state = run(world, 0.1)
-    spin = 0.0014 * state.spin[2] ** 2
-    assert world.energy() == pytest.approx(0.5 * (0.2 * state.velocity[0] ** 2 + spin))
-
-
 def test_torque_is_limited_as_by_a_motor():
     world = plant(**FAR)
     given = np.array([100.0, -100.0, 20.0, -20.0, 3.0, 0.0, 0.0, 0.0, 0.0])
@@ -198,11 +188,6 @@ def test_a_turned_object_is_met_on_its_edges():
 def test_a_wrong_number_of_initial_angles_is_refused(angles):
     with pytest.raises(ConfigurationError, match=r"expected 9.*or 3 for every finger"):
         plant(initial_joints=angles)
-
-
-def test_initial_angles_may_be_given_for_each_joint():
-    angles = [1.047, 0.0, 1.571, 1.047, 0.0, 1.571, 1.047, 0.001, 1.571]
-    assert plant(initial_joints=angles).state.theta[7] == pytest.approx(0.001, abs=1e-4)
 
 
 def test_a_simulation_that_diverges_says_so_and_can_begin_anew():

@@ -9,23 +9,17 @@ from tactile_hand_ros.simulation.plant_config import Disturbance, PlantConfig, e
 
 
 @pytest.mark.parametrize(
-    ("time", "factor"), [(0.0, 0.0), (0.999, 0.0), (1.0, 1.0), (1.099, 1.0), (100.0, 1.0)]
+    ("shape", "factors"),
+    [
+        ({"kind": "step"}, [0.0, 1.0, 1.0, 1.0]),
+        ({"kind": "pulse", "duration": 0.25}, [0.0, 1.0, 1.0, 0.0]),
+        ({"kind": "sine", "duration": 0.24, "frequency": 1.25}, [0.0, 0.0, 1.0, 0.0]),
+    ],
 )
-def test_a_step_stays(time, factor):
-    assert Disturbance(kind="step", start=1.0).factor(time) == factor
-
-
-@pytest.mark.parametrize(("time", "factor"), [(0.999, 0.0), (1.0, 1.0), (1.2, 1.0), (1.25, 0.0)])
-def test_a_pulse_ends(time, factor):
-    assert Disturbance(kind="pulse", start=1.0, duration=0.25).factor(time) == factor
-
-
-def test_a_sine_swings_and_ends():
-    swing = Disturbance(kind="sine", start=1.0, duration=2.0, frequency=0.5)
-    times = [0.9, 1.0, 1.5, 2.0, 2.5, 3.1]
-    np.testing.assert_allclose(
-        [swing.factor(t) for t in times], [0.0, 0.0, 1.0, 0.0, -1.0, 0.0], atol=1e-12
-    )
+def test_a_disturbance_starts_and_ends(shape, factors):
+    push = Disturbance(start=1.0, **shape)
+    found = [push.factor(time) for time in (0.999, 1.0, 1.2, 1.25)]
+    np.testing.assert_allclose(found, factors, atol=1e-12)
 
 
 def test_wrenches_add_up():

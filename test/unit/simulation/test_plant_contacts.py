@@ -7,7 +7,6 @@ from support.equations import grasp_map
 from support.hands import tip_rotations
 from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
 
-from tactile_hand_ros.simulation.contact_step import TOUCH
 from tactile_hand_ros.simulation.plant_config import Disturbance
 
 HEAVY = {"object__mass": 0.2, "layout": "pinch"}
@@ -74,21 +73,6 @@ def test_every_state_obeys_the_contact_laws(friction, layout):
                 expected = -friction * normal[i] * state.sliding[i] / speed
                 np.testing.assert_allclose(state.forces[i, [0, 2]], expected, atol=2e-3 * size)
     assert seen == {"open", "stick", "slip"}
-
-
-@pytest.mark.parametrize(("seed", "friction"), [(1, 0.5), (2, 2.0)])
-def test_a_contact_without_force_is_seen_only_while_it_touches(seed, friction):
-    cases = set()
-    for _, state in shaken(seed, object__friction=friction, layout="pinch"):
-        pushed, near = state.forces[:, 1] > 0.0, state.gaps <= TOUCH
-        touching = state.contacts.touching
-        np.testing.assert_array_equal(touching, pushed | near)
-        assert not state.forces[~touching].any() and (state.gaps[touching] < 5e-4).all()
-        assert np.isnan(state.contacts.positions[~touching]).all()
-        assert np.isnan(state.contacts.rotations[~touching]).all()
-        assert np.isfinite(state.contacts.positions[touching]).all()
-        cases.update(zip(pushed.tolist(), near.tolist(), strict=True))
-    assert {(False, False), (True, False), (True, True)} <= cases
 
 
 @pytest.mark.parametrize("friction", [0.3, 100.0])
@@ -198,15 +182,6 @@ def test_a_finger_lifts_off_and_comes_back():
     assert deepest > -2e-4 and abs(state.gaps[2]) < 1e-5
 
 
-def test_a_landing_finger_does_not_bounce():
-    """The impact is inelastic: once down, the finger stays, and the approach speed is gone."""
-    world = plant(object__mass=20.0, object__size=(0.2604, 0.2480, 0.2604))
-    torque = torque_for(world, np.array([[0.0, 0, 0], [0.0, 0, 0], [0.0, -0.5, 0.0]]))
-    contact = [world.advance(torque).contacts.touching[2] for _ in range(200)]
-    first = contact.index(True)
-    assert first > 10 and all(contact[first:])
-
-
 def test_contacts_roll_equally_far_over_tip_and_face():
     """(6): without slip the contact point travels the same arc over the sphere and the object."""
     world = plant(0.0005, object__mass=0.2)
@@ -230,27 +205,6 @@ def test_contacts_roll_equally_far_over_tip_and_face():
     # Their difference is what `slid` shows, of second order in the step.
     np.testing.assert_allclose(arcs[0], arcs[1], rtol=1e-4)
     assert world.state.slid.max() < 2e-6
-
-
-def test_contact_forces_carry_a_hanging_weight():
-    world = plant(
-        object__friction=1.0, gravity=(0.0, 0.0, -9.81), object__mass=0.18, layout="pinch"
-    )
-    state = Holder(world, squeeze(world.state, 10.0), stiffness=500.0, damping=10.0).run(2.0)[-1]
-    assert np.abs(state.rates).max() < 1e-5
-    forces = forces_in_palm(state)
-    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, 0.18 * 9.81], atol=1e-3)
-    moments = np.cross(state.contacts.positions - state.position, forces)
-    np.testing.assert_allclose(moments.sum(axis=0), 0.0, atol=1e-4)
-
-
-def test_friction_may_change_while_running():
-    world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -4.5), **HEAVY)
-    forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 4.5])
-    holder = Holder(world, forces)
-    assert np.abs(holder.run(0.1)[-1].sliding).max() < 1e-10
-    world.friction[:] = 0.3
-    assert np.abs(holder.run(0.05)[-1].sliding).max() > 0.01
 
 
 def test_a_grasp_far_away_turned_with_the_hand_behaves_the_same():

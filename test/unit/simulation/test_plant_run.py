@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_run import PlantRun
 
 
@@ -35,14 +34,6 @@ def test_without_a_duration_no_tick_is_the_last():
     run = PlantRun(config().changed({"duration": 0.0}))
     run.advance()
     assert not run.is_last
-
-
-def test_the_commanded_torque_acts_as_in_the_plant():
-    run, plant = PlantRun(config()), Plant(config())
-    torque = np.linspace(0.1, 0.9, plant.hand.joints)
-    run.command(0, torque)
-    run.advance()
-    np.testing.assert_array_equal(run.state.theta, plant.advance(torque).theta)
 
 
 def test_without_commands_the_joints_are_held_where_they_are():

@@ -89,14 +89,6 @@ def test_a_repeated_tick_repeats_the_reading():
     same(skin.step(TICK, truth()), once)
 
 
-def test_one_finger_without_contact_leaves_the_others_noise_alone():
-    whole = readings(sensor(force_noise=0.1, location_noise=0.001), 20)
-    part = readings(sensor(force_noise=0.1, location_noise=0.001), 20, missing=[1])
-    for one, two in zip(whole, part, strict=True):
-        np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
-        np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
-
-
 def test_no_contact_is_nan_without_force_however_noisy():
     noisy = {"force_noise": 0.5, "location_noise": 0.01, "location_resolution": 0.003}
     for reading in readings(sensor(**noisy), 10, missing=[0, 2]):
@@ -104,13 +96,6 @@ def test_no_contact_is_nan_without_force_however_noisy():
         assert np.isnan(reading.quaternions[[0, 2]]).all()
         assert not reading.forces[[0, 2]].any()
         np.testing.assert_array_equal(reading.contacts.touching, [False, True, False])
-
-
-def test_forces_come_in_steps():
-    for reading in readings(sensor(force_noise=0.3, force_resolution=0.25), 20):
-        np.testing.assert_array_equal(reading.forces, 0.25 * np.rint(reading.forces / 0.25))
-    reading = sensor(force_resolution=0.25).step(0, truth())
-    np.testing.assert_allclose(reading.forces[0], [0.0, 5.0, -0.25])
 
 
 def test_locations_come_in_steps_no_farther_than_a_taxel():
@@ -152,13 +137,6 @@ def test_noise_may_change_while_running():
     assert np.abs(skin.step(TICK, truth()).forces - truth().forces).max() > 1e-3
     skin.configure(TactileSensorConfig())
     np.testing.assert_array_equal(skin.step(2 * TICK, truth()).forces, truth().forces)
-
-
-def test_a_lost_sample_repeats_the_one_before_it_even_while_that_is_still_on_its_way():
-    """With latency the newest sample is not yet published; it is the one to repeat all the same."""
-    lossy = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4), 200)]
-    late = [r.forces[:, 1] for r in readings(sensor(dropout=0.5, seed=4, latency=0.01), 200)]
-    np.testing.assert_array_equal(late[5:], lossy[:-5])
 
 
 def forces_of(skin, ticks, force, sliding=None, period=1_000_000):
@@ -231,21 +209,6 @@ def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
     assert ratio == pytest.approx(6.0 - 8.0 * once + 2.0 * twice, rel=0.05)
 
 
-def test_vibration_leaves_the_other_noise_alone():
-    for period in (100_000, TICK):
-        plain = forces_of(sensor(rate=10e3, force_noise=0.1), 50, constant, period=period)
-        noisy = vibration(0.0, 50, period, rate=10e3, force_noise=0.1) + constant(0)
-        np.testing.assert_array_equal(plain, noisy)
-
-
-def test_after_a_long_silence_or_a_late_start_vibration_goes_on():
-    skin = sensor(rate=10e3, vibration={"gain": 10.0, "limit": 0.2})
-    still, speeds = truth(), np.ones(3)
-    for stamp in (10**18, 10**18 + 100_000, 10**18 + 10**15):
-        felt = skin.step(stamp, still, speeds).forces - still.forces
-        assert 0.0 < np.abs(felt).max() < 1.5
-
-
 def band(white, low, high, rate):
     """Return band-limited noise out of white noise, shape (n, ...), by filters of SciPy."""
     quick, slow = (1.0 - np.exp(-2.0 * np.pi * corner / rate) for corner in (high, low))
@@ -273,14 +236,6 @@ def test_vibration_is_white_noise_through_two_passes(low, high, rate, corners):
     newest = BandNoise((2, 3), low, high, rate, 0.0)
     for i in range(0, 50, 5):  # samples that are passed over leave their mark
         np.testing.assert_allclose(newest.step(white[i : i + 5]), found[i + 4], atol=1e-12)
-
-
-def test_samples_count_for_what_the_bandwidth_leaves_of_them():
-    white = np.random.default_rng(2).standard_normal((8, 2, 3))
-    found = BandNoise((2, 3), 60.0, 400.0, 2000.0, 100.0).step(white)
-    weights = np.exp(-2.0 * np.pi * 100.0 / 2000.0) ** np.arange(8)[::-1]
-    expected = np.tensordot(weights / weights.sum(), band(white, 60.0, 400.0, 2000.0), axes=1)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_all_that_a_skin_adds_to_a_force_adds_up_in_order():

@@ -51,13 +51,6 @@ def test_nearest_feature_of_a_box(point, normal, distance, on_face):
     assert on_face is None or face == on_face
 
 
-def test_a_box_has_six_faces_twelve_edges_and_eight_corners():
-    assert (len(BOX.normals), len(BOX.edges), len(BOX.vertices)) == (6, 12, 8)
-    np.testing.assert_allclose(np.sort(BOX.offsets), [0.1, 0.1, 0.2, 0.2, 0.3, 0.3])
-    lengths = np.linalg.norm(np.diff(BOX.vertices[BOX.edges], axis=1), axis=2)
-    np.testing.assert_allclose(np.sort(lengths.ravel()), np.repeat([0.2, 0.4, 0.6], 4))
-
-
 def test_a_box_is_the_hull_of_its_corners():
     """Its planes are written down, since looking for them would load a library."""
     hull = ConvexPolyhedron(BOX.vertices)
@@ -97,11 +90,6 @@ def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
             normal, distance, _ = nearest(solid, point)
             assert distance == pytest.approx(0.05, abs=1e-7)
             np.testing.assert_allclose(normal, plane[:3], atol=1e-4)
-
-
-def test_points_inside_the_hull_are_no_corners():
-    corners = np.vstack([dodecahedron(), np.zeros((1, 3)), 0.5 * dodecahedron()[:4]])
-    assert len(ConvexPolyhedron(corners).vertices) == 20
 
 
 @pytest.mark.parametrize(
