@@ -80,7 +80,7 @@ def measure_real_time(work: Workload) -> list[Result]:
             for _ in range(work.repeats):
                 bare.append(100.0 * missed_by_bare_loop(hertz, 0.25 * work.seconds, priority))
                 run = run_graph(work.seconds, *real_time_options(hertz, priority))
-                missed.append(100.0 * float(run["real_time"]["missed_share"]))
+                missed.append(100.0 * float(run["real_time"]["missed_fraction"]))
             where = f"{hertz:g} Hz{', SCHED_FIFO' if priority else ''}"
             loop = Result(f"bare loop, {where}: missed", "%", bare)
             allowed = max(_FEW, _BARE_FACTOR * loop.marks[0])

@@ -27,9 +27,9 @@ class ReplayRequest:
     bag: BagArgument = Path("runs/latest")
     rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
     start_offset: Annotated[
-        float, typer.Option(min=0.0, help="Where to begin [s after the first message].")
+        float, typer.Option(min=0.0, help="Where to start [s after the first message].")
     ] = 0.0
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False
     topics: Annotated[
         list[str],
         typer.Option(help="Only topics whose whole name matches; may be repeated."),
@@ -42,7 +42,7 @@ class ReplayRequest:
         bool, typer.Option("--clock", help="Publish the bag's time on /clock, 100 times a second.")
     ] = False
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
-    paused: Annotated[bool, typer.Option("--start-paused", help="Begin paused.")] = False
+    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False
     recompute: Annotated[
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
@@ -50,7 +50,7 @@ class ReplayRequest:
     changes: Annotated[
         list[str],
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="With --recompute: another value, law.name=contact."
+            "--set", metavar="KEY=VALUE", help="With --recompute: another value of the scenario."
         ),
     ] = field(default_factory=list)
     law: Annotated[
@@ -89,7 +89,7 @@ def _recompute(request: ReplayRequest) -> None:
     from tactile_hand_ros.verify import recompute as r
 
     run = Run(request.bag, namespace=request.namespace or None)
-    values = parse_changes(request.changes, "law.name=contact")
+    values = parse_changes(request.changes, "force_optimizer.cones=false")
     is_as_recorded = not values
     if request.law:
         values["law.name"] = request.law
@@ -97,7 +97,6 @@ def _recompute(request: ReplayRequest) -> None:
         is_as_recorded = is_as_recorded and request.law == recorded
     result = r.recompute(run, values)
     print_table(rich_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons)))
-    print(f"{result.simulated:g} s in {result.seconds:.2f} s, {result.speed:.1f} times real time")
     if is_as_recorded and not result.same:
         print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
@@ -186,7 +185,7 @@ def _keyboard(player: Replay) -> Iterator[None]:
 def recover(
     bag: BagArgument,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to create; by default beside the bag.")
+        Path | None, typer.Option(help="Folder to create; by default next to the bag.")
     ] = None,
 ) -> None:
     """Recover a bag that was cut off, from any recorder."""

@@ -249,7 +249,7 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
     deadlines = deadlines_of(plan, outcome)
     if deadlines is not None:
         counts = f"{deadlines.late:.0f} late, {deadlines.skipped:.0f} skipped"
-        out.add_row("deadlines missed", f"{100.0 * deadlines.missed_share:.2f} %, {counts}")
+        out.add_row("deadlines missed", f"{100.0 * deadlines.missed_fraction:.2f} %, {counts}")
     first = outcome.startup.get("first_tick_answered")
     out.add_row("start to first tick", "unknown" if first is None else f"{first:.4g} s")
     return out

@@ -94,7 +94,7 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
         "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
         "hand": hand,
         "object": model.solid(run),
-        "ledger": facts.assumptions(run),
+        "assumptions": facts.assumptions(run),
         "tiles": facts.tiles(run),
         "tables": facts.all_tables(run),
         "scenario": run.scenario_text,
@@ -120,7 +120,7 @@ def plot_columns(run: RunData) -> dict[str, Array]:
 
     ``time`` in s, ``rates`` in rad/s, ``position_error`` in m, ``rotation_error`` (|r_d|) in rad,
     ``force`` in N in contact frames, ``expected`` (k_f f*_n) in N, ``beta`` (f_t / f_n),
-    ``friction`` (learned mu), ``grip`` (state of each contact), ``squeeze`` (k_f) in N and
+    ``friction`` (learned mu), ``grip`` (state of each contact), ``grasp_force`` (k_f) in N and
     ``latency`` in s.
     """
     record = run.record
@@ -135,7 +135,7 @@ def plot_columns(run: RunData) -> dict[str, Array]:
         "beta": derived.required_friction(record),
         "friction": record.friction,
         "grip": record.grip,
-        "squeeze": record.grasp_force,
+        "grasp_force": record.grasp_force,
         "latency": run.latencies,
     }
 

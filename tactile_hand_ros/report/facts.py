@@ -37,7 +37,7 @@ def tiles(run: RunData) -> list[dict[str, Any]]:
     held = math.isnan(m.dropped_at_s)
     return [
         *(_pose_tiles(run) if held else [_dropped(m.dropped_at_s)]),
-        _tile("squeeze", m.final_grasp_force_N, "N", f"peak {_peak_squeeze(run)}"),
+        _tile("grasp force k_f", m.final_grasp_force_N, "N", f"peak {_peak_grasp_force(run)}"),
         *_slip_tiles(run),
         *([] if bag is None else _recording_tiles(run, bag)),
     ]
@@ -110,15 +110,15 @@ def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
     return {"label": label, "value": f"{value:.3g}", "unit": unit, "note": note}
 
 
-def _peak_squeeze(run: RunData) -> str:
+def _peak_grasp_force(run: RunData) -> str:
     known = run.record.grasp_force[np.isfinite(run.record.grasp_force)]
     return tables.number(float(known.max()), "N") if len(known) else "unknown"
 
 
 def all_tables(run: RunData) -> list[dict[str, Any]]:
     """Return the tables below the plots."""
-    told = run.custom_data
-    versions = [[k.removeprefix(_VERSION), v] for k, v in told.items() if k.startswith(_VERSION)]
+    noted = run.custom_data
+    versions = [[k.removeprefix(_VERSION), v] for k, v in noted.items() if k.startswith(_VERSION)]
     if run.scenario is not None:
         versions.append(["seed", str(run.scenario.seed)])
     found = [
@@ -151,7 +151,7 @@ def _line(line: Assumption) -> dict[str, Any]:
         "margin": line.margin,
         "worst": row[3],
         "limit": row[4],
-        "held": None if math.isnan(line.held_share) else line.held_share,
+        "held": None if math.isnan(line.held_fraction) else line.held_fraction,
         "broken": [list(interval) for interval in line.broken],
     }
 
@@ -201,8 +201,8 @@ def labels(runs: Sequence[RunData]) -> list[str]:
     for column, run in enumerate(runs, 1):
         parts = [f"{row[0].rpartition('.')[2]}={row[column]}" for row in rows[:_NAMED]]
         more = [f"{len(rows) - _NAMED} more"] if len(rows) > _NAMED else []
-        told = ", ".join([*parts, *more]) or run.path.resolve().name
-        found.append(f"{names[column - 1]} ({told})")
+        others = ", ".join([*parts, *more]) or run.path.resolve().name
+        found.append(f"{names[column - 1]} ({others})")
     return found
 
 

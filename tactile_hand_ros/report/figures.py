@@ -67,7 +67,7 @@ def motion_figure(record: Record) -> Figure:
 
 
 def draw_rates(axes: Axes, record: Record) -> None:
-    """Draw all joint rates, a colour for each finger and a line style for each of its joints."""
+    """Draw all joint rates, a color for each finger and a line style for each of its joints."""
     per_finger = _joints_per_finger(record)
     for j in range(len(record.joint_names)):
         axes.plot(
@@ -81,7 +81,7 @@ def draw_rates(axes: Axes, record: Record) -> None:
 
 
 def draw_position(axes: Axes, record: Record) -> None:
-    """Draw the centroid of the contacts as the hand believes it, and p_d dashed."""
+    """Draw the centroid of the contacts as the hand estimates it, and p_d dashed."""
     for i in range(3):
         axes.plot(record.times, record.auxiliary_position[:, i], color=axis_color(i))
         axes.plot(record.times, record.desired_position[:, i], **_TARGET)

@@ -34,8 +34,8 @@ def _description(run: RunData) -> str:
     """Return the URDF, the recorded one before that of the scenario."""
     if run.description:
         return run.description
-    told = run.loose_scenario
-    name, layout = told.get("hand"), told.get("layout", "")
+    plain = run.loose_scenario
+    name, layout = plain.get("hand"), plain.get("layout", "")
     if not isinstance(name, str) or not isinstance(layout, str):
         return ""
     return Hand.load(name, layout).description
@@ -156,7 +156,7 @@ def _numbers(element: ElementTree.Element | None, name: str, default: str) -> li
     text = default if element is None else element.get(name, default)
     values = [_number(word) for word in text.split()]
     if len(values) != 3:
-        raise HandModelError(f"the URDF says {name}='{text}', expected three numbers")
+        raise HandModelError(f"the URDF has {name}='{text}', expected three numbers")
     return values
 
 
@@ -166,7 +166,7 @@ def _number(text: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise HandModelError(f"the URDF says '{text}', expected a number")
+        raise HandModelError(f"the URDF has '{text}', expected a number")
     return value
 
 

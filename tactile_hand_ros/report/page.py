@@ -30,11 +30,11 @@ _PLACE = re.compile(r"@@(\w+)@@")
 
 
 def write_report(run: RunData, folder: Path | None = None) -> Path:
-    """Write ``report.html`` of a run and return the file; each reset begins a section in it.
+    """Write ``report.html`` of a run and return the file; each reset starts a section in it.
 
     Args:
         run: The run.
-        folder: Where to; by default the run's folder, or beside a bare bag.
+        folder: Where to; by default the run's folder, or next to a bare bag.
 
     Raises:
         BagError: If the bag is damaged or has no tick.

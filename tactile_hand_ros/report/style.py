@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look for all figures: sizes of a paper column, colours that colour-blind eyes tell apart."""
+"""One look for all figures: sizes of a paper column, colors that color-blind eyes tell apart."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PAGE = 7.16
 DPI = 220
 
 INK, FAINT = "#222222", "#8a8a8a"
-# Okabe and Ito (2008): first the fingers, then the axes, so that no colour means two things.
+# Okabe and Ito (2008): first the fingers, then the axes, so that no color means two things.
 _FINGERS = ("#0072B2", "#D55E00", "#009E73", "#7A5195", "#8C6D1F", "#444444")
 _AXES = ("#CC79A7", "#E69F00", "#56B4E9")
 # Tol's muted wine, sand and indigo, for the three laws.
@@ -61,22 +61,22 @@ _PARAMETERS: dict[str, Any] = {
 
 
 def finger_color(index: int) -> str:
-    """Return the colour of a finger by its index."""
+    """Return the color of a finger by its index."""
     return _FINGERS[index % len(_FINGERS)]
 
 
 def axis_color(index: int) -> str:
-    """Return the colour of x, y or z."""
+    """Return the color of x, y or z."""
     return _AXES[index]
 
 
 def law_color(index: int) -> str:
-    """Return the colour of the laws (8), (10) and (14), by their order."""
+    """Return the color of the laws (8), (10) and (14), by their order."""
     return _LAWS[index % len(_LAWS)]
 
 
 def run_color(index: int) -> str:
-    """Return the colour of a run among several, where no finger is shown."""
+    """Return the color of a run among several, where no finger is shown."""
     return _FINGERS[index % len(_FINGERS)]
 
 
@@ -119,7 +119,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def _shrink(file: Path) -> None:
-    """Store a picture with 256 colours, which no eye can see in a drawing."""
+    """Store a picture with 256 colors, which no eye can see in a drawing."""
     image = optional("PIL.Image", "Drawing")
     with image.open(file) as picture:
         small = picture.convert("RGB").quantize(256, dither=image.Dither.NONE)

@@ -96,13 +96,13 @@ def _limit(a: Assumption) -> str:
 
 def _held(a: Assumption) -> str:
     """Say how long an assumption held and when it did not."""
-    if math.isnan(a.held_share):
+    if math.isnan(a.held_fraction):
         return "not judged"
     if not a.broken:
         return "throughout"
     times = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in a.broken[:3])
     more = f" and {len(a.broken) - 3} more" if len(a.broken) > 3 else ""
-    return f"{100.0 * a.held_share:.1f} %, not from {times}{more}"
+    return f"{100.0 * a.held_fraction:.1f} %, not from {times}{more}"
 
 
 def bag_rows(b: BagMetrics) -> list[list[str]]:

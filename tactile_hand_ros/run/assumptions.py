@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 _ROWS = 1000  # about so many ticks are looked at where a tick costs kinematics
 _SETTLING = 0.05  # s in which contacts only just close
 _QUIET = 0.1  # N of net contact force that counts as no external load
-_LEAST_JOINT_MARGIN = 1e-3  # m/rad
+_MIN_JOINT_MARGIN = 1e-3  # m/rad
 _BALANCE = 1e-6
 
 
@@ -52,7 +52,7 @@ class Assumption:
         worst: Its worst value; NaN where nothing is known.
         limit: Value it must stay above, or below where `below`; NaN where touch knows no limit.
         below: Whether smaller is better.
-        held_share: Share of the looked-at time in which it held; NaN where unknown.
+        held_fraction: Fraction of the looked-at time in which it held; NaN where unknown.
         broken: Intervals in which it did not hold, start and end in s.
     """
 
@@ -62,7 +62,7 @@ class Assumption:
     worst: float
     limit: float
     below: bool
-    held_share: float
+    held_fraction: float
     broken: list[tuple[float, float]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -189,11 +189,11 @@ def _in_cones(record: Record) -> Assumption:
     distances = cone_distances(record.forces, record.friction)
     distances[record.grip == ContactState.UNKNOWN] = np.nan
     known = ~np.isnan(distances).all(axis=1)
-    least = np.full(len(record), np.nan)
-    least[known] = np.nanmin(distances[known], axis=1)
+    nearest = np.full(len(record), np.nan)
+    nearest[known] = np.nanmin(distances[known], axis=1)
     return _line(
-        "A4 cone", "forces inside the estimated cones", "least mu f_n - |f_t|, N",
-        record, least, math.nan,
+        "A4 cone", "forces inside the estimated cones", "minimum mu f_n - |f_t|, N",
+        record, nearest, math.nan,
     )  # fmt: skip
 
 
@@ -203,8 +203,8 @@ def _regular(record: Record, hand: Hand) -> Assumption:
         return joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
 
     return _line(
-        "A5", "the joints can move every contact", "least singular value of J_h, m/rad",
-        record, _each(record, margin), _LEAST_JOINT_MARGIN,
+        "A5", "the joints can move every contact", "minimum singular value of J_h, m/rad",
+        record, _each(record, margin), _MIN_JOINT_MARGIN,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ _LONG = 5
 
 
 def silent(record: Record) -> NDArray[np.bool_]:
-    """Return the ticks at which touch says nothing because its messages are missing, shape (n,).
+    """Return the ticks at which touch reports nothing because its messages are missing, shape (n,).
 
     A hand that has lost all contacts says so: without positions, and with forces of zero.
     """
@@ -135,14 +135,14 @@ def required_friction(record: Record) -> Array:
 
 
 def expected_normal_forces(record: Record) -> Array:
-    """Return k_f f*_n of every contact, shape (n, k), N: where (15) says f_n goes."""
+    """Return k_f f*_n of every contact, shape (n, k), N: where (15) puts f_n."""
     return np.asarray(record.grasp_force[:, None] * record.optimal_forces[:, :, 1])
 
 
 def contact_lost(record: Record) -> NDArray[np.bool_]:
     """Return at which ticks a contact was missing, shape (n,).
 
-    A tick of which touch says nothing at all, because its messages are missing, is none.
+    A tick of which touch reports nothing at all, because its messages are missing, is none.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
     return np.asarray(missing.any(axis=1) & ~silent(record))

@@ -51,7 +51,7 @@ def read_asked(messages: TopicMessages, states: Series, stop: int | None = None)
     end = len(messages.data) if stop is None else bisect_left(messages.log_times, stop)
     decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data[:end]]
     log_times = np.array(messages.log_times[:end], dtype=np.int64)
-    stamps = np.array([_ns(message.header.stamp) for message in decoded], dtype=np.int64)
+    stamps = np.array([nanoseconds(message.header.stamp) for message in decoded], dtype=np.int64)
     counts = np.flatnonzero(in_last_run(Series(log_times, stamps, []), states))
     pairs = [message.status[0].values[0] for message in decoded]
     return [Asked(int(stamps[i]), pairs[i].key, pairs[i].value) for i in counts]
@@ -66,7 +66,8 @@ def releases(requests: Sequence[Asked]) -> list[float]:
     return found
 
 
-def _ns(stamp: Any) -> int:
+def nanoseconds(stamp: Any) -> int:
+    """Return the time in a message."""
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
@@ -89,7 +90,7 @@ SLIDING = 1e-3
 """Speed of a contact that counts as slip; slower sliding is creep of contacts that hold, m/s."""
 
 _PAUSE = 0.02  # s within which what stops and begins again is still the same
-_RISE = 0.02  # share by which the squeeze must have risen to count as a reaction
+_RISE = 0.02  # fraction by which the grasp force must have risen to count as a reaction
 _REACTION = 0.25  # s after an alarm in which a rise counts as its reaction
 
 
@@ -99,8 +100,8 @@ class Event:
 
     Attributes:
         time: Simulated time, s.
-        kind: What it was: ``slip`` is a contact that truly begins to slide, ``detection`` the
-            alarm of the hand, ``reaction`` the rise of the squeeze that follows it; ``request`` is
+        kind: What it was: ``slip`` is a contact that truly starts to slide, ``detection`` the
+            alarm of the hand, ``reaction`` the rise of the grasp force after it; ``request`` is
             a service that a user called, ``refusal`` a command that the hand refused, ``gap``
             ticks that the recording lacks.
         finger: Name of the finger, empty where it concerns the whole hand.
@@ -149,7 +150,7 @@ def _call(asked: Asked) -> str:
 
 
 def slip_count(record: Record) -> int:
-    """Return how often a contact truly began to slide."""
+    """Return how often a contact truly started to slide."""
     return sum(len(_starts(record, column > SLIDING)) for column in record.true_sliding.T)
 
 
@@ -196,7 +197,7 @@ def _of_fingers(record: Record) -> list[Event]:
         alarm = record.grip[:, i] == ContactState.SLIP
         lost, made = _edges(_held_through(missing[:, i], unknown))
         seen: list[tuple[Kind, list[int], str]] = [
-            ("slip", _starts(record, sliding), f"{name} begins to slide"),
+            ("slip", _starts(record, sliding), f"{name} starts to slide"),
             ("detection", _starts(record, alarm), f"slip of {name} is detected"),
             ("contact_lost", lost, f"{name} loses contact"),
             ("contact_made", made, f"{name} touches"),
@@ -238,7 +239,7 @@ def _starts(record: Record, flags: Flags) -> list[int]:
 
 
 def _reactions(record: Record) -> list[Event]:
-    """Return when the squeeze had risen after each alarm of a grasp without one."""
+    """Return when the grasp force had risen after each alarm of a grasp without one."""
     found: list[Event] = []
     for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
         start = record.grasp_force[max(0, row - 1)]
@@ -246,5 +247,5 @@ def _reactions(record: Record) -> list[Event]:
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + _RISE) * start)
         if len(risen):
             time = float(record.times[row + risen[0]])
-            found.append(Event(time, "reaction", "", f"the squeeze rises above {start:.3g} N"))
+            found.append(Event(time, "reaction", "", f"the grasp force rises above {start:.3g} N"))
     return found

@@ -25,10 +25,10 @@ BACK = 0.001
 
 @dataclass(frozen=True)
 class Settling:
-    """What became of the pose after a disturbance began.
+    """What became of the pose after a disturbance started.
 
     Attributes:
-        start: When it began, s.
+        start: When it started, s.
         largest: Largest error of the contact centroid until the next event or the end, m.
         time: From the start until the error stays below `BACK`, s; infinite where it does not.
         last: Error at the next event or the end, m.
@@ -53,7 +53,7 @@ def recoveries(record: Record, scenario: Scenario) -> list[Settling]:
     """Return the recovery from each disturbance and each change of friction of a run.
 
     Args:
-        record: The run; the pose is that which the hand believes, and unknown while it holds.
+        record: The run; the pose is that which the hand estimates, and unknown while it holds.
         scenario: What was run.
     """
     plant = scenario.plant
@@ -95,14 +95,14 @@ class Metrics:
     Attributes:
         ticks: Number of ticks.
         simulated_time_s: From the first tick to the last.
-        final_position_error_m: |p_d - p|, p as the hand believes it.
+        final_position_error_m: |p_d - p|, p as the hand estimates it.
         final_rotation_error_rad: |r_d|, 2 sin of the angle.
         settling_time_s: From the last change of the desired pose until both errors stay inside the
             goal (1 mm and 0.01 rad without a scenario).
         peak_joint_rate_rad_per_s: Largest |rate| of any joint.
         final_grasp_force_N: k_f.
         final_normal_forces_N: f_n.
-        optimal_normal_forces_N: k_f f*_n, where (15) says f_n goes.
+        optimal_normal_forces_N: k_f f*_n, where (15) puts f_n.
         worst_normal_force_relative_error: Largest |f_n / (k_f f*_n) - 1|.
         normal_force_sum_N: Sum of f_n.
         normal_force_sum_relative_error: |sum / k_f - 1|.
@@ -115,7 +115,7 @@ class Metrics:
         max_object_rotation_in_grasp_rad: The same, its rotation.
         max_slip_distance_m: Largest distance that a contact slid in all; NaN where only the
             simulation knows it.
-        slip_count: How often a contact began to slide, None where only the simulation knows it.
+        slip_count: How often a contact started to slide, None where only the simulation knows it.
         slip_alarm_count: How often the hand detected that a contact slips.
         dropped_at_s: When the object was dropped; NaN if it was held or let go.
         goal_reached: Whether the object is held, the final errors are inside the scenario's goal,
@@ -205,14 +205,14 @@ def _force_metrics(record: Record) -> dict[str, Any]:
     """Compare the normal forces of the last tick with k_f f*_n, and their sum with k_f."""
     every = derived.contact_forces(record)[:, :, 1]
     normal, optimal = _last_row(every), _last_row(derived.expected_normal_forces(record))
-    squeeze, total = _last(record.grasp_force), float(normal.sum()) if len(normal) else math.nan
+    grasp_force, total = _last(record.grasp_force), float(normal.sum()) if len(normal) else math.nan
     return {
-        "final_grasp_force_N": squeeze,
+        "final_grasp_force_N": grasp_force,
         "final_normal_forces_N": _by_finger(record, normal),
         "optimal_normal_forces_N": _by_finger(record, optimal),
         "worst_normal_force_relative_error": _worst(_relative(normal, optimal)),
         "normal_force_sum_N": total,
-        "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(squeeze))),
+        "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(grasp_force))),
         "peak_normal_force_N": _peak(every),
     }
 

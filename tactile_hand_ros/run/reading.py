@@ -12,6 +12,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from tactile_hand_ros.cdr import Table, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
 
-_OF_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
 _TYPES = {
     names.JOINT_STATES: "sensor_msgs/msg/JointState",
     names.JOINT_COMMAND: "sensor_msgs/msg/JointState",
@@ -58,13 +58,13 @@ class HandTopics:
     def types(self) -> dict[str, str]:
         """Type of each topic by its full name."""
         found = {self.full(name): type_name for name, type_name in _TYPES.items()}
-        for pattern in _OF_FINGER:
+        for pattern in _FORCES.values():
             for finger in self.fingers:
                 found[self.full(pattern(finger))] = "geometry_msgs/msg/WrenchStamped"
         return found
 
     def check(self, types: Mapping[str, str]) -> None:
-        """Insist that the topics have the types of the contract.
+        """Check that the topics have the types of the contract.
 
         Args:
             types: Types in the bag by full topic name.
@@ -82,7 +82,7 @@ class HandTopics:
         sent, accepted = self.full(names.DESIRED_POSE), self.full(names.ACCEPTED_POSE)
         if sent in types and accepted not in types:
             raise BagError(
-                f"The bag has {sent} but not {accepted}, which says when each pose took effect; "
+                f"The bag has {sent} but not {accepted}, which holds when each pose took effect; "
                 "record it again with this version, and with that topic."
             )
 
@@ -119,7 +119,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
     """Return the fingers named in topics, in natural order (finger_2 before finger_10)."""
-    patterns = [re.escape(prefix) + p("([^/]+)") for p in _OF_FINGER]
+    patterns = [re.escape(prefix) + p("([^/]+)") for p in _FORCES.values()]
     found = {
         match.group(1)
         for topic in topics
@@ -202,36 +202,33 @@ def read_series(
     Args:
         messages: By full name of the topic.
         types: Type of each wanted topic by full name.
-        stop: Log time at which a reset begins the next section, ns; None for the end of the bag.
+        stop: Log time at which a reset starts the next section, ns; None for the end of the bag.
 
     Raises:
         BagError: If a message is broken.
     """
-    found = {}
-    for topic, type_name in types.items():
-        one = messages[topic]
-        if stop is not None:
-            one = _before(one, type_name, stop)
-        found[topic] = _series(type_name, one)
-    return found
+    return {
+        topic: _series(type_name, messages[topic])
+        if stop is None
+        else _before(messages[topic], type_name, stop)
+        for topic, type_name in types.items()
+    }
 
 
-def _before(messages: TopicMessages, type_name: str, stop: int) -> TopicMessages:
-    """Leave out what belongs to the section that begins at a log time [ns].
+def _before(messages: TopicMessages, type_name: str, stop: int) -> Series:
+    """Leave out what belongs to the section that starts at a log time [ns].
 
-    A node may have said something about it a little earlier.
+    A node may have published something of it a little earlier.
     """
-    early = part(messages, bisect_left(messages.log_times, stop))
-    series = _series(type_name, early)
-    back = np.flatnonzero(np.diff(series.stamps) < 0)
-    if not len(back) or series.log_times[back[-1] + 1] < stop - EARLY:
+    early = _series(type_name, _first(messages, bisect_left(messages.log_times, stop)))
+    back = last_reset(early.stamps)
+    if not back or early.log_times[back] < stop - EARLY:
         return early
-    return part(early, int(back[-1]) + 1)
+    return _series(type_name, _first(messages, back))
 
 
-def part(messages: TopicMessages, end: int) -> TopicMessages:
-    """Return the first messages."""
-    return TopicMessages(messages.log_times[:end], messages.data[:end])
+def _first(messages: TopicMessages, count: int) -> TopicMessages:
+    return TopicMessages(messages.log_times[:count], messages.data[:count])
 
 
 def _series(type_name: str, messages: TopicMessages) -> Series:
@@ -240,9 +237,6 @@ def _series(type_name: str, messages: TopicMessages) -> Series:
     for table in grouped:
         stamps[table.rows] = table.stamps
     return Series(np.array(messages.log_times, dtype=np.int64), stamps, grouped)
-
-
-Flags = NDArray[np.bool_]
 
 
 def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
@@ -256,7 +250,77 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
         series: Topics by full name.
         topics: Names of the hand's topics.
     """
-    return _Alignment(series, topics).record()
+    states = series[topics.full(names.JOINT_STATES)]
+    ticks, logged = first_ticks(states)
+    begin = _first_log_time(logged)
+    joints, fingers = states.joint_names, topics.fingers
+    record = Record.empty(len(ticks), list(fingers), joints)
+    record.stamps[:] = ticks
+
+    def of(name: str, rows: Callable[..., Array], *what: Any) -> Array:
+        """Return numbers of a topic at the ticks."""
+        one = series[topics.full(name)]
+        return _at_ticks(one, rows(one, *what), ticks, begin)
+
+    for array, (name, values, owners) in _BY_NAME.items():
+        order = joints if owners == "joints" else fingers
+        getattr(record, array)[:] = of(name, Series.joints, values, order)
+    for array, topic in _FORCES.items():
+        for i, finger in enumerate(fingers):
+            getattr(record, array)[:, i] = of(topic(finger), Series.rows, "wrench", 6)[:, :3]
+    record.grasp_force[:] = of(names.GRASP_FORCE, Series.rows, "wrench", 6)[:, 1]
+    for array, name in _CONTACTS.items():
+        k = len(fingers)
+        poses = of(name, Series.rows, "poses", 7 * k).reshape(len(ticks), k, 7)
+        poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact has no frame either
+        getattr(record, f"{array}_positions")[:] = poses[:, :, :3]
+        getattr(record, f"{array}_quaternions")[:] = poses[:, :, 3:]
+    for array, name in _POSES.items():
+        pose = of(name, Series.rows, "pose", 7)
+        getattr(record, f"{array}_position")[:] = pose[:, :3]
+        getattr(record, f"{array}_quaternion")[:] = pose[:, 3:]
+    _write_desired(record, series[topics.full(names.ACCEPTED_POSE)], states)
+    return record
+
+
+# Arrays of a record, and where they come from: topic, field, whose names are in the message.
+_BY_NAME = {
+    "theta": (names.JOINT_STATES, "position", "joints"),
+    "rates": (names.JOINT_STATES, "velocity", "joints"),
+    "torque": (names.JOINT_STATES, "effort", "joints"),
+    "command": (names.JOINT_COMMAND, "effort", "joints"),
+    "friction": (names.GRIP_STATE, "position", "fingers"),
+    "slip_evidence": (names.GRIP_STATE, "velocity", "fingers"),
+    "grip": (names.GRIP_STATE, "effort", "fingers"),
+    "true_slid": (names.TRUE_SLIP, "position", "fingers"),
+    "true_sliding": (names.TRUE_SLIP, "velocity", "fingers"),
+}
+_FORCES = {
+    "forces": names.wrench,
+    "optimal_forces": names.optimal_force,
+    "true_forces": names.true_wrench,
+}
+_CONTACTS = {"contact": names.CONTACTS, "true": names.TRUE_CONTACTS}
+_POSES = {"auxiliary": names.AUXILIARY_POSE, "object": names.OBJECT_POSE}
+
+
+def _at_ticks(series: Series, values: Array, ticks: Times, begin: int) -> Array:
+    """Return one row a tick, NaN where there is no message; of several the last one counts."""
+    out = np.full((len(ticks), values.shape[1]), np.nan)
+    place = np.searchsorted(ticks, series.stamps)
+    inside = (place < len(ticks)) & series.since(begin)
+    inside[inside] = ticks[place[inside]] == series.stamps[inside]
+    out[place[inside]] = values[inside]
+    return out
+
+
+def _write_desired(record: Record, accepted: Series, states: Series) -> None:
+    """Write the desired pose in force: it changes at the ticks at which one took effect."""
+    poses = accepted.rows("pose", 7)
+    for row in np.flatnonzero(in_last_run(accepted, states)):
+        first = np.searchsorted(record.stamps, accepted.stamps[row])
+        record.desired_position[first:] = poses[row, :3]
+        record.desired_quaternion[first:] = poses[row, 3:]
 
 
 def first_ticks(states: Series) -> tuple[Times, Times]:
@@ -272,101 +336,17 @@ def last_reset(stamps: Times) -> int:
     return int(back[-1]) + 1 if len(back) else 0
 
 
-def in_last_run(series: Series, states: Series) -> Flags:
+def in_last_run(series: Series, states: Series) -> NDArray[np.bool_]:
     """Return which messages of a topic belong to the last run in a bag, shape (n,).
 
     Args:
         series: The topic; it need not have a message at every tick.
         states: The topic `joint_states`.
     """
-    _, logged = first_ticks(states)
-    begin = int(logged[0]) - EARLY if len(logged) else 0
+    begin = _first_log_time(first_ticks(states)[1])
     return series.since(begin) & (np.arange(len(series)) >= last_reset(series.stamps))
 
 
-class _Alignment:
-    """The work of `align`, with what all its parts share."""
-
-    def __init__(self, series: Mapping[str, Series], topics: HandTopics) -> None:
-        self._series, self._topics = series, topics
-        self._states = self._named(names.JOINT_STATES)
-        self._ticks, self._logged = first_ticks(self._states)
-        self._begin = int(self._logged[0]) - EARLY if len(self._logged) else 0
-        self._joints = self._states.joint_names
-
-    def _named(self, name: str) -> Series:
-        return self._series[self._topics.full(name)]
-
-    def record(self) -> Record:
-        record = Record.empty(len(self._ticks), list(self._topics.fingers), self._joints)
-        record.stamps[:] = self._ticks
-        self._write_joints(record)
-        self._write_grip(record)
-        self._write_contacts(names.CONTACTS, record.contact_positions, record.contact_quaternions)
-        self._write_contacts(names.TRUE_CONTACTS, record.true_positions, record.true_quaternions)
-        self._write_forces(names.wrench, record.forces)
-        self._write_forces(names.optimal_force, record.optimal_forces)
-        self._write_forces(names.true_wrench, record.true_forces)
-        squeeze = self._named(names.GRASP_FORCE)
-        record.grasp_force[:] = self._placed(squeeze, squeeze.rows("wrench", 6))[:, 1]
-        self._write_pose(
-            names.AUXILIARY_POSE, record.auxiliary_position, record.auxiliary_quaternion
-        )
-        self._write_pose(names.OBJECT_POSE, record.object_position, record.object_quaternion)
-        self._write_desired(record)
-        return record
-
-    def _placed(self, series: Series, values: Array) -> Array:
-        """Return the values at the ticks, shape (ticks, columns), NaN where there are none."""
-        out = np.full((len(self._ticks), values.shape[1]), np.nan)
-        place = np.searchsorted(self._ticks, series.stamps)
-        inside = (place < len(self._ticks)) & series.since(self._begin)
-        inside[inside] = self._ticks[place[inside]] == series.stamps[inside]
-        out[place[inside]] = values[inside]
-        return out
-
-    def _write_joints(self, record: Record) -> None:
-        states, command = self._states, self._named(names.JOINT_COMMAND)
-        for array, source, values in (
-            (record.theta, states, "position"),
-            (record.rates, states, "velocity"),
-            (record.torque, states, "effort"),
-            (record.command, command, "effort"),
-        ):
-            array[:] = self._placed(source, source.joints(values, self._joints))
-
-    def _write_grip(self, record: Record) -> None:
-        grip, slip = self._named(names.GRIP_STATE), self._named(names.TRUE_SLIP)
-        for array, source, values in (
-            (record.friction, grip, "position"),
-            (record.slip_evidence, grip, "velocity"),
-            (record.grip, grip, "effort"),
-            (record.true_slid, slip, "position"),
-            (record.true_sliding, slip, "velocity"),
-        ):
-            array[:] = self._placed(source, source.joints(values, record.finger_names))
-
-    def _write_contacts(self, name: str, positions: Array, quaternions: Array) -> None:
-        series, k = self._named(name), len(self._topics.fingers)
-        poses = self._placed(series, series.rows("poses", 7 * k)).reshape(len(self._ticks), k, 7)
-        poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact has no frame either
-        positions[:], quaternions[:] = poses[:, :, :3], poses[:, :, 3:]
-
-    def _write_forces(self, topic: Callable[[str], str], forces: Array) -> None:
-        for i, finger in enumerate(self._topics.fingers):
-            series = self._named(topic(finger))
-            forces[:, i] = self._placed(series, series.rows("wrench", 6))[:, :3]
-
-    def _write_pose(self, name: str, position: Array, quaternion: Array) -> None:
-        series = self._named(name)
-        pose = self._placed(series, series.rows("pose", 7))
-        position[:], quaternion[:] = pose[:, :3], pose[:, 3:]
-
-    def _write_desired(self, record: Record) -> None:
-        """Write the desired pose in force: it changes at the ticks at which one took effect."""
-        series = self._named(names.ACCEPTED_POSE)
-        poses = series.rows("pose", 7)
-        for row in np.flatnonzero(in_last_run(series, self._states)):
-            first = np.searchsorted(self._ticks, series.stamps[row])
-            record.desired_position[first:] = poses[row, :3]
-            record.desired_quaternion[first:] = poses[row, 3:]
+def _first_log_time(logged: Times) -> int:
+    """Return from when on messages belong to a run whose ticks were logged at some times, ns."""
+    return int(logged[0]) - EARLY if len(logged) else 0

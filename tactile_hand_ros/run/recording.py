@@ -146,13 +146,13 @@ class RealTimeCounts:
     given_up: float
 
     @property
-    def missed_share(self) -> float:
+    def missed_fraction(self) -> float:
         """Fraction of the ticks that were not answered in time, from 0 to 1."""
         return float(np.minimum(1.0, (self.late + self.skipped + self.given_up) / self.due))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        return {**asdict(self), "missed_share": self.missed_share}
+        return {**asdict(self), "missed_fraction": self.missed_fraction}
 
 
 def real_time_counts(

@@ -114,7 +114,7 @@ class RunData:
 
     @property
     def start_time(self) -> int | None:
-        """When the recording began, ns since the epoch; None without one."""
+        """When the recording started, ns since the epoch; None without one."""
         return None
 
     @property

@@ -83,7 +83,7 @@ class Run(Result):
             fingers: Names of the fingers in order; by default those of the scenario's hand, or all
                 that have topics.
             steered: Whether a user steered it and no goal judges it; by default as summary.json
-                beside the bag says.
+                next to the bag says.
             progress: Called with the fraction of the bag that is read, while it is read.
 
         Raises:
@@ -117,7 +117,7 @@ class Run(Result):
 
     @property
     def scenario(self) -> Scenario | None:
-        """The scenario, from the bag or beside it; None without one that can be used."""
+        """The scenario, from the bag or next to it; None without one that can be used."""
         return self._scenario[0]
 
     @property
@@ -161,7 +161,7 @@ class Run(Result):
 
     @property
     def folder(self) -> Path:
-        """Where results belong: the run's folder, or beside a bare bag."""
+        """Where results belong: the run's folder, or next to a bare bag."""
         return self.path if self.bag != self.path else self.bag.parent
 
     @cached_property
@@ -256,7 +256,7 @@ class Run(Result):
 
     @property
     def start_time(self) -> int | None:
-        """When the recording began, ns since the epoch."""
+        """When the recording started, ns since the epoch."""
         return self.summary.start_time
 
     @property

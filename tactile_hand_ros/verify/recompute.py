@@ -5,7 +5,7 @@ With the configuration of the run every number must come out as it was recorded,
 another configuration or law the difference shows what that controller would have answered at the
 same ticks (a shadow controller: its answers do not move the hand).
 
-Desired poses, squeezes, live parameters and service calls are applied at the ticks at which the
+Desired poses, grasp forces, live parameters and service calls are applied at the ticks at which the
 nodes published that they took effect.
 """
 
@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import time
+from collections import deque
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,15 +31,15 @@ from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import LawFactory
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.errors import BagError, ConfigurationError, GraspError
+from tactile_hand_ros.errors import BagError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, changed
 from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
-    Effects,
+    PARAMETERS,
+    Change,
     Inputs,
-    ServiceCall,
     read_inputs,
 )
 
@@ -91,25 +92,16 @@ class Recomputation:
         record: The run as recomputed; what controllers do not answer is as recorded.
         comparisons: Topic by topic.
         scenario: The configuration that was used.
-        simulated: Time of the run, s.
-        seconds: Time that the controllers needed for it, s.
     """
 
     record: Record
     comparisons: list[Comparison]
     scenario: Scenario
-    simulated: float
-    seconds: float
 
     @property
     def same(self) -> bool:
         """Whether everything is identical."""
         return all(comparison.same for comparison in self.comparisons)
-
-    @property
-    def speed(self) -> float:
-        """How many times faster than real time it was."""
-        return self.simulated / self.seconds if self.seconds > 0.0 else float("inf")
 
 
 def recompute(
@@ -119,7 +111,7 @@ def recompute(
 
     Args:
         run: The run; its scenario must be known.
-        changes: Other values by dotted key; that of a controller may go without its node's name.
+        changes: Other values by dotted key.
         law: Another law in the place of the configured one.
 
     Raises:
@@ -127,13 +119,9 @@ def recompute(
         TactileHandError: If a change is refused.
     """
     base = scenario_of(run)
-    wanted = changed(base, {full_key(key): value for key, value in (changes or {}).items()})
-    inputs = read_inputs(run, base).changed(base, wanted)
-    began = time.perf_counter()
-    record = ShadowLoop(inputs, law).run()
-    seconds = time.perf_counter() - began
-    simulated = float(record.times[-1] - record.times[0]) if len(record) else 0.0
-    return Recomputation(record, compare(run.record, record), wanted, simulated, seconds)
+    wanted = changed(base, changes or {})
+    record = ShadowLoop(read_inputs(run, base).changed(base, wanted), law).run()
+    return Recomputation(record, compare(run.record, record), wanted)
 
 
 def scenario_of(run: Run) -> Scenario:
@@ -146,30 +134,9 @@ def scenario_of(run: Run) -> Scenario:
         reason = run.scenario_problem or "the bag does not hold it"
         raise BagError(
             f"The configuration of {run.bag} is needed but not known ({reason}); record with "
-            "`scenario`, or put scenario.yaml beside the bag."
+            "`scenario`, or put scenario.yaml next to the bag."
         )
     return run.scenario
-
-
-def full_key(key: str) -> str:
-    """Return the dotted key of a scenario for one that may begin inside a controller.
-
-    Raises:
-        ConfigurationError: If several controllers have such a value.
-    """
-    first = key.split(".")[0]
-    if first in Scenario.model_fields:
-        return key
-    owners = [
-        node
-        for node in CONTROLLERS
-        if first in getattr(Scenario.model_fields[node].annotation, "model_fields", {})
-    ]
-    if len(owners) > 1:
-        raise ConfigurationError(
-            f"'{key}' may mean {' or '.join(f'{owner}.{key}' for owner in owners)}; say which"
-        )
-    return f"{owners[0]}.{key}" if owners else key
 
 
 def reason(run: Run) -> str:
@@ -211,7 +178,7 @@ def _compare(
     return Comparison(topic, unit, int(known.sum()), int(known.sum()) - len(rows), first, largest)
 
 
-class ShadowLoop:
+class ShadowLoop(Chain):
     """The chain of controllers of `ClosedLoop`, fed from a recording."""
 
     def __init__(self, inputs: Inputs, law: LawFactory | None = None) -> None:
@@ -224,46 +191,53 @@ class ShadowLoop:
         Raises:
             TactileHandError: If the hand cannot be built.
         """
+        r, k = inputs.record, len(inputs.record.finger_names)
         self._inputs = inputs
-        k = len(inputs.record.finger_names)
-        changes = {node: _Changes(inputs, node) for node in CONTROLLERS}
-        self._controller = _Controller(changes[names.CONTROLLER], Effects(inputs.poses), law)
-        self._optimizer = _Optimizer(changes[names.OPTIMIZER], k)
-        self._regulator = _Regulator(changes[names.REGULATOR], Effects(inputs.forces), k)
-        self._chain = Chain(self._regulator, self._optimizer, self._controller)
-        self._out = copy.copy(inputs.record)
+        self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}
+        first = {node: changes.popleft().value for node, changes in self._waiting.items()}
+        regulator = _Regulator(first[names.REGULATOR], k)
+        optimizer = _Optimizer(first[names.OPTIMIZER], k)
+        controller = _Controller(first[names.CONTROLLER], law)
+        super().__init__(regulator, optimizer, controller)
+        self._drives = inputs.answered(r.command)
+        regulator.skipped, optimizer.skipped, controller.skipped = (
+            set(r.stamps[~inputs.answered(answers)].tolist())
+            for answers in (r.grasp_force, r.optimal_forces, r.command)
+        )
+        self._blocks = dict(zip(CONTROLLERS, (regulator, optimizer, controller), strict=True))
+        self._out = copy.copy(r)
         for name in _ANSWERS:  # the copy is not shared yet
-            object.__setattr__(self._out, name, np.full_like(getattr(self._out, name), np.nan))
+            object.__setattr__(self._out, name, np.full_like(getattr(r, name), np.nan))
 
     def run(self) -> Record:
         """Answer all ticks."""
-        r, answered, felt = self._inputs.record, self._inputs.answered, self._inputs.felt
-        for block, answers in (
-            (self._regulator, r.grasp_force),
-            (self._optimizer, r.optimal_forces),
-            (self._controller, r.command),
-        ):
-            block.answered = dict(zip(r.stamps.tolist(), answered(answers).tolist(), strict=True))
+        r = self._inputs.record
         for row, contacts in enumerate(self._inputs.contacts):
-            touched = contacts is not None and bool(felt[row])
+            stamp = int(r.stamps[row])
+            touched = contacts is not None and bool(self._inputs.measured[row])
             if contacts is not None and touched:
                 self._answer(row, contacts)
-            elif contacts is not None and not self._optimizer.config.cones:
-                optimal = self._optimizer.step(int(r.stamps[row]), contacts)
-                self._out.optimal_forces[row] = optimal.forces
-            drives = touched and self._controller.answered[int(r.stamps[row])]
+            elif contacts is not None and not self.optimizer.config.cones:
+                self._change(names.OPTIMIZER, stamp)
+                self._out.optimal_forces[row] = self.optimizer.step(stamp, contacts).forces
+            drives = touched and bool(self._drives[row])
             if not drives and np.isfinite(r.command[row]).all():
                 self._hold(row)
         return self._out
 
+    def pass_on_rejection(self) -> None:
+        """Do nothing: the recorded rejections count."""
+
     def _answer(self, row: int, contacts: Contacts) -> None:
-        r, out, regulator = self._inputs.record, self._out, self._regulator
+        r, out, regulator = self._inputs.record, self._out, self.regulator
         stamp = int(r.stamps[row])
-        grasp_force, optimal, command = self._chain.answer(
+        for node in CONTROLLERS:
+            self._change(node, stamp)
+        grasp_force, optimal, command = self.answer(
             stamp, r.theta[row], r.rates[row], r.torque[row], contacts, r.forces[row]
         )
         out.grasp_force[row], out.optimal_forces[row] = grasp_force, optimal.forces
-        if regulator.answered[stamp]:
+        if np.isfinite(grasp_force):
             out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
             out.friction[row] = regulator.learned_friction
         out.command[row] = command.torque
@@ -273,62 +247,61 @@ class ShadowLoop:
 
     def _hold(self, row: int) -> None:
         r = self._inputs.record
-        self._controller.change(int(r.stamps[row]))
-        held = self._controller.hold(
+        self._change(names.CONTROLLER, int(r.stamps[row]))
+        held = self.controller.hold(
             r.theta[row], r.rates[row], "inputs are missing", applied=r.torque[row]
         )
         self._out.command[row] = held.torque
 
+    def _change(self, node: str, stamp: int) -> None:
+        """Apply what changed a node up to a tick [ns]."""
+        waiting = self._waiting[node]
+        while waiting and waiting[0].stamp <= stamp:
+            _apply(waiting.popleft(), node, self._blocks[node])
 
-class _Changes:
-    """What changed a node of a recorded run besides its inputs."""
 
-    def __init__(self, inputs: Inputs, node: str) -> None:
-        self.configs = Effects(inputs.configurations[node])
-        self.requests = Effects(inputs.requests.get(node, ()))
-        self.first = self.configs.first()
+def _apply(change: Change, node: str, block: Any) -> None:
+    name, value = change.name, change.value
+    if name == PARAMETERS:
+        block.configure(value)
+    elif name == names.TOUCH_REJECTED:
+        block.reject_touch(value)
+    elif name == names.GRASP_FORCE:
+        block.goal = value
+    elif name == names.DESIRED_POSE:
+        block.schedule(value, change.stamp, judged=True)
+    elif name == "reset":
+        block.forget() if node == names.CONTROLLER else block.reset()
+    elif name == "enable":
+        block.enabled = value
+    elif name == names.JOINT_HOLD:
+        block.joints_held = value
+    elif value:
+        block.grasp()
+    else:
+        with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
+            block.release()
 
 
 class _Regulator(SlipRegulator):
-    """The regulator, changed as in the recorded run."""
+    """A regulator that is too slow for some ticks: it measures them without an answer."""
 
-    def __init__(self, changes: _Changes, asked: Effects, fingers: int) -> None:
-        super().__init__(changes.first, fingers)
-        self._changes, self._forces = changes, asked
-        self.answered: dict[int, bool] = {}
-        self._started = False
+    skipped: AbstractSet[int] = frozenset()
+    started = False
 
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
     ) -> float:
-        """Return k_f; a tick that the node was too slow to answer it has felt all the same."""
-        answered = self.answered[stamp]
-        self._started = self._started or answered  # the first tick that it gets is answered
-        if not self._started:
-            return np.nan
-        for config in self._changes.configs.until(stamp):
-            self.configure(config)
-        for request in self._changes.requests.until(stamp):
-            if request.service == names.TOUCH_REJECTED:
-                super().reject_touch(request.value)
-            else:
-                self.reset()
-        for force in self._forces.until(stamp):
-            self.goal = force
-        grasp_force = super().step(stamp, contacts, forces)
-        return grasp_force if answered else np.nan
-
-    def reject_touch(self, rejected: bool) -> None:
-        """Do nothing: the recorded rejections count."""
+        """Return k_f, NaN at a tick that the node has not answered."""
+        self.started = self.started or stamp not in self.skipped  # it answers the first it gets
+        grasp_force = super().step(stamp, contacts, forces) if self.started else np.nan
+        return np.nan if stamp in self.skipped else grasp_force
 
 
 class _Optimizer(ForceOptimizer):
-    """The optimizer, changed as in the recorded run."""
+    """An optimizer that skips ticks."""
 
-    def __init__(self, changes: _Changes, fingers: int) -> None:
-        super().__init__(changes.first, fingers)
-        self._changes = changes
-        self.answered: dict[int, bool] = {}
+    skipped: AbstractSet[int] = frozenset()
 
     def step(
         self,
@@ -338,26 +311,16 @@ class _Optimizer(ForceOptimizer):
         forces: Array | None = None,
     ) -> OptimalForces:
         """Return f*, none at a tick that the node has skipped."""
-        if not self.answered[stamp]:
+        if stamp in self.skipped:
             none = np.full((len(contacts.positions), 3), np.nan)
             return OptimalForces(Status.CONTACT_MISSING, "skipped", none)
-        for config in self._changes.configs.until(stamp):
-            self.configure(config)
-        for request in self._changes.requests.until(stamp):
-            super().reject_touch(request.value)
         return super().step(stamp, contacts, friction, forces)
-
-    def reject_touch(self, rejected: bool) -> None:
-        """Do nothing: the recorded rejections count."""
 
 
 class _Controller(Controller):
-    """The controller, changed as in the recorded run."""
+    """A controller that skips ticks."""
 
-    def __init__(self, changes: _Changes, poses: Effects, law: LawFactory | None) -> None:
-        super().__init__(changes.first, law)
-        self._changes, self._poses = changes, poses
-        self.answered: dict[int, bool] = {}
+    skipped: AbstractSet[int] = frozenset()
 
     def step(
         self,
@@ -371,35 +334,11 @@ class _Controller(Controller):
         applied: Array | None = None,
     ) -> Command:
         """Return the torques, none at a tick that the node has skipped."""
-        if not self.answered[stamp]:
+        if stamp in self.skipped:
             return Command(np.full(len(theta), np.nan), Mode.HOLD, None)
-        self.change(stamp)
         return super().step(
             stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
         )
-
-    def change(self, stamp: int) -> None:
-        """Apply what took effect at a tick [ns]."""
-        for config in self._changes.configs.until(stamp):
-            self.configure(config)
-        for request in self._changes.requests.until(stamp):
-            self._apply(request)
-        for target in self._poses.until(stamp):
-            self.schedule(target, stamp, judged=True)
-
-    def _apply(self, request: ServiceCall) -> None:
-        """Repeat a service call."""
-        if request.service == "reset":
-            self.forget()
-        elif request.service == "enable":
-            self.enabled = request.value
-        elif request.service == names.JOINT_HOLD:
-            self.joints_held = request.value
-        elif request.value:
-            self.grasp()
-        else:
-            with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
-                self.release()
 
 
 _ANSWERS = tuple(name for _, name, _ in COMPARED)

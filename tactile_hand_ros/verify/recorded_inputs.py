@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +17,8 @@ from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.rotations import rotation_from_quaternion
-from tactile_hand_ros.run.events import read_asked
-from tactile_hand_ros.run.reading import Series, in_last_run, last_reset
+from tactile_hand_ros.run.events import nanoseconds, read_asked
+from tactile_hand_ros.run.reading import in_last_run, last_reset
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -33,42 +32,21 @@ _FIELDS = (
 """Of rcl_interfaces/ParameterValue, in the order of rcl_interfaces/ParameterType."""
 
 CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
+PARAMETERS = "parameters"
 
 
-class Effect(NamedTuple):
-    """Something that took effect at a tick.
+class Change(NamedTuple):
+    """Something that changed a controller of a recorded run.
 
     Attributes:
         stamp: The first tick whose answer it could change, ns.
-        value: A `Target`, a squeeze in N, a `ServiceCall` or a configuration.
+        name: `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
+        value: The configuration, a `Target`, a grasp force in N, or the request's true or false.
     """
 
     stamp: int
+    name: str
     value: Any
-
-
-class ServiceCall(NamedTuple):
-    """A service call or a latched topic, such as whether the joints are held, with its value."""
-
-    service: str
-    value: bool
-
-
-class Effects:
-    """Gives the effects of a run when their tick comes."""
-
-    def __init__(self, effects: Sequence[Effect]) -> None:
-        """Take effects in the order of their ticks."""
-        self._waiting = deque(effects)
-
-    def first(self) -> Any:
-        """Return the value of the first effect, whatever its tick."""
-        return self._waiting.popleft().value
-
-    def until(self, stamp: int) -> Iterator[Any]:
-        """Yield the values that took effect at or before a tick [ns], each of them once."""
-        while self._waiting and self._waiting[0].stamp <= stamp:
-            yield self._waiting.popleft().value
 
 
 @dataclass(frozen=True)
@@ -78,21 +56,16 @@ class Inputs:
     Attributes:
         record: All arrays, NaN where there is no message.
         contacts: Contacts of each tick, None where no message has come.
-        felt: Ticks with a force of every finger, shape (n,).
-        configurations: Configurations of each controller; the first is in force from the start.
-        poses: Desired poses.
-        forces: Requested squeezes.
-        requests: Service calls, by node.
+        measured: Ticks with a force of every finger, shape (n,).
+        changes: Changes of each controller by node, in the order of their ticks; the first is the
+            configuration that is in force from the start.
         may_skip: Whether a node may have skipped ticks, as in real time when it falls behind.
     """
 
     record: Record
     contacts: list[Contacts | None]
-    felt: Flags
-    configurations: Mapping[str, Sequence[Effect]]
-    poses: Sequence[Effect] = ()
-    forces: Sequence[Effect] = ()
-    requests: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
+    measured: Flags
+    changes: Mapping[str, Sequence[Change]]
     may_skip: bool = False
 
     def answered(self, answers: Array) -> Flags:
@@ -106,20 +79,17 @@ class Inputs:
 
     def changed(self, base: Scenario, wanted: Scenario) -> Inputs:
         """Return these inputs with the configurations changed as one scenario is from another."""
-        configurations = {}
-        for node, effects in self.configurations.items():
-            before = flatten(base.node_config(node))
-            after = flatten(wanted.node_config(node))
-            changes = {name: value for name, value in after.items() if value != before[name]}
-            configurations[node] = [
-                Effect(stamp, config.changed(changes)) for stamp, config in effects
+        changes = {}
+        for node, recorded in self.changes.items():
+            before, after = (flatten(each.node_config(node)) for each in (base, wanted))
+            other = {name: value for name, value in after.items() if value != before[name]}
+            changes[node] = [
+                change._replace(value=change.value.changed(other))
+                if change.name == PARAMETERS
+                else change
+                for change in recorded
             ]
-        return replace(self, configurations=configurations)
-
-
-def configured(scenario: Scenario) -> dict[str, list[Effect]]:
-    """Return the configurations of the controllers of a scenario, without any live change."""
-    return {node: [Effect(0, scenario.node_config(node))] for node in CONTROLLERS}
+        return replace(self, changes=changes)
 
 
 def read_inputs(run: Run, scenario: Scenario) -> Inputs:
@@ -141,51 +111,47 @@ def read_inputs(run: Run, scenario: Scenario) -> Inputs:
         Contacts.from_poses(*pose) if known else None
         for pose, known in zip(poses, touched, strict=True)
     ]
-    felt = np.asarray(np.isfinite(record.forces).all(axis=(1, 2)))
-    return Inputs(
-        record,
-        contacts,
-        felt,
-        {node: _configurations(run, node, scenario.node_config(node)) for node in CONTROLLERS},
-        _poses(run),
-        _forces(run),
-        {node: _requests(run, node) for node in CONTROLLERS},
-        may_skip=scenario.plant.pacing == "realtime",
-    )
+    measured = np.asarray(np.isfinite(record.forces).all(axis=(1, 2)))
+    commands = {names.REGULATOR: _forces(run), names.OPTIMIZER: [], names.CONTROLLER: _poses(run)}
+    changes = {}
+    for node in CONTROLLERS:
+        first, *later = _configurations(run, node, scenario.node_config(node))
+        later += [*_requests(run, node), *commands[node]]
+        changes[node] = [first, *sorted(later, key=lambda change: change.stamp)]
+    return Inputs(record, contacts, measured, changes, scenario.plant.pacing == "realtime")
 
 
-def _poses(run: Run) -> list[Effect]:
-    series, counts = _of_last_run(run, names.ACCEPTED_POSE)
-    poses = series.rows("pose", 7)
+def _poses(run: Run) -> list[Change]:
+    stamps, poses = _of_last_run(run, names.ACCEPTED_POSE, "pose", 7)
     return [
-        Effect(int(series.stamps[row]), Target(poses[row, :3], rotation_from_quaternion(turn)))
-        for row, turn in zip(np.flatnonzero(counts), poses[counts, 3:], strict=True)
+        Change(stamp, names.DESIRED_POSE, Target(pose[:3], rotation_from_quaternion(pose[3:])))
+        for stamp, pose in zip(stamps, poses, strict=True)
     ]
 
 
-def _forces(run: Run) -> list[Effect]:
-    series, counts = _of_last_run(run, names.ACCEPTED_FORCE)
-    squeezes = series.rows("wrench", 6)[counts, 1]
-    pairs = zip(series.stamps[counts].tolist(), squeezes.tolist(), strict=True)
-    return [Effect(*pair) for pair in pairs]
+def _forces(run: Run) -> list[Change]:
+    stamps, wrenches = _of_last_run(run, names.ACCEPTED_FORCE, "wrench", 6)
+    forces = wrenches[:, 1].tolist()
+    return [Change(stamp, names.GRASP_FORCE, f) for stamp, f in zip(stamps, forces, strict=True)]
 
 
-def _of_last_run(run: Run, name: str) -> tuple[Series, Flags]:
-    """Return a topic and which of its messages belong to the last run in the bag."""
-    series = run.series[run.topics.full(name)]
-    return series, in_last_run(series, run.series[run.topics.full(names.JOINT_STATES)])
+def _of_last_run(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Array]:
+    """Return ticks [ns] and numbers of the messages that belong to the last run in the bag."""
+    series = run.series[run.topics.full(topic)]
+    own = in_last_run(series, run.series[run.topics.full(names.JOINT_STATES)])
+    return series.stamps[own].tolist(), series.rows(name, count)[own]
 
 
-def _configurations(run: Run, node: str, config: Config) -> list[Effect]:
+def _configurations(run: Run, node: str, config: Config) -> list[Change]:
     """Return the configurations of a node, or the given one where the bag has none."""
     topic = run.topics.full(names.accepted_parameters(node))
-    effects = [
-        Effect(_ns(event.stamp), config.changed(_values(event)))
+    changes = [
+        Change(nanoseconds(event.stamp), PARAMETERS, config.changed(_values(event)))
         for _, _, event in read_messages(run.bag, [topic])
     ]
     # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
-    stamps = np.array([effect.stamp for effect in effects], dtype=np.int64)
-    return effects[last_reset(stamps) :] or [Effect(0, config)]
+    stamps = np.array([change.stamp for change in changes], dtype=np.int64)
+    return changes[last_reset(stamps) :] or [Change(0, PARAMETERS, config)]
 
 
 def _values(event: Any) -> dict[str, Any]:
@@ -199,12 +165,8 @@ def _value(value: Any) -> Any:
     return found.tolist() if isinstance(found, np.ndarray) else found
 
 
-def _requests(run: Run, node: str) -> list[Effect]:
+def _requests(run: Run, node: str) -> list[Change]:
     topic = run.topics.full(names.accepted_requests(node))
     states = run.series[run.topics.full(names.JOINT_STATES)]
     found = read_asked(run.messages[topic], states)
-    return [Effect(each.stamp, ServiceCall(each.key, each.value == "true")) for each in found]
-
-
-def _ns(stamp: Any) -> int:
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    return [Change(each.stamp, each.key, each.value == "true") for each in found]

@@ -29,7 +29,7 @@ from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.recompute import recompute
-from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, ServiceCall, read_inputs
+from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, PARAMETERS, read_inputs
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
@@ -249,21 +249,17 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     run = Run(tmp_path)
     inputs = read_inputs(run, scenario)
     ticks = set(run.record.stamps.tolist())
-    assert [config.value.law.k_p for config in inputs.configurations[names.CONTROLLER]][:2] == [
-        3.0,
-        5.0,
-    ]
-    assert len(inputs.forces) == 1 and len(inputs.poses) == 3
-    assert inputs.poses[1].stamp == 500_000_000
-    requests = [request for _, request in inputs.requests[names.CONTROLLER]]
+    changes = inputs.changes[names.CONTROLLER]
+    gains = [change.value.law.k_p for change in changes if change.name == PARAMETERS]
+    assert gains[:2] == [3.0, 5.0]
+    poses = [change for change in changes if change.name == names.DESIRED_POSE]
+    assert len(poses) == 3 and poses[1].stamp == 500_000_000
+    forces = [c for c in inputs.changes[names.REGULATOR] if c.name == names.GRASP_FORCE]
+    assert len(forces) == 1
     # On a busy computer a command may be late, and the joints are held for a while.
-    calls = [request for request in requests if request.service != names.JOINT_HOLD]
-    assert calls == [
-        ServiceCall("enable", True),
-        ServiceCall("enable", True),
-        ServiceCall("reset", False),
-    ]
-    assert {effect.stamp for effect in (*inputs.forces, *inputs.poses)} <= ticks
+    calls = [(name, value) for _, name, value in changes if name in ("enable", "reset")]
+    assert calls == [("enable", True), ("enable", True), ("reset", False)]
+    assert {change.stamp for change in (*forces, *poses)} <= ticks
     assert [c for c in recompute(run).comparisons if not c.same] == []
     assert bag == run.bag
 

@@ -154,7 +154,7 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_recomputed(
     assert "real time: the nodes share one process; --processes" in orchestrator.stdout
     assert (latest(tmp_path) / "logs" / "composed.log").exists()
     kept = summary_of(tmp_path)["real_time"]
-    assert 0.4 < kept["missed_share"] <= 1.0
+    assert 0.4 < kept["missed_fraction"] <= 1.0
     assert kept["late"] + kept["skipped"] > 0
 
 

@@ -39,7 +39,7 @@ function showRun(run, navigation) {
   root.append(
     header(run, theme),
     ...[navigation, notes(run.notes)].filter((part) => part),
-    el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.ledger, context))),
+    el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.assumptions, context))),
     el("div", { class: "below" }, ...below),
     ...[scenario(run.scenario)].filter((part) => part),
     footer(KEYS, [run]),

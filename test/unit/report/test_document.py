@@ -116,7 +116,7 @@ def test_of_a_long_run_shows_peaks_and_what_there_is_room_for(tmp_path: Path) ->
     part = run_document(run, room=size // 20)
     assert whole["shown"] == whole["ticks"] == part["ticks"] == 500 > 4 * part["shown"]
     assert len(values(part, "time")) == part["shown"]
-    assert values(part, "rates").min() == -99.0 and values(part, "squeeze").max() == 99.0
+    assert values(part, "rates").min() == -99.0 and values(part, "grasp_force").max() == 99.0
     assert part["tables"] == whole["tables"] and part["events"] == whole["events"]
 
 
@@ -188,7 +188,7 @@ def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
 
 def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> None:
     document = run_document(Run(write_record(tmp_path / "bag", random_record(truth=False))))
-    assert document["object"] is None and document["hand"] is None and document["ledger"] == []
+    assert document["object"] is None and document["hand"] is None and document["assumptions"] == []
     assert document["passed"] is None and document["headline"] == ""
     assert np.isnan(values(document, "object_position")).all()
     assert any("No scenario" in note for note in document["notes"])
@@ -213,7 +213,7 @@ def test_a_scenario_of_another_version_still_gives_the_object(tmp_path: Path) ->
         Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))
     )
     assert document["name"] == "paper" and document["object"] is not None
-    assert document["ledger"] == [] and "does not fit" in document["notes"][0]
+    assert document["assumptions"] == [] and "does not fit" in document["notes"][0]
     assert document["scenario"] == text
 
 
@@ -266,7 +266,7 @@ def test_joints_of_an_unknown_hand_belong_to_the_finger_that_their_name_begins_w
     assert [each["color"] for each in found["fingers"]] == list(map(style.finger_color, range(3)))
 
 
-def test_runs_are_labelled_by_what_differs(tmp_path: Path) -> None:
+def test_runs_are_labeled_by_what_differs(tmp_path: Path) -> None:
     def run(folder: str, **changes: Any) -> Run:
         told = {"scenario": resolved(load_scenario("pull", changes))}
         return Run(write_record(tmp_path / folder, random_record(3), custom_data=told))

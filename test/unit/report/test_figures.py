@@ -90,7 +90,7 @@ def test_same_record_gives_same_files(tmp_path: Path) -> None:
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_no_colour_means_two_things() -> None:
+def test_no_color_means_two_things() -> None:
     fingers = {finger_color(i) for i in range(6)}
     assert len(fingers) == 6
     assert len({law_color(i) for i in range(3)} | fingers) == 9

@@ -61,9 +61,9 @@ def lines(record):
 def test_every_assumption_holds_in_the_papers_world(record):
     found = lines(record)
     assert list(found) == ["A1", "A2", "A3", "A4", "A4 cone", "A5", "A6", "A7", "(13)"]
-    judged = [line for line in found.values() if not np.isnan(line.held_share)]
+    judged = [line for line in found.values() if not np.isnan(line.held_fraction)]
     assert len(judged) == 7
-    assert all(line.held_share == 1.0 and not line.broken for line in judged)
+    assert all(line.held_fraction == 1.0 and not line.broken for line in judged)
 
 
 def test_the_angle_to_the_rim_is_that_of_the_papers_posture(record):
@@ -79,7 +79,7 @@ def test_a_lost_contact_breaks_a7_for_as_long_as_it_lasts(record):
     line = lines(record)["A7"]
     assert line.worst == 0.0
     assert line.broken == [(pytest.approx(0.4), pytest.approx(0.598))]
-    assert line.held_share == pytest.approx(1 - 100 / 476, abs=0.01)
+    assert line.held_fraction == pytest.approx(1 - 100 / 476, abs=0.01)
 
 
 def test_a_slip_breaks_a4_at_once_and_a6_when_it_lasts(record):
@@ -95,7 +95,7 @@ def test_weight_breaks_a3():
     heavy = run_scenario("lift", {"duration": 0.3})
     assert not lines(heavy)["A3"].broken
     pulled = run_scenario("hold", {"duration": 0.3})
-    assert lines(pulled)["A3"].held_share == 0.0
+    assert lines(pulled)["A3"].held_fraction == 0.0
 
 
 def test_the_load_is_the_sum_of_all_forces_turned_into_the_palm(still):
@@ -105,14 +105,14 @@ def test_the_load_is_the_sum_of_all_forces_turned_into_the_palm(still):
     line = lines(still)["A3"]
     assert line.worst == pytest.approx(np.linalg.norm(net)) and line.worst > 1.0
     assert line.broken == [(pytest.approx(0.2), pytest.approx(0.2))]
-    assert line.held_share == pytest.approx(34 / 35)
+    assert line.held_fraction == pytest.approx(34 / 35)
 
 
 def test_ticks_before_the_contacts_have_closed_do_not_count(still):
     still.forces[4, 0, 0] = 5.0
-    assert lines(still)["A3"].held_share == 1.0
+    assert lines(still)["A3"].held_fraction == 1.0
     still.forces[5, 0, 0] = 5.0  # at 50 ms
-    assert lines(still)["A3"].held_share == pytest.approx(34 / 35)
+    assert lines(still)["A3"].held_fraction == pytest.approx(34 / 35)
 
 
 def test_the_contact_that_wandered_farthest_counts_from_where_it_was_first_seen(still):
@@ -165,9 +165,9 @@ def test_ticks_of_which_no_contact_is_known_are_not_judged(still):
     still.grip[10:25] = UNKNOWN
     still.slip_evidence[10:25] = 7.0
     line = lines(still)["A4"]
-    assert (line.held_share, line.worst) == (1.0, pytest.approx(0.7))
+    assert (line.held_fraction, line.worst) == (1.0, pytest.approx(0.7))
     still.grip[30, 0], still.slip_evidence[30, 2] = UNKNOWN, 2.0
-    assert lines(still)["A4"].held_share == pytest.approx(19 / 20)
+    assert lines(still)["A4"].held_fraction == pytest.approx(19 / 20)
 
 
 def test_the_cone_that_is_nearest_is_that_of_a_contact_that_is_known(still):
@@ -197,7 +197,7 @@ def test_how_long_a_slip_lasts_is_unknown_where_a_finger_says_nothing(still):
     still.grip[11:13, 1] = np.nan
     line = lines(still)["A6"]
     assert line.worst == pytest.approx(0.02 - 0.03)
-    assert line.held_share == pytest.approx(1 - 2 / 33)
+    assert line.held_fraction == pytest.approx(1 - 2 / 33)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_f_out_of_balance_or_not_of_one_is_told_by_its_largest_residual(still, c
 def test_unknown_touch_gives_no_verdict(record):
     record.grip[:] = np.nan
     record.slip_evidence[:] = np.nan
-    assert np.isnan(lines(record)["A4"].held_share)
+    assert np.isnan(lines(record)["A4"].held_fraction)
     assert lines(record)["A4"].to_dict()["worst"] is None
 
 
@@ -249,7 +249,7 @@ def test_of_a_long_run_about_a_thousand_ticks_are_looked_at(ticks, last):
     found = lines(record)
     first = next(row for row in range(0, ticks, 1 if last == 1997 else last // 999) if row >= 50)
     assert found["A7"].broken == [(pytest.approx(1e-3 * first), pytest.approx(1e-3 * last))]
-    assert found["A7"].held_share == 0.0
+    assert found["A7"].held_fraction == 0.0
     unknown = ["A1", "A2", "A3", "A4 cone", "A5", "(13)"]
     assert all(np.isnan(found[name].worst) for name in unknown)
 
@@ -262,7 +262,7 @@ def test_a_value_at_its_limit_breaks_it_and_each_time_has_its_interval(still, be
     good, bad = (0.5, 3.0) if below else (3.0, 0.5)
     values[[5, 10, 11, 20, 30]] = bad, good, 1.0, good, bad
     line = _line("A", "", "", still, values, 1.0, below)
-    assert (line.worst, line.held_share) == (worst, pytest.approx(share))
+    assert (line.worst, line.held_fraction) == (worst, pytest.approx(share))
     # Ticks of which nothing is known part no interval.
     assert line.broken == [
         (pytest.approx(0.05), pytest.approx(0.05)),

@@ -137,12 +137,12 @@ def test_a_reaction_is_a_rise_by_more_than_two_percent(
 def test_a_reaction_comes_within_a_quarter_of_a_second(
     record: Record, row: int, count: int
 ) -> None:
-    """It is measured against the squeeze before the alarm."""
+    """It is measured against the grasp force before the alarm."""
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = 12.0
     found = [each for each in events(record) if each.kind == "reaction"]
     assert [each.time for each in found] == [pytest.approx(0.01 * row)] * count
-    assert all(each.text == "the squeeze rises above 10 N" for each in found)
+    assert all(each.text == "the grasp force rises above 10 N" for each in found)
 
 
 def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Record) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gap is several missing ticks, or several at which touch says nothing."""
+"""A gap is several missing ticks, or several at which touch reports nothing."""
 
 from __future__ import annotations
 

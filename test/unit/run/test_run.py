@@ -516,7 +516,7 @@ def test_of_topics_without_messages_nothing_is_measured() -> None:
 
 
 def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:
-    """The summary beside the bag says so; where it cannot be read the goal judges."""
+    """The summary next to the bag says so; where it cannot be read the goal judges."""
     write_record(tmp_path / "bag", random_record(3))
     assert not Run(tmp_path).steered
     for text, steered in (

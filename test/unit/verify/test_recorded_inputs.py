@@ -26,25 +26,14 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 from tactile_hand_ros.verify.recorded_inputs import (
-    Effect,
-    Effects,
+    PARAMETERS,
+    Change,
     Inputs,
-    ServiceCall,
     _values,
-    configured,
     read_inputs,
 )
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
-EFFECTS = [Effect(10, "a"), Effect(20, "b"), Effect(20, "c"), Effect(35, "d")]
-
-
-def test_effects_are_given_once_when_their_tick_comes() -> None:
-    effects = Effects(EFFECTS)
-    given = [list(effects.until(stamp)) for stamp in (9, 10, 19, 34, 36, 40)]
-    assert given == [[], ["a"], [], ["b", "c"], ["d"], []]
-    effects = Effects(EFFECTS)
-    assert effects.first() == "a" and list(effects.until(20)) == ["b", "c"]
 
 
 def test_a_node_that_may_skip_ticks_answered_those_with_any_number() -> None:
@@ -57,19 +46,21 @@ def test_a_node_that_may_skip_ticks_answered_those_with_any_number() -> None:
 
 def test_only_what_is_wanted_otherwise_changes_in_what_was_in_force() -> None:
     wanted = load_scenario("paper", {"duration": 0.1, "manipulation_controller.law.k_o": 0.7})
-    configurations = configured(SCENARIO)
-    controller = SCENARIO.manipulation_controller.changed({"law.k_p": 9.0})
-    configurations["manipulation_controller"].append(Effect(5, controller))
-    record = Record.empty(1, ["a"], ["j"])
-    inputs = Inputs(record, [None], np.zeros(1, dtype=np.bool_), configurations)
-    found = inputs.changed(SCENARIO, wanted).configurations
-    assert found["slip_regulator"] == configurations["slip_regulator"]
-    assert [(stamp, config.law.k_o) for stamp, config in found["manipulation_controller"]] == [
-        (0, 0.7),
-        (5, 0.7),
+    controller = SCENARIO.manipulation_controller
+    changes = [
+        Change(0, PARAMETERS, controller),
+        Change(2, "grasp", True),
+        Change(5, PARAMETERS, controller.changed({"law.k_p": 9.0})),
     ]
-    assert found["manipulation_controller"][1].value.law.k_p == 9.0
-    assert [effect.stamp for effect in configurations["force_optimizer"]] == [0]
+    others = {"slip_regulator": [Change(0, PARAMETERS, SCENARIO.slip_regulator)]}
+    record = Record.empty(1, ["a"], ["j"])
+    recorded = others | {"manipulation_controller": changes}
+    inputs = Inputs(record, [None], np.zeros(1, dtype=np.bool_), recorded)
+    found = inputs.changed(SCENARIO, wanted).changes
+    assert found["slip_regulator"] == others["slip_regulator"]
+    first, call, last = found["manipulation_controller"]
+    assert (first.value.law.k_o, last.value.law.k_o, last.value.law.k_p) == (0.7, 0.7, 9.0)
+    assert call == changes[1] and last.stamp == 5
 
 
 def test_the_type_of_a_parameter_says_which_of_its_fields_counts() -> None:
@@ -123,21 +114,19 @@ def run(tmp_path: Path) -> Run:
 
 def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
     inputs = read_inputs(run, SCENARIO)
-    assert len(inputs.contacts) == len(inputs.felt) == 12 and None not in inputs.contacts
+    assert len(inputs.contacts) == len(inputs.measured) == 12 and None not in inputs.contacts
     assert inputs.contacts[4].touching.tolist() == [True, False, True]  # type: ignore[union-attr]
-    assert inputs.felt.tolist() == [row != 6 for row in range(12)]
-    [pose] = inputs.poses
+    assert inputs.measured.tolist() == [row != 6 for row in range(12)]
+    config, call, pose = inputs.changes["manipulation_controller"]
+    assert (config.stamp, config.value.law.k_p) == (7, 2.0)
+    assert call == (8_000_000, "grasp", True)
     assert (pose.stamp, pose.value.position.tolist()) == (8_000_000, [2.0, 0.2, 0.3])
     assert pose.value.orientation[2, 1] == pytest.approx(2.0 * 0.6 * 0.8)
-    assert inputs.forces == [Effect(8_000_000, 2.0)]
-    [config] = inputs.configurations["manipulation_controller"]
-    assert (config.stamp, config.value.law.k_p) == (7, 2.0)
-    regulator = SCENARIO.slip_regulator
-    assert inputs.configurations["slip_regulator"] == [Effect(0, regulator)]
-    assert inputs.requests["manipulation_controller"] == [
-        Effect(8_000_000, ServiceCall("grasp", True))
+    assert inputs.changes["slip_regulator"] == [
+        (0, PARAMETERS, SCENARIO.slip_regulator),
+        (8_000_000, "reset", False),
+        (8_000_000, "grasp_force", 2.0),
     ]
-    assert inputs.requests["slip_regulator"] == [Effect(8_000_000, ServiceCall("reset", False))]
-    assert inputs.requests["force_optimizer"] == [] and not inputs.may_skip
+    assert len(inputs.changes["force_optimizer"]) == 1 and not inputs.may_skip
     other = load_scenario("paper", {"plant.pacing": "realtime"})
     assert read_inputs(run, other).may_skip

@@ -26,11 +26,11 @@ export function comparisonCharts(document, times, theme) {
   return [
     { title: "Position error", unit: "mm, logarithmic", log: true, lines: over((run) => log(column(run.columns.position_error, 0), 1e3)) },
     { title: "Orientation error", unit: "rad, logarithmic", log: true, lines: over((run) => log(column(run.columns.rotation_error, 0))) },
-    { title: "Squeeze", unit: "k_f, N", lines: over((run) => column(run.columns.squeeze, 0)) },
+    { title: "Grasp force", unit: "k_f, N", lines: over((run) => column(run.columns.grasp_force, 0)) },
     { title: "Sum of normal forces", unit: "N", lines: over((run) => overFingers(run.columns.force, 3, 1, (a, b) => a + b)) },
     { title: "Largest force ratio", unit: "f_t / f_n of any finger", lines: over((run) => overFingers(run.columns.beta, 1, 0, Math.max)) },
     { title: "Largest tangential force", unit: "N of any finger", lines: over((run) => tangential(run.columns.force)) },
-    { title: "Friction as learned", unit: "least of all fingers", lines: over((run) => overFingers(run.columns.friction, 1, 0, Math.min)) },
+    { title: "Friction as learned", unit: "minimum over the fingers", lines: over((run) => overFingers(run.columns.friction, 1, 0, Math.min)) },
     { title: "Largest joint rate", unit: "rad/s", lines: over((run) => overFingers(run.columns.rates, 1, 0, (a, b) => Math.max(Math.abs(a), Math.abs(b)))) },
     { title: "Latency of each tick", unit: "ms, logarithmic", log: true, lines: over((run) => log(column(run.columns.latency, 0), 1e3), { points: true }) },
   ];

@@ -63,12 +63,12 @@ export function runCharts(run, theme) {
       ],
     },
     {
-      title: "Squeeze",
+      title: "Grasp force",
       unit: "k_f, N",
       marks: true,
       range: (_, min, max) => [Math.min(0, min ?? 0), 1.12 * Math.max(max ?? 1, 1e-6)],
       keys: eventKeys(run.events, theme),
-      lines: [{ label: "k_f", color: () => theme.get("ink"), data: column(columns.squeeze, 0), width: 2 }],
+      lines: [{ label: "k_f", color: () => theme.get("ink"), data: column(columns.grasp_force, 0), width: 2 }],
     },
     {
       title: "Latency of each tick",
