@@ -29,9 +29,8 @@ from bench.workload import SCENARIO
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.orchestrator.graph import ExpectedTopic, expected_topics
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.domains import isolated_domain
 from tactile_hand_ros.ros.executor import spin
-from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.middleware import isolated_domain, use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 

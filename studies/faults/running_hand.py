@@ -25,7 +25,6 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import make_executor
 from tactile_hand_ros.ros.messages.conversions import (
     contacts_from_ros,
@@ -33,6 +32,7 @@ from tactile_hand_ros.ros.messages.conversions import (
     stamp_to_ns,
 )
 from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable

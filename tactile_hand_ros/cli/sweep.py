@@ -226,7 +226,7 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     print(f"run {index}: {listed}", flush=True)
     file = folder / f"run_{index}.yaml"
     files.replace_text(file, resolved(scenario))
-    command = [sys.executable, "-m", "tactile_hand_ros.ros.executables", "orchestrator"]
+    command = [sys.executable, "-m", "tactile_hand_ros.ros.processes", "orchestrator"]
     options = ["--scenario", str(file), "--out", str(folder / "runs")]
     # What else this computer does may be the study itself.
     return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode

@@ -29,10 +29,10 @@ from tactile_hand_ros.nodes.manipulation_controller import ManipulationControlle
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
+from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.guard import TickFailedError
 from tactile_hand_ros.ros.runner import run_nodes
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.skin import TactileReading
 

@@ -29,12 +29,11 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 from tactile_hand_ros.nodes.common import WrenchPublishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
-from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks import TickInputs
 
 Array = NDArray[np.float64]
 

@@ -34,15 +34,14 @@ from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges, DesiredPoses
-from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.guard import TickFailedError
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
-from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.ros.streams import Joints
+from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]

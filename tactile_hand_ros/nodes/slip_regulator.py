@@ -34,14 +34,13 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulator
 from tactile_hand_ros.errors import UnsafeOutputError
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
-from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
 from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec, read_message
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks import TickInputs
 
 HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""

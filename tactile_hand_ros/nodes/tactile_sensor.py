@@ -21,11 +21,11 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ReadingPublisher
+from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.messages.conversions import ContactPoses
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import TickInputs
+from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.miscalibration import Miscalibration
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig

@@ -16,8 +16,7 @@ import rclpy
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.orchestrator import keeper
-from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.processes import ChildProcess, end_together
+from tactile_hand_ros.ros.processes import PACKAGE, ChildProcess, end_together, executable_path
 
 _TAIL = 15  # lines of a log that are shown
 

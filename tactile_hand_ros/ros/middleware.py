@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the middleware is set up: by sockets alone, so that no dead process stops a living one.
+"""How the middleware is set up, and domains and contexts apart from all others on this machine.
 
-Fast DDS also passes messages through shared memory by default. A process that is killed while it
-sets up its part there leaves it half made, and the next process that opens it waits for ever, in
-native code, with nothing that could end the wait. It is a little faster; a hand must not depend
-on it.
+Messages go through sockets alone. Fast DDS would also use shared memory, where a process that is
+killed while it sets up its part leaves it half made; the next process that opens it waits for ever,
+in native code. Shared memory is a little faster; a hand must not depend on it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping
+import random
+import socket
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import get_resources
 
@@ -22,6 +25,9 @@ _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _ALONE = "ROS_LOCALHOST_ONLY"
 _HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
+_PORT_BASE = 32768
+_DOMAINS = range(60, 102)
+"""Lower domains are left to people, higher ones meet ephemeral ports."""
 _MIDDLEWARE, _FAST_DDS = "RMW_IMPLEMENTATION", "rmw_fastrtps"
 
 
@@ -86,3 +92,60 @@ def check_environment(environment: Mapping[str, str]) -> None:
             f"RMW_IMPLEMENTATION is '{middleware}', which is not installed here; expected "
             f"{' or '.join(installed)}, or nothing"
         )
+
+
+@contextlib.contextmanager
+def isolated_domain() -> Iterator[int]:
+    """Reserve a ROS domain on this machine and set the environment for it.
+
+    Reserving means binding TCP port 32768 + id, the convention of domain_coordinator. Processes
+    that are started inside inherit the domain, and discovery stays on this machine.
+
+    Yields:
+        The domain id.
+    """
+    with _reserve() as domain:
+        values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        with _environment({**values, **socket_settings({**os.environ, **values})}):
+            yield domain
+
+
+@contextlib.contextmanager
+def _reserve() -> Iterator[int]:
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as guard:
+            try:
+                guard.bind(("localhost", _PORT_BASE + domain))
+            except OSError:
+                continue
+            yield domain
+            return
+    raise RuntimeError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use")
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextlib.contextmanager
+def private_context(domain: int, args: Sequence[str] | None = None) -> Iterator[Any]:
+    """Provide an rclpy context of its own, shut down at the end."""
+    import rclpy  # which ends the process if the middleware is missing
+    from rclpy.context import Context
+
+    context = Context()
+    rclpy.init(context=context, domain_id=domain, args=None if args is None else list(args))
+    try:
+        yield context
+    finally:
+        context.try_shutdown()

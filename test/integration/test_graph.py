@@ -24,7 +24,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved

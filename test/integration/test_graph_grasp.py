@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool
 from support.graph import Graph
 
 from tactile_hand_ros.ros.diagnostics import OK, WARN
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 # Weightless, so that the cube waits where it was let go.

@@ -14,7 +14,7 @@ from support.graph import Graph
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario(

@@ -23,7 +23,7 @@ from support.messages import force_message, pose_message
 
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 

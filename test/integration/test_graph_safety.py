@@ -19,7 +19,7 @@ from support.graph import Graph
 
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 P_D = np.array(load_scenario("paper").targets[0].position)

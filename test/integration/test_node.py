@@ -22,8 +22,8 @@ from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.messages.conversions import number_from_ros
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 

@@ -27,9 +27,14 @@ from support.spinning import spinning
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import (
+    PACKAGE,
+    CapturedProcess,
+    executable_path,
+    start_executable,
+    wait_until,
+)
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.verify.recompute import recompute

@@ -13,7 +13,7 @@ import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros import executables
+from tactile_hand_ros.ros import processes as executables
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"

@@ -11,7 +11,7 @@ import rclpy
 from std_msgs.msg import Float64
 from support.spinning import spinning
 
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, end_together, wait_until
 
 

@@ -31,11 +31,15 @@ import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.executables import executable_path
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, peer_count
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.processes import (
+    CapturedProcess,
+    executable_path,
+    start_executable,
+    wait_until,
+)
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -16,9 +16,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support.spinning import spinning
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
-from tactile_hand_ros.ros.executables import executable_path
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import (
+    CapturedProcess,
+    executable_path,
+    start_executable,
+    wait_until,
+)
 
 PRIORITY = 7
 CPU = min(os.sched_getaffinity(0))

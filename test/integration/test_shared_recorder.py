@@ -21,7 +21,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.cdr import header_stamp
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario

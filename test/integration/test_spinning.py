@@ -17,12 +17,12 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
     SurvivingExecutor,
     WaitSetExecutor,
     spin,
 )
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 

@@ -15,7 +15,7 @@ from support.messages import pose_message
 
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import recompute

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.csv
 
 from tactile_hand_ros.cli import main
-from tactile_hand_ros.ros.domains import isolated_domain
+from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.run.run import Run
 
 

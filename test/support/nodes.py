@@ -13,8 +13,8 @@ from rclpy.serialization import deserialize_message
 
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import SurvivingExecutor
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 

@@ -17,9 +17,8 @@ from support.recorded import random_record, write_record
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.ros.domains import isolated_domain
-from tactile_hand_ros.ros.executables import executable_path
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.middleware import isolated_domain
+from tactile_hand_ros.ros.processes import CapturedProcess, executable_path, wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
@@ -66,7 +65,7 @@ def test_shell_completion(words: str, word: int, offered: str) -> None:
 def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     code = (
         "from tactile_hand_ros.config.paths import use_own_prefix as u; u(); u();"
-        "from tactile_hand_ros.ros.executables import executable_path as e; print(e('plant'));"
+        "from tactile_hand_ros.ros.processes import executable_path as e; print(e('plant'));"
         "from ament_index_python import get_package_prefix as p; print(p('sensor_msgs'))"
     )
     unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}

@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tactile_hand_ros.ros.domains import isolated_domain
-from tactile_hand_ros.ros.executables import executable_path
+from tactile_hand_ros.ros.middleware import isolated_domain
+from tactile_hand_ros.ros.processes import executable_path
 
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
 COMMANDS = {"typer", "rich"}

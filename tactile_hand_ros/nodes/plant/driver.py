@@ -28,7 +28,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.ticks.senders import SenderCheck, two_senders
+from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.plant_config import PlantConfig

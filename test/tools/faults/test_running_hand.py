@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from support.spinning import spinning
 
 from studies.faults import running_hand as module
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
 

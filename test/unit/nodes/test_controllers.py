@@ -28,7 +28,7 @@ from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.guard import TickFailedError
 from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
 from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec
-from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.ros.streams import Joints
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 

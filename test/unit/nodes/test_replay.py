@@ -27,7 +27,7 @@ from tactile_hand_ros.cdr import to_nanoseconds
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000

@@ -29,8 +29,7 @@ from tactile_hand_ros.orchestrator.participation import (
 )
 from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
 from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
-from tactile_hand_ros.ros.domains import isolated_domain
-from tactile_hand_ros.ros.middleware import check_environment
+from tactile_hand_ros.ros.middleware import check_environment, isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("paper", {"duration": 0.1})

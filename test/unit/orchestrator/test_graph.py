@@ -18,7 +18,7 @@ from tactile_hand_ros.orchestrator.graph import (
     GraphReadiness,
     expected_topics,
 )
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
 

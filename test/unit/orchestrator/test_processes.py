@@ -20,8 +20,7 @@ from tactile_hand_ros.orchestrator.processes import (
     Processes,
     start_command,
 )
-from tactile_hand_ros.ros.executables import PACKAGE, executable_path
-from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.processes import PACKAGE, executable_path, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"

@@ -3,8 +3,8 @@
 
 import pytest
 
-from tactile_hand_ros.ros import executables
-from tactile_hand_ros.ros.executables import (
+from tactile_hand_ros.ros import processes as executables
+from tactile_hand_ros.ros.processes import (
     ExecutableError,
     executable_directory,
     executable_path,

@@ -15,7 +15,6 @@ from rclpy.subscription import Subscription
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import executor as module
 from tactile_hand_ros.ros.direct_take import DirectTakeGroup
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import (
     Ready,
     SurvivingExecutor,
@@ -23,6 +22,7 @@ from tactile_hand_ros.ros.executor import (
     is_supported,
     spin,
 )
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 
 
 class Survivor(Node):

@@ -22,8 +22,8 @@ from tactile_hand_ros.ros import node as module
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK
 from tactile_hand_ros.ros.direct_take import subscribe_directly
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
 from tactile_hand_ros.ros.executor import WaitSetExecutor
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode, peer_count, set_period
 from tactile_hand_ros.ros.processes import wait_until
 

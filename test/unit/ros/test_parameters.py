@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from tactile_hand_ros.config.model import Config, leaves, param
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.parameters import (
     ConfigParameters,
     descriptor,

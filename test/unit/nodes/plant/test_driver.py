@@ -22,9 +22,9 @@ from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
-from tactile_hand_ros.ros.ticks.senders import SenderCheck
+from tactile_hand_ros.ros.ticks import SenderCheck
 
 TICK = 2_000_000
 GENTLE, OTHER = np.full(9, 0.01), np.full(9, 0.02)

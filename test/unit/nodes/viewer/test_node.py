@@ -23,7 +23,7 @@ from tactile_hand_ros.nodes.viewer import node as viewer
 from tactile_hand_ros.nodes.viewer.node import ViewerNode
 from tactile_hand_ros.nodes.viewer.scene import LinkFrames
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
-from tactile_hand_ros.ros.domains import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 STRAIGHT = [0.0, 0.0, 0.0, 1.0]

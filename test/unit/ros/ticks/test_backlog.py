@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.ticks.inputs import Backlog, chosen, rank
+from tactile_hand_ros.ros.ticks import Backlog, chosen, rank
 
 MS = 1_000_000
 

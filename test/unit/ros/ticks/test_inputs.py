@@ -16,16 +16,16 @@ from sensor_msgs.msg import JointState
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.ros import streams
+from tactile_hand_ros.ros import ticks as inputs_module
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
 from tactile_hand_ros.ros.messages.wire import (
     ContactsCodec,
     JointCodec,
     WrenchCodec,
 )
-from tactile_hand_ros.ros.ticks import inputs as inputs_module
-from tactile_hand_ros.ros.ticks import streams
-from tactile_hand_ros.ros.ticks.inputs import SilenceTimeout, TickInputs
-from tactile_hand_ros.ros.ticks.streams import Joints
+from tactile_hand_ros.ros.streams import Joints
+from tactile_hand_ros.ros.ticks import SilenceTimeout, TickInputs
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]

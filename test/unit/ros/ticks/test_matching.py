@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.ticks.matching import REPEAT, Leaps, StampMatcher
+from tactile_hand_ros.ros.ticks import REPEAT, Leaps, StampMatcher
 
 KEYS = ("joints", "contacts", "force")
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from tactile_hand_ros.ros.ticks.senders import SenderCheck
+from tactile_hand_ros.ros.ticks import SenderCheck
 
 
 class Topic:
