@@ -16,7 +16,7 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
-from tactile_hand_ros.ros.messages.wire import (
+from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
     PoseCodec,

@@ -4,6 +4,7 @@
 * `header_stamp`: the stamp of any message that begins with a header, from its bytes.
 * `tables`: all messages of a topic to arrays at once, for reading bags.
 * `CdrTemplate`: one message with a fixed layout, read and written in place, for ticks.
+* `read_content`: one message of any layout, field by field.
 
 A general decoder builds one Python object a message. The messages of a topic nearly always have
 the same strings and lengths, so that every number sits at the same byte.
@@ -226,10 +227,14 @@ class _Cursor:
     """Walks over one message and notes what it finds."""
 
     def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, _ORIGIN
+        self.layout = Layout(little=data[1:2] == b"\x01", fixed=[(0, 2)])
+
+    def read(self, type_name: str) -> None:
+        data = self._data
         if len(data) < _ORIGIN or data[0] or data[1] > 1:
             raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
-        self._data, self._at = data, _ORIGIN
-        self.layout = Layout(little=bool(data[1]), fixed=[(0, 2)])
+        PARSERS[type_name](self)
 
     def header(self) -> None:
         self._skip(8)
@@ -295,6 +300,46 @@ PARSERS: dict[str, Callable[[_Cursor], None]] = {
 """The types that can be read, by name."""
 
 
+LARGEST_MESSAGE = 65_536
+"""Largest single message that is read [bytes]: a hand with a thousand joints needs less."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is in one message.
+
+    Attributes:
+        stamp: Header stamp [ns].
+        texts: All strings in order; the first is the header's frame_id.
+        doubles: Each group of doubles by name, shape (count,).
+    """
+
+    stamp: int
+    texts: list[str]
+    doubles: dict[str, Array]
+
+
+def read_content(type_name: str, data: bytes) -> Content:
+    """Read a message of one of `PARSERS`, whatever its layout.
+
+    Raises:
+        MessageError: If the bytes are too many or not a message of that type.
+    """
+    if len(data) > LARGEST_MESSAGE:
+        raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
+    cursor = _Cursor(data)
+    try:
+        cursor.read(type_name)
+    except ValueError as error:
+        raise MessageError(f"{len(data)} bytes that are not a {type_name}: {error}.") from None
+    order = "<f8" if cursor.layout.little else ">f8"
+    doubles = {
+        name: np.frombuffer(data, order, count, at).astype(np.float64) if count else np.empty(0)
+        for name, (at, count) in cursor.layout.doubles.items()
+    }
+    return Content(header_stamp(data), cursor.layout.texts, doubles)
+
+
 def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
     """Group the messages of a topic by layout.
 
@@ -318,9 +363,9 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
 
 
 def _layout(type_name: str, message: bytes) -> Layout:
+    cursor = _Cursor(message)
     try:
-        cursor = _Cursor(message)
-        PARSERS[type_name](cursor)
+        cursor.read(type_name)
     except ValueError as error:
         raise BagError(f"A message is not a valid {type_name}: {error}; record it again.") from None
     return cursor.layout

@@ -21,7 +21,7 @@ from studies.faults import space
 from studies.faults.running_hand import RunningHand
 from studies.faults.space import Run
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.messages import PoseCodec
 
 _NODE_OF = {
     space.SENSOR: names.SENSOR,

@@ -26,12 +26,12 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import make_executor
-from tactile_hand_ros.ros.messages.conversions import (
-    contacts_from_ros,
-    force_from_ros,
+from tactile_hand_ros.ros.messages import (
+    ContactsCodec,
+    PoseCodec,
+    WrenchCodec,
     stamp_to_ns,
 )
-from tactile_hand_ros.ros.messages.wire import PoseCodec
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
@@ -285,7 +285,7 @@ class RunningHand:
         """Return whether all fingers touched in the last message about contacts."""
         for event in reversed(events):
             if event.topic == names.TRUE_CONTACTS:
-                contacts = contacts_from_ros(self.read(event), len(self.fingers))
+                contacts = ContactsCodec(len(self.fingers)).decode(event.data)[1]
                 return bool(np.isfinite(contacts.positions).all())
         return False
 
@@ -295,7 +295,7 @@ class RunningHand:
         sums: dict[bytes, list[float]] = {}
         for event in events:
             if event.topic in topics:
-                force = force_from_ros(self.read(event))
+                _, force = WrenchCodec(names.PALM_FRAME, any_frame=True).decode(event.data)
                 sums.setdefault(event.data[4:12], []).append(float(force[1]))
         return max((sum(each) for each in sums.values() if len(each) == len(topics)), default=0.0)
 

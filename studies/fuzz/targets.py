@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
@@ -23,17 +22,12 @@ from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.config.hand_config import find_hand
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.ros.messages.conversions import (
-    number_from_ros,
-    pose_from_ros,
-    stamp_to_ns,
-)
-from tactile_hand_ros.ros.messages.wire import (
+from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
     PoseCodec,
     WrenchCodec,
-    read_message,
+    read_number,
 )
 from tactile_hand_ros.scenario.scenario import find_scenario, load_scenario
 
@@ -98,18 +92,13 @@ def message_readers() -> dict[str, Reader]:
         "force in any frame": Reader(any_frame.decode, force.encode(three, 7)),
         "slip": Reader(slip.decode, slip.encode(7, three, three)),
         "grip": Reader(grip.decode, grip.encode(7, three, three, three)),
-        "pose": Reader(_read_pose, PoseCodec().encode(three, turns[0], 7)),
+        "pose": Reader(PoseCodec().decode, PoseCodec().encode(three, turns[0], 7)),
         "number": Reader(_read_number, bytes(serialize_message(Float64(data=3.0)))),
     }
 
 
-def _read_pose(data: bytes) -> tuple[int, Any]:
-    message = read_message(data, PoseStamped)
-    return stamp_to_ns(message.header.stamp), pose_from_ros(message)
-
-
 def _read_number(data: bytes) -> tuple[int, Any]:
-    return 0, number_from_ros(read_message(data, Float64))
+    return 0, read_number(data)
 
 
 def _wire() -> dict[str, Target]:

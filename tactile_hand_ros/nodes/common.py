@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.messages.wire import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 
 Array = NDArray[np.float64]

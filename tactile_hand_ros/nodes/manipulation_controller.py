@@ -37,7 +37,7 @@ from tactile_hand_ros.nodes.user_changes import AppliedChanges, DesiredPoses
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.guard import TickFailedError
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec, check_output
+from tactile_hand_ros.ros.messages import JointCodec, PoseCodec, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.streams import Joints

@@ -36,8 +36,12 @@ from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
-from tactile_hand_ros.ros.messages.conversions import feedback_to_ros, number_from_ros
-from tactile_hand_ros.ros.messages.wire import JointCodec, WrenchCodec, read_message
+from tactile_hand_ros.ros.messages import (
+    JointCodec,
+    WrenchCodec,
+    feedback_message,
+    read_number,
+)
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -198,7 +202,6 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._haptic_publisher = self.create_publisher(
             JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
         )
-        self._haptic = feedback_to_ros((0.0, 0.0))
         self._felt, self._strongest = -1, 0.0
         self._force_publisher = self.create_publisher(
             WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
@@ -248,7 +251,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._changes.request(names.TOUCH_REJECTED, True)
 
     def _on_user_force(self, data: bytes) -> None:
-        force = number_from_ros(read_message(data, Float64))
+        force = read_number(data)
         self._regulator.request(force)
         self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
 
@@ -315,7 +318,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         if stamp // HAPTIC_PERIOD_NS != self._felt:
             self._felt = stamp // HAPTIC_PERIOD_NS
             levels = (grip, self._strongest)
-            self._haptic_publisher.publish(feedback_to_ros(levels, out=self._haptic))
+            self._haptic_publisher.publish(feedback_message(levels))
             self._strongest = 0.0
 
 

@@ -22,7 +22,7 @@ from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros import streams
-from tactile_hand_ros.ros.messages.conversions import ContactPoses
+from tactile_hand_ros.ros.messages import ContactPoses
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs

@@ -13,8 +13,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.publisher import Publisher
 
@@ -25,10 +27,15 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_from_ns, stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import read_message
+from tactile_hand_ros.ros.messages import (
+    PoseCodec,
+    stamp_from_ns,
+)
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.parameters import to_parameters
+from tactile_hand_ros.rotations import rotation_from_quaternion
+
+Array = NDArray[np.float64]
 
 _MOST_REFUSALS = 10
 """Refusals published between two ticks: a flood of bad commands must not become one of answers."""
@@ -152,9 +159,9 @@ def far_ahead(stamp: int, tick: int) -> str:
 
 
 class _CommandedPose(Target):
-    """A desired pose with its message: the rotation does not give back the exact quaternion."""
+    """A desired pose as it came: the rotation does not give back the exact quaternion."""
 
-    message: PoseStamped
+    quaternion: Array
 
 
 class DesiredPoses:
@@ -175,6 +182,7 @@ class DesiredPoses:
         """
         self._node, self._controller = node, controller
         self._last_tick = last_tick
+        self._codec = PoseCodec()
         self._fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.user_qos())
         node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
@@ -186,12 +194,12 @@ class DesiredPoses:
 
     def take(self, data: bytes) -> None:
         """Take a serialized pose."""
-        message = read_message(data, PoseStamped)
-        target, stamp = _CommandedPose(*pose_from_ros(message)), stamp_to_ns(message.header.stamp)
+        stamp, pose = self._codec.decode(data)
+        target = _CommandedPose(pose.position, rotation_from_quaternion(pose.quaternion))
         last = self._last_tick()
         if last is not None and stamp > last + DAY_NS:
             raise MessageError(far_ahead(stamp, last))
-        target.message = message
+        target.quaternion = pose.quaternion
         dropped = self._controller.dropped
         self._controller.command(target, stamp)
         self._fresh.append((target, stamp))
@@ -212,8 +220,7 @@ class DesiredPoses:
         pose = self._controller.accepted
         if pose is not None:
             assert isinstance(pose, _CommandedPose)
-            pose.message.header.stamp = stamp_from_ns(tick)
-            self._publisher.publish(pose.message)
+            self._publisher.publish(self._codec.encode(pose.position, pose.quaternion, tick))
         self._fresh.clear()
 
     def forget(self) -> None:

@@ -24,7 +24,10 @@ from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.messages import (
+    Pose,
+    PoseCodec,
+)
 from tactile_hand_ros.scenario.scenario import TargetConfig
 
 _LATEST, _ALL = 1, 100
@@ -70,7 +73,8 @@ class Monitor:
             self._command = self._subscribe(JointState, names.JOINT_COMMAND, _LATEST)
             self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
         self._diagnostics = self._subscribe(DiagnosticArray, names.DIAGNOSTICS, _ALL)
-        self._newest: PoseStamped | None = None
+        self._newest: tuple[int, Pose] | None = None
+        self._codec = PoseCodec()
         self._status: dict[str, tuple[bytes, str]] = {}
         self._facts: dict[str, dict[str, str]] = {}
         self.tick = -1
@@ -102,15 +106,15 @@ class Monitor:
         """Return the distance of the newest pose from the scenario's target at that tick [m]."""
         data = take_latest(self._pose)
         if data is not None:
-            self._newest = deserialize_message(data, PoseStamped)
+            self._newest = self._codec.decode(data)
         if self._newest is None:
             return math.nan
-        stamp = stamp_to_ns(self._newest.header.stamp)
+        stamp, pose = self._newest
         due = [target for target in self._targets if target.stamp <= stamp]
         if not due:
             return math.nan
         target = max(due, key=lambda each: each.stamp)
-        return float(np.linalg.norm(pose_from_ros(self._newest).position - target.position))
+        return float(np.linalg.norm(pose.position - target.position))
 
     def faults(self) -> list[str]:
         """Return a sentence for each node that reports a warning or an error."""

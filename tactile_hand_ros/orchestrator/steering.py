@@ -25,11 +25,14 @@ from std_srvs.srv import SetBool, Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import PoseCodec
+from tactile_hand_ros.ros.messages import (
+    PoseCodec,
+    stamp_to_ns,
+)
 from tactile_hand_ros.ros.node import PUBLICATIONS
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
+    rotation_from_quaternion,
     rotation_from_vector,
     vector_from_rotation,
 )
@@ -277,9 +280,9 @@ class HandClient:
 
     def _orientation(self) -> Array:
         """Return the present orientation of the grasp, shape (3, 3)."""
-        found: list[PoseStamped] = []
+        found: list[bytes] = []
         self._node.create_subscription(
-            PoseStamped, names.AUXILIARY_POSE, found.append, qos.tick_qos()
+            PoseStamped, names.AUXILIARY_POSE, found.append, qos.tick_qos(), raw=True
         )
         self._wait(
             lambda: bool(found),
@@ -287,7 +290,7 @@ class HandClient:
             f"{self._timeout:g} s); is it running, and do all fingers touch?",
             present=names.DESIRED_POSE,
         )
-        return np.asarray(pose_from_ros(found[0]).rotation)
+        return rotation_from_quaternion(PoseCodec().decode(found[0])[1].quaternion)
 
     def _send(
         self,

@@ -27,7 +27,6 @@ from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.guard import Answering, CallbackGuard
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
-from tactile_hand_ros.ros.poll_backoff import PollBackoff
 from tactile_hand_ros.ros.publishing import TickPublisher
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
@@ -36,14 +35,8 @@ C = TypeVar("C", bound=Config)
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two diagnostic messages [s]."""
 
-PEERS_PERIOD = 0.1
-"""Time between two looks at who is connected, while peers come and go [s]."""
-
-CALM_PERIOD = 1.0
-"""The same when no peer has come or gone for `CALM_AFTER` [s]."""
-
-CALM_AFTER = 5.0
-"""Time after which the graph counts as calm [s]."""
+PEERS_PERIOD = 0.2
+"""Time between two looks at who is connected [s]: rclpy does not report changes of the graph."""
 
 PUBLICATIONS = "publications"
 SUBSCRIPTIONS = "subscriptions"
@@ -98,8 +91,7 @@ class TactileNode(Node, Generic[C]):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
         self._peers: dict[str, int] = {}
-        self._attention = PollBackoff(PEERS_PERIOD, CALM_PERIOD, CALM_AFTER)
-        self._peers_timer = self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
+        self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
 
     @property
     def config(self) -> C:
@@ -250,13 +242,11 @@ class TactileNode(Node, Generic[C]):
     def _look_for_peers(self) -> None:
         """Say at once when a peer has come or gone."""
         peers = {**dict.fromkeys(self._peers, 0), **self.peers()}
-        changed = peers != self._peers
-        if changed:
+        if peers != self._peers:
             self._peers = peers
             for key, count in peers.items():
                 self.diagnostics.value(key, count)
             self.publish_diagnostics()
-        set_period(self._peers_timer, self._attention.period(changed))
 
     def peers(self) -> dict[str, int]:
         """Return how many matched peers each topic has, by key of the diagnostics.
@@ -276,13 +266,6 @@ class TactileNode(Node, Generic[C]):
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
-
-
-def set_period(timer: Timer, seconds: float) -> None:
-    """Let a timer go on with another period [s], from its next call on."""
-    period = round(1e9 * seconds)
-    if timer.timer_period_ns != period:
-        timer.timer_period_ns = period
 
 
 def _name_of(callback: Callable[..., Any]) -> str:

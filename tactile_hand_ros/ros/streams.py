@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.ros.messages.wire import (
+from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
     WrenchCodec,
@@ -45,40 +44,6 @@ class Stream:
     wanted: bool = True
 
 
-class Once:
-    """Decodes a message once for all nodes of a process that are given it one after the other.
-
-    What they get is one value, which none of them may change.
-    """
-
-    def __init__(self, decode: Decode) -> None:
-        """Take what decodes."""
-        self._decode = decode
-        self._last: tuple[bytes, tuple[int, Any]] | None = None
-
-    def __call__(self, data: bytes) -> tuple[int, Any]:
-        """Return tick [ns] and value, see `Decode`."""
-        if self._last is None or data is not self._last[0]:
-            self._last = data, self._decode(data)
-        return self._last[1]
-
-
-@functools.cache
-def _contacts_decoder(fingers: int) -> Decode:
-    codec = ContactsCodec(fingers)
-
-    def decode(data: bytes) -> tuple[int, Contacts]:
-        stamp, poses = codec.decode(data)
-        return stamp, Contacts.from_poses(*poses)
-
-    return Once(decode)
-
-
-@functools.cache
-def _force_decoder(frame: str, nan_allowed: bool) -> Decode:
-    return Once(WrenchCodec(frame, nan_allowed=nan_allowed).decode)
-
-
 class Joints(NamedTuple):
     """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
 
@@ -103,7 +68,13 @@ def joints(joint_names: Sequence[str]) -> Stream:
 
 def contacts(fingers: int) -> Stream:
     """Declare the measured contacts; values are `Contacts` in the palm frame."""
-    return Stream(PoseArray, {names.CONTACTS: _contacts_decoder(fingers)}, from_driver=True)
+    codec = ContactsCodec(fingers)
+
+    def decode(data: bytes) -> tuple[int, Contacts]:
+        stamp, poses = codec.decode(data)
+        return stamp, Contacts.from_poses(*poses)
+
+    return Stream(PoseArray, {names.CONTACTS: decode}, from_driver=True)
 
 
 def forces(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
@@ -117,7 +88,7 @@ def optimal_forces(finger_names: Sequence[str]) -> Stream:
 
 
 def grasp_force() -> Stream:
-    """Declare the squeeze k_f; values in N."""
+    """Declare the grasp force k_f; values in N."""
     codec = WrenchCodec(names.PALM_FRAME, any_frame=True)
 
     def decode(data: bytes) -> tuple[int, float]:
@@ -167,7 +138,8 @@ def _wrenches(
     from_driver: bool = False,
     wanted: bool = True,
 ) -> Stream:
-    decoders = {
-        topic(name): _force_decoder(names.contact_frame(name), nan_allowed) for name in finger_names
+    decoders: dict[str, Decode] = {
+        topic(name): WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).decode
+        for name in finger_names
     }
     return Stream(WrenchStamped, decoders, True, from_driver, wanted)

@@ -18,7 +18,7 @@ from support.nodes import Process, process, tapped
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed
-from tactile_hand_ros.ros.messages.wire import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import NODES, Scenario, load_scenario
@@ -85,7 +85,7 @@ def test_nothing_is_encoded_when_nobody_wants_it(
     with process() as here:
         nodes = start(here, short(), tmp_path)
         encoded: list[int] = []
-        template = "tactile_hand_ros.ros.messages.wire.CdrTemplate.stamped"
+        template = "tactile_hand_ros.ros.messages.CdrTemplate.stamped"
         monkeypatch.setattr(template, lambda _, stamp: encoded.append(stamp) or b"")
         run_to_the_end(here, nodes["plant"])
         assert encoded == []

@@ -30,8 +30,10 @@ from tactile_hand_ros.nodes.manipulation_controller import ManipulationControlle
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages.conversions import stamp_to_ns
-from tactile_hand_ros.ros.messages.wire import JointCodec
+from tactile_hand_ros.ros.messages import (
+    JointCodec,
+    stamp_to_ns,
+)
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario

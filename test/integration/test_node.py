@@ -22,7 +22,9 @@ from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import number_from_ros
+from tactile_hand_ros.ros.messages import (
+    checked_number,
+)
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
@@ -39,7 +41,7 @@ class Example(TactileNode[ExampleConfig]):
         self.subscribe(Float64, "x", self._on_x, sensor=True)
 
     def _on_x(self, message):
-        self.got.append(self.config.gain * number_from_ros(message))
+        self.got.append(self.config.gain * checked_number(message.data))
         self.diagnostics.tick()
 
     def on_config(self, config):
@@ -242,7 +244,7 @@ def make():
     yield Example()
     yield Example("second")
 
-sys.exit(run_nodes(make))
+sys.exit(run_nodes(make, described=[Example]))
 '''
 
 
@@ -304,6 +306,13 @@ def test_an_error_while_closing_is_shown_and_the_others_are_closed(run):
         assert process.wait() == 1
         assert "the bag is not finished" in process.stderr
         assert "closed second" in process.stdout and "closed example" in process.stdout
+
+
+def test_help_has_the_words_of_the_node_and_its_arguments(run):
+    with run("--help") as process:
+        assert process.wait() == 0
+        for words in ("Does this and that.", "--priority N", "--params-file FILE"):
+            assert words in process.stdout
 
 
 @pytest.mark.parametrize(

@@ -283,6 +283,7 @@ def program(tmp_path, domain):
         (signal.SIGINT, "spinning", "busy"),
         (signal.SIGTERM, "built", "busy"),
         (signal.SIGTERM, "spinning", "idle"),
+        (signal.SIGHUP, "spinning", "busy"),
     ],
 )
 def test_a_signal_ends_a_node_at_once_and_quietly(program, number, phase, load):
@@ -296,6 +297,14 @@ def test_a_signal_ends_a_node_at_once_and_quietly(program, number, phase, load):
         known = (": ready", "publisher's context is invalid, at")
         assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
         assert "closed" in process.stdout
+
+
+def test_a_node_that_ignores_a_closed_terminal_goes_on_until_it_is_stopped(program):
+    with CapturedProcess(["nohup", *program, "idle"]) as process:
+        process.wait_for_output("spinning")
+        process.send(signal.SIGHUP)
+        process.send(signal.SIGTERM)
+        assert process.wait(5.0) == 0
 
 
 def test_an_idle_node_uses_no_processor_time(program):

@@ -12,13 +12,14 @@ import pytest
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from support.messages import pose as make_pose
 
 from studies.fuzz.targets import message_readers
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.ros.messages import conversions as c
+from tactile_hand_ros.ros import messages as c
 
 JOINTS = ["a_1", "a_2", "b_1"]
 FIELDS = ("position", "velocity", "effort")
@@ -108,7 +109,8 @@ def refused_or_usable(call: Callable[[], Any]) -> None:
 def test_any_joint_state_is_read_or_refused(given_names: list[str], values: list[float]) -> None:
     message = JointState(name=given_names, position=values, velocity=values, effort=values)
     for field in FIELDS:
-        refused_or_usable(lambda f=field: c.JointOrder(JOINTS).read(message, f))
+        codec = c.JointCodec(JOINTS, (field,))
+        refused_or_usable(lambda c=codec: c.decode(serialize_message(message))[1])
 
 
 @bounded
@@ -119,7 +121,7 @@ def test_any_pose_force_and_number_is_read_or_refused(values: list[float], frame
     pose.pose = make_pose(values[:3], values[3:])
     wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z = values[:3]
     contacts.poses = [pose.pose]
-    refused_or_usable(lambda: tuple(map(np.ravel, c.pose_from_ros(pose)))[0])
-    refused_or_usable(lambda: c.force_from_ros(wrench, frame="tip"))
-    refused_or_usable(lambda: tuple(c.contacts_from_ros(contacts, 1)))
-    refused_or_usable(lambda: c.number_from_ros(Float64(data=values[0])))
+    refused_or_usable(lambda: c.PoseCodec().decode(serialize_message(pose))[1])
+    refused_or_usable(lambda: c.WrenchCodec("tip").decode(serialize_message(wrench))[1])
+    refused_or_usable(lambda: c.ContactsCodec(1).decode(serialize_message(contacts))[1])
+    refused_or_usable(lambda: c.read_number(serialize_message(Float64(data=values[0]))))

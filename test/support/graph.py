@@ -26,10 +26,8 @@ from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import (
+from tactile_hand_ros.ros.messages import (
     Array,
-    contacts_from_ros,
-    force_from_ros,
     stamp_to_ns,
 )
 from tactile_hand_ros.ros.middleware import private_context
@@ -243,13 +241,15 @@ class Graph:
     @property
     def contacts(self) -> Array:
         """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
-        return contacts_from_ros(self.newest(names.TRUE_CONTACTS), len(self.fingers)).positions
+        points = [pose.position for pose in self.newest(names.TRUE_CONTACTS).poses]
+        return np.array([(point.x, point.y, point.z) for point in points])
 
     @property
     def forces(self) -> Array:
         """True contact forces, shape (k, 3), N."""
         topics = [names.true_wrench(name) for name in self.fingers]
-        return np.array([force_from_ros(self.newest(topic)) for topic in topics])
+        forces = [self.newest(topic).wrench.force for topic in topics]
+        return np.array([(force.x, force.y, force.z) for force in forces])
 
     @property
     def grasp_force(self) -> float:

@@ -26,7 +26,7 @@ from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
 from tactile_hand_ros.nodes.plant.real_time import Pace
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages.wire import JointCodec, PoseCodec
+from tactile_hand_ros.ros.messages import JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 from tactile_hand_ros.rotations import quaternion_from_rotation

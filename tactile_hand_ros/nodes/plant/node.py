@@ -26,7 +26,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import InProcessHand, PlantDriver
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.messages.wire import JointCodec
+from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig

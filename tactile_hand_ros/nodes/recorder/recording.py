@@ -19,7 +19,6 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
-from tactile_hand_ros.ros.poll_backoff import PollBackoff
 from tactile_hand_ros.ros.publishing import TickPublisher
 
 _CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
@@ -66,8 +65,7 @@ class Recording:
         self._topics: dict[str, RawTopic] = {}
         self._tapped: dict[str, int] = {}
         self._refused: set[str] = set()
-        often = config.discovery_period
-        self._attention = PollBackoff(often, _CALM_FACTOR * often, _CALM_AFTER)
+        self._changed_at = time.monotonic()
         self._next_discovery = self._next_flush = 0.0
         origin = provenance(config.scenario)
         self._writer = WriterProcess(
@@ -130,7 +128,11 @@ class Recording:
         """
         now = time.monotonic()
         if now >= self._next_discovery:
-            self._next_discovery = now + self._attention.period(self._discover())
+            if self._discover():
+                self._changed_at = now
+            is_calm = now - self._changed_at >= _CALM_AFTER
+            rarer = _CALM_FACTOR if is_calm else 1.0
+            self._next_discovery = now + rarer * self._config.discovery_period
         count = self._drain()
         if now >= self._next_flush:
             self._next_flush = now + self._config.flush_period

@@ -15,7 +15,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
-from tactile_hand_ros.ros.messages.types import message_class
+from tactile_hand_ros.ros.messages import message_class
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
 

@@ -8,8 +8,9 @@ rate, and nothing depends on it. Without tf2_msgs there are no transforms; the m
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,12 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import Content, read_content
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.hand import Hand
@@ -39,15 +40,13 @@ from tactile_hand_ros.nodes.viewer.scene import (
 )
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
-from tactile_hand_ros.ros.messages.conversions import (
-    contacts_from_ros,
-    force_from_ros,
-    pose_from_ros,
-    stamp_to_ns,
+from tactile_hand_ros.ros.messages import (
+    ContactsCodec,
+    PoseCodec,
+    WrenchCodec,
 )
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 try:
@@ -95,15 +94,20 @@ class ViewerNode(TactileNode[ViewerConfig]):
         self._corners = _triangles(self.config.object)
         self._prefix = frame_prefix(self.get_namespace())
         self._taken: dict[str, Any] = {}
-        listened = {
-            names.JOINT_STATES: JointState,
-            names.CONTACTS: PoseArray,
-            names.GRIP_STATE: JointState,
-            names.ACCEPTED_POSE: PoseStamped,
-            names.OBJECT_POSE: PoseStamped,
-            **{names.wrench(finger): WrenchStamped for finger in self._fingers},
+        pose, joints = PoseCodec().decode, partial(read_content, "sensor_msgs/msg/JointState")
+        listened: dict[str, tuple[Any, Callable[[bytes], Any]]] = {
+            names.JOINT_STATES: (JointState, joints),
+            names.CONTACTS: (PoseArray, ContactsCodec(len(self._fingers)).decode),
+            names.GRIP_STATE: (JointState, joints),
+            names.ACCEPTED_POSE: (PoseStamped, pose),
+            names.OBJECT_POSE: (PoseStamped, pose),
         }
-        self._listening = {topic: self._listen(kind, topic) for topic, kind in listened.items()}
+        for finger in self._fingers:
+            force = WrenchCodec(names.contact_frame(finger), any_frame=True).decode
+            listened[names.wrench(finger)] = WrenchStamped, force
+        self._listening = {
+            topic: (self._listen(kind, topic), decode) for topic, (kind, decode) in listened.items()
+        }
         self._markers = self.create_publisher(MarkerArray, MARKERS, qos.user_qos())
         self._tf = self._publish_static()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -126,12 +130,12 @@ class ViewerNode(TactileNode[ViewerConfig]):
 
     def show(self) -> None:
         """Publish a picture of what is known now."""
-        for topic, subscription in self._listening.items():
-            self._take(topic, subscription)
+        for topic, (subscription, decode) in self._listening.items():
+            self._take(topic, subscription, decode)
         contacts = self._contacts()
         where = self._pose(names.OBJECT_POSE, OBJECT_FRAME)
         if self._tf is not None and names.JOINT_STATES in self._taken:
-            stamp = stamp_to_ns(self._taken[names.JOINT_STATES].header.stamp)
+            stamp = self._taken[names.JOINT_STATES].stamp
             seen = [*self._links.moving(self._theta()), *(c for c in contacts if c.is_known)]
             known = [where] if where is not None and where.is_known else []
             self._tf.publish(self._transforms([*seen, *known], stamp))
@@ -145,14 +149,15 @@ class ViewerNode(TactileNode[ViewerConfig]):
     def _transforms(self, frames: list[Frame], stamp_ns: int) -> Any:
         return TFMessage(transforms=transforms(frames, stamp_ns, self._prefix))
 
-    def _take(self, topic: str, subscription: Subscription) -> None:
+    def _take(self, topic: str, subscription: Subscription, decode: Callable[[bytes], Any]) -> None:
         data = take_latest(subscription)
         if data is not None:
-            self._taken[topic] = deserialize_message(data, subscription.msg_type)
+            self._taken.pop(topic, None)
+            with suppress(MessageError):  # the controllers refuse it, and report it
+                self._taken[topic] = decode(data)
 
     def _theta(self) -> Array:
-        message = self._taken[names.JOINT_STATES]
-        angles = dict(zip(message.name, message.position, strict=False))
+        angles = _by_name(self._taken[names.JOINT_STATES])
         return np.array([angles.get(name, 0.0) for name in self._links.joint_names])
 
     def _contacts(self) -> list[Frame]:
@@ -160,32 +165,32 @@ class ViewerNode(TactileNode[ViewerConfig]):
         k = len(self._fingers)
         positions, quaternions = np.full((k, 3), np.nan), np.full((k, 4), np.nan)
         if names.CONTACTS in self._taken:
-            with suppress(MessageError):  # the controllers refuse it, and say so
-                positions, quaternions = contacts_from_ros(self._taken[names.CONTACTS], k)
+            _, (positions, quaternions) = self._taken[names.CONTACTS]
         places = zip(self._fingers, positions, quaternions, strict=True)
         return [Frame(names.contact_frame(finger), *place) for finger, *place in places]
 
     def _forces(self) -> Array:
         forces = np.full((len(self._fingers), 3), np.nan)
         for i, finger in enumerate(self._fingers):
-            message = self._taken.get(names.wrench(finger))
-            if message is not None:
-                with suppress(MessageError):
-                    forces[i] = force_from_ros(message)
+            if names.wrench(finger) in self._taken:
+                _, forces[i] = self._taken[names.wrench(finger)]
         return forces
 
     def _friction(self) -> Array:
         grip = self._taken.get(names.GRIP_STATE)
-        known = {} if grip is None else dict(zip(grip.name, grip.position, strict=False))
+        known = {} if grip is None else _by_name(grip)
         return np.array([known.get(finger, np.nan) for finger in self._fingers])
 
     def _pose(self, topic: str, name: str) -> Frame | None:
-        message = self._taken.get(topic)
-        with suppress(MessageError):
-            if message is not None:
-                pose = pose_from_ros(message)
-                return Frame(name, pose.position, quaternion_from_rotation(pose.rotation))
-        return None
+        if topic not in self._taken:
+            return None
+        _, pose = self._taken[topic]
+        return Frame(name, pose.position, pose.quaternion)
+
+
+def _by_name(joints: Content) -> dict[str, float]:
+    """Return the positions in joint states by name."""
+    return dict(zip(joints.texts[1:], joints.doubles["position"].tolist(), strict=False))
 
 
 def _triangles(config: ObjectConfig) -> Array:

@@ -15,7 +15,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
+from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]

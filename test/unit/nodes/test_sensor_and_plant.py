@@ -14,7 +14,7 @@ from support.nodes import Process, facts, tapped
 from tactile_hand_ros import names
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
-from tactile_hand_ros.ros.messages.wire import JointCodec
+from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.miscalibration import Miscalibration

@@ -17,7 +17,7 @@ from support.messages import pose_message
 
 from tactile_hand_ros.orchestrator.monitor import Monitor, Progress
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
-from tactile_hand_ros.ros.messages.conversions import stamp_from_ns
+from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import TargetConfig

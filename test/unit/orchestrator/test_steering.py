@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.spinning import spinning
@@ -22,9 +23,13 @@ from tactile_hand_ros.orchestrator.steering import (
     how_to_steer,
 )
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages.conversions import pose_from_ros, stamp_to_ns
+from tactile_hand_ros.ros.messages import (
+    PoseCodec,
+    stamp_to_ns,
+)
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
 
 TARGETS = [
@@ -71,9 +76,10 @@ def test_targets_and_forces_arrive_in_order(make: Callable[[str], Node]) -> None
         wait_until(lambda: len(heard) == 3)
     assert [stamp_to_ns(pose.header.stamp) for pose in heard[:2]] == [0, 1_500_000_000]
     for pose, target in zip(heard, TARGETS, strict=False):
-        got, sent = pose_from_ros(pose), target.target()
+        got, sent = PoseCodec().decode(serialize_message(pose))[1], target.target()
         np.testing.assert_allclose(got.position, sent.position)
-        np.testing.assert_allclose(got.rotation, sent.orientation, atol=1e-12)
+        rotation = rotation_from_quaternion(got.quaternion)
+        np.testing.assert_allclose(rotation, sent.orientation, atol=1e-12)
     assert heard[2].data == 8.5
 
 

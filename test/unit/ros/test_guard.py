@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.guard import CallbackGuard, described, location, refusal
-from tactile_hand_ros.ros.messages.conversions import number_from_ros
+from tactile_hand_ros.ros.messages import (
+    checked_number,
+)
 
 HERE = Path(__file__).name
 
@@ -143,10 +144,10 @@ def test_a_service_says_no_in_the_words_of_its_type() -> None:
 
 def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
     try:
-        number_from_ros(Float64(data=math.nan))
+        checked_number(math.nan)
     except MessageError as error:
-        assert location(error).startswith("ros/messages/conversions.py:")
-        assert described(error).startswith("MessageError at ros/messages/conversions.py:")
+        assert location(error).startswith("ros/messages.py:")
+        assert described(error).startswith("MessageError at ros/messages.py:")
     try:
         np.array([1.0]).reshape(7)
     except ValueError as error:

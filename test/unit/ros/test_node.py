@@ -5,26 +5,23 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
-from tactile_hand_ros.ros import node as module
+from tactile_hand_ros.errors import MessageError, TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK
 from tactile_hand_ros.ros.direct_take import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.node import TactileNode, peer_count, set_period
+from tactile_hand_ros.ros.node import TactileNode, peer_count
 from tactile_hand_ros.ros.processes import wait_until
 
 
@@ -78,34 +75,6 @@ def node(context: Any) -> Iterator[Example]:
     made.destroy_node()
 
 
-def test_health_is_reported_each_second_and_peers_are_looked_for_ten_times(node: Example) -> None:
-    assert sorted(timer.timer_period_ns for timer in node.timers) == [100_000_000, 1_000_000_000]
-    attention = node._attention
-    assert (attention._often, attention._rarely, attention._calm_after) == (0.1, 1.0, 5.0)
-    assert node._peers_timer.timer_period_ns == 100_000_000
-
-
-def test_a_peer_that_comes_or_goes_is_reported_at_once(
-    node: Example, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told, now = list[int](), {"publications /left/x": 1}
-    monkeypatch.setattr(node, "publish_diagnostics", lambda: told.append(1))
-    monkeypatch.setattr(node, "peers", lambda: dict(now))
-    monkeypatch.setattr(node._attention, "period", lambda changed: 0.25 if changed else 0.75)
-
-    def look() -> tuple[int, str, int]:
-        node._look_for_peers()
-        facts = {pair.key: pair.value for pair in node.diagnostics.status().values}
-        period = node._peers_timer.timer_period_ns
-        return len(told), facts.get("publications /left/x", ""), period
-
-    assert look() == (1, "1", 250_000_000)
-    assert look() == (1, "1", 750_000_000)
-    now.clear()
-    assert look() == (2, "0", 250_000_000)
-    assert look() == (2, "0", 750_000_000)
-
-
 def test_peers_are_counted_by_topic_and_end(node: Example, context: Any) -> None:
     """Those that no executor serves as well."""
     node.create_publisher(Float64, "x", 1)
@@ -117,29 +86,6 @@ def test_peers_are_counted_by_topic_and_end(node: Example, context: Any) -> None
 
 def _texts(counts: dict[str, int]) -> dict[str, str]:
     return {key: str(count) for key, count in counts.items()}
-
-
-def test_a_report_is_gathered_and_then_published(
-    node: Example, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sent, scheduled = list[Any](), list[Any]()
-    monkeypatch.setattr(node._diagnostics_publisher, "publish", sent.append)
-    monkeypatch.setattr(module, "report_scheduling", scheduled.append)
-    monkeypatch.setattr(node, "get_clock", lambda: SimpleNamespace(now=lambda: _Stamp()))
-    node.publish_diagnostics()
-    assert node.calls == ["report"] and scheduled == [node.diagnostics]
-    (message,) = sent
-    assert [status.name for status in message.status] == ["/left/example"]
-    assert message.header.stamp.sec == 7
-
-
-class _Stamp:
-    """A time of the clock."""
-
-    def to_msg(self) -> Any:
-        from builtin_interfaces.msg import Time
-
-        return Time(sec=7)
 
 
 def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
@@ -160,21 +106,6 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
     assert not successful and reason.startswith("KeyError at ros/parameters.py:")
     assert node.config.gain == 14.0
     assert not change(-1.0)[0]
-
-
-def test_a_declaration_that_rcl_refuses_is_an_error_and_leaves_no_node(
-    context: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = SimpleNamespace(successful=False, reason="no")
-    ended: list[str] = []
-    destroy = TactileNode.destroy_node
-    monkeypatch.setattr(TactileNode, "set_parameters_atomically", lambda *_: result)
-    monkeypatch.setattr(
-        TactileNode, "destroy_node", lambda node: ended.append(node.get_name()) or destroy(node)
-    )
-    with pytest.raises(ConfigurationError, match=r"/example: no\."):
-        Example(context=context)
-    assert ended == ["example"]
 
 
 def test_callbacks_are_guarded_under_their_names(node: Example) -> None:
@@ -226,31 +157,3 @@ def test_what_waits_for_the_end_of_reading_waits_only_where_that_is_known(
         assert calls == ([1] if waits else [1, 2])
         executor.remove_node(node)
         executor.shutdown()
-
-
-def test_a_period_changes_only_where_it_is_another(node: Example) -> None:
-    class Timer:
-        """A timer that counts how often its period is set."""
-
-        count, period = 0, 5_000_000
-
-        @property
-        def timer_period_ns(self) -> int:
-            return self.period
-
-        @timer_period_ns.setter
-        def timer_period_ns(self, value: int) -> None:
-            self.count += 1
-            self.period = value
-
-    timer: Any = Timer()
-    set_period(timer, 0.005)
-    assert timer.count == 0
-    set_period(timer, 0.0060000001)
-    assert (timer.count, timer.period) == (1, 6_000_000)
-
-
-def test_a_plain_node_is_what_rclpy_makes(node: Example) -> None:
-    assert isinstance(node, Node) and node.fatal == ()
-    assert node.close() is None  # type: ignore[func-returns-value]
-    node.check_ready()

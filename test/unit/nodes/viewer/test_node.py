@@ -143,7 +143,7 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
         return "contacts" in stage.show()
 
     wait_until(is_shown)
-    taken = stage.viewer._listening.values()
+    taken = list(stage.viewer.subscriptions)
     assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
 
 
@@ -152,7 +152,8 @@ def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
     with isolated_domain() as domain, private_context(domain) as context:
         made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
         made.check_ready()
-        assert made._listening["joint_states"].qos_profile.reliability.name == "RELIABLE"
+        profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
+        assert profiles["/joint_states"].reliability.name == "RELIABLE"
         made.destroy_node()
 
 

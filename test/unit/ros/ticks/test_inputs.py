@@ -19,7 +19,7 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros import ticks as inputs_module
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
-from tactile_hand_ros.ros.messages.wire import (
+from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
     WrenchCodec,
@@ -216,27 +216,11 @@ def test_an_optimum_without_an_answer_is_nan_and_a_measured_force_never() -> Non
                 stream.decoders[topic](data)
 
 
-def test_the_squeeze_may_have_any_frame_and_a_force_only_that_of_its_contact() -> None:
+def test_a_grasp_force_may_have_any_frame_and_a_force_only_that_of_its_contact() -> None:
     data = WrenchCodec("elsewhere").encode((1.0, 2.0, 3.0), 5)
     assert streams.grasp_force().decoders[names.GRASP_FORCE](data) == (5, 2.0)
     with pytest.raises(MessageError, match="elsewhere"):
         streams.forces(FINGERS).decoders[names.wrench(FINGERS[0])](data)
-
-
-def test_a_message_is_decoded_once_for_all_nodes_of_a_process() -> None:
-    decoded: list[bytes] = []
-
-    def decode(data: bytes) -> tuple[int, Any]:
-        decoded.append(data)
-        return len(decoded), object()
-
-    assert streams.Once(decode)(b"")[0] == 1  # all empty messages are one object
-    decoded.clear()
-    once, first, equal = streams.Once(decode), bytes([1, 2]), bytes(bytearray([1, 2]))
-    read = once(first)
-    assert once(first) == read and decoded == [first]
-    assert once(equal)[0] == 2  # another message, although its bytes are the same
-    assert once(equal)[0] == 2
 
 
 def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:

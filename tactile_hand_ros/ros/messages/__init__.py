@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Messages to arrays and back, as objects and as bytes."""
