@@ -4,27 +4,23 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import mmap
-import struct
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.metadata import FILE_NAME
 from tactile_hand_ros.bag.provenance import RECORD_NAME
+from tactile_hand_ros.bag.records import MAGIC, MESSAGE, Data, mapped, parse, records, unpacked
 from tactile_hand_ros.errors import BagError
 
 _BAGS = (".mcap", ".db3")
@@ -100,39 +96,30 @@ def summarize(path: Path | str) -> BagSummary:
 
 
 def read_messages(
-    path: Path | str,
-    topics: Collection[str] | None = None,
-    *,
-    start: int | None = None,
-    stop: int | None = None,
+    path: Path | str, topics: Collection[str] | None = None
 ) -> Iterator[RecordedMessage]:
     """Yield decoded messages in order of their log time.
 
     Args:
         path: Bag folder or file.
         topics: Full names of the wanted topics; all if None. Absent topics give no messages.
-        start: Earliest log time in ns, inclusive.
-        stop: Latest log time in ns, exclusive.
 
     Raises:
         BagError: If the bag cannot be read.
     """
     with open_bag(path) as reader:
-        for connection, log_time, data in _messages(reader, topics, start, stop):
-            message = _decode(reader, connection, data)
+        for connection, log_time, data in _messages(reader, topics):
+            try:
+                message = reader.deserialize(data, connection.msgtype)
+            except Exception as error:  # damaged data can fail anywhere in the parsers
+                raise _broken(path, error) from error
             yield RecordedMessage(connection.topic, log_time, message)
 
 
-def read_raw(
-    path: Path | str,
-    topics: Collection[str] | None = None,
-    *,
-    start: int | None = None,
-    stop: int | None = None,
-) -> Iterator[RawMessage]:
+def read_raw(path: Path | str, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
     """Yield messages as their recorded bytes; arguments and errors as `read_messages`."""
     with open_bag(path) as reader:
-        for connection, log_time, data in _messages(reader, topics, start, stop):
+        for connection, log_time, data in _messages(reader, topics):
             yield RawMessage(connection.topic, log_time, bytes(data))
 
 
@@ -160,83 +147,51 @@ def read_topics(
     """
     found = {topic: TopicMessages([], []) for topic in topics}
     with open_bag(path) as reader:
-        files = _mcap_files(reader, Path(path))
+        files = _mcap_files(Path(path))
         try:
             for file in files:
-                _McapScan(found, progress).read(file)
-        except Exception as error:  # damaged data can fail anywhere in the parsers
+                _take_messages(file, found, progress)
+        except Exception as error:  # as above
             raise _broken(path, error) from error
-        if not files:
-            for connection, log_time, data in _messages(reader, topics, None, None):
-                found[connection.topic].log_times.append(log_time)
-                found[connection.topic].data.append(bytes(data))
+        for connection, log_time, data in () if files else _messages(reader, topics):
+            found[connection.topic].log_times.append(log_time)
+            found[connection.topic].data.append(bytes(data))
     return {topic: _in_order(messages) for topic, messages in found.items()}
 
 
-def _mcap_files(reader: AnyReader, path: Path) -> list[Path]:
-    """Return the files of an open bag, none if they are of another format."""
-    if path.is_file():
-        return [path] if path.suffix == ".mcap" else []
-    parts: list[Any] = [part.storage for part in reader.readers if isinstance(part, Reader)]
-    storages = [storage for part in parts for storage in part.storages]
-    return [Path(str(s.path)) for s in storages if isinstance(s, storage_mcap.McapReader)]
+def _mcap_files(path: Path) -> list[Path]:
+    """Return the files of a bag, none if they are of another format."""
+    if path.is_dir():
+        return sorted(path.glob("*.mcap"))
+    return [path] if path.suffix == ".mcap" else []
 
 
-class _McapScan:
-    """Takes the messages of topics out of a file.
+def _take_messages(
+    file: Path, found: dict[str, TopicMessages], progress: Callable[[float], None] | None
+) -> None:
+    """Add the messages of a file to those of their topics."""
+    wanted: dict[int, TopicMessages] = {}
 
-    Source: MCAP specification, records.
-    """
-
-    def __init__(
-        self, found: dict[str, TopicMessages], progress: Callable[[float], None] | None
-    ) -> None:
-        self._found, self._progress = found, progress
-        self._wanted: dict[int, TopicMessages] = {}
-
-    def read(self, file: Path) -> None:
-        with file.open("rb") as stream:
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                self._read_records(data, _MAGIC, len(data) - _MAGIC)
-
-    def _read_records(self, data: bytes | mmap.mmap, at: int, end: int) -> None:
-        """Read records that stand one after another in a file or a chunk."""
-        wanted = self._wanted
-        while at < end:
-            opcode, size = _RECORD.unpack_from(data, at)
-            body, at = at + _RECORD.size, at + _RECORD.size + size
+    def take(data: Data, at: int = 0) -> None:
+        for opcode, start, stop in records(data, at):
             if opcode == Opcode.MESSAGE:
-                channel, log_time = _MESSAGE.unpack_from(data, body)
+                channel, log_time, _ = MESSAGE.unpack_from(data, start)
                 if channel in wanted:
-                    messages = wanted[channel]
-                    messages.log_times.append(log_time)
-                    messages.data.append(data[body + _MESSAGE.size : at])
+                    wanted[channel].log_times.append(log_time)
+                    wanted[channel].data.append(data[start + MESSAGE.size : stop])
             elif opcode == Opcode.CHANNEL:
-                known = Channel.read(_stream(data[body:at]))
-                if known.topic in self._found:
-                    wanted[known.id] = self._found[known.topic]
+                known = parse(Channel, data[start:stop])
+                if known.topic in found:
+                    wanted[known.id] = found[known.topic]
             elif opcode == Opcode.CHUNK:
-                records = _unpacked(Chunk.read(_stream(data[body:at])))
-                self._read_records(records, 0, len(records))
-                if self._progress is not None:
-                    self._progress(at / end)
+                take(unpacked(data[start:stop]))
+                if progress is not None:
+                    progress(stop / len(data))
             elif opcode == Opcode.DATA_END:
                 return
 
-
-def _stream(data: bytes) -> ReadDataStream:
-    return ReadDataStream(io.BytesIO(data))
-
-
-def _unpacked(chunk: Chunk) -> bytes:
-    """Return the records of a chunk."""
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(size)
-
-
-_MAGIC = 8  # bytes at both ends of a file
-_RECORD = struct.Struct("<BQ")  # opcode, length
-_MESSAGE = struct.Struct("<H4xQ8x")  # channel, sequence, log time, publish time
+    with mapped(file) as data:
+        take(data, len(MAGIC))
 
 
 def _in_order(messages: TopicMessages) -> TopicMessages:
@@ -263,10 +218,9 @@ def decode(type_name: str, data: bytes) -> Any:
 
 
 def _messages(
-    reader: AnyReader, topics: Collection[str] | None, start: int | None, stop: int | None
+    reader: AnyReader, topics: Collection[str] | None
 ) -> Iterator[tuple[Connection, int, bytes]]:
-    wanted = [c for c in reader.connections if topics is None or c.topic in topics]
-    return iterate(reader, wanted, start=start, stop=stop)
+    return iterate(reader, [c for c in reader.connections if topics is None or c.topic in topics])
 
 
 def iterate(
@@ -287,23 +241,17 @@ def iterate(
     Raises:
         BagError: If the bag is damaged.
     """
-    found = reader.messages(connections, start=start, stop=stop)
-    messages = iter(found) if connections else iter(())
+    if not connections:  # of which rosbags would yield all
+        return
+    messages = iter(reader.messages(connections, start=start, stop=stop))
     while True:
         try:
             item = next(messages, None)
-        except Exception as error:  # damaged data can fail anywhere in the parsers
+        except Exception as error:  # as above
             raise _broken(reader.paths[0], error) from error
         if item is None:
             return
         yield item
-
-
-def _decode(reader: AnyReader, connection: Connection, data: bytes) -> Any:
-    try:
-        return reader.deserialize(data, connection.msgtype)
-    except Exception as error:  # as above
-        raise _broken(reader.paths[0], error) from error
 
 
 def _open(path: Path) -> AnyReader:

@@ -3,35 +3,22 @@
 
 from __future__ import annotations
 
-import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.records import Channel, Chunk, DataEnd, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from tactile_hand_ros.bag.metadata import (
-    FILE_NAME,
-    RECORD_KEY,
-    RECORD_NAME,
-    BagMetadata,
-    OfferedQos,
-)
+from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
 from tactile_hand_ros.bag.reader import check_regular, read_raw, summarize
+from tactile_hand_ros.bag.records import MAGIC, MESSAGE, Data, mapped, parse, records, unpacked
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError, counted
-
-LARGEST = 2**28
-"""Largest record or chunk that is taken into memory [B]; what announces more is damaged."""
-
-_COMPRESSED = (".zstd", ".lz4")  # what rosbag2 adds to the names of compressed files
-_MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True)
@@ -71,7 +58,7 @@ def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
 
     Args:
         bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
-        out: Folder to create; by default beside the bag, with ``_recovered`` after its name.
+        out: Folder to create; by default next to the bag, with ``_recovered`` after its name.
 
     Raises:
         BagError: If there is no MCAP bag, the output exists, or the disk refuses the data.
@@ -111,25 +98,16 @@ def find_bag(path: Path) -> Path:
 
 def _files_of(bag: Path) -> list[Path]:
     """Return the files of a bag in the order of their numbers."""
-    found = [bag] if bag.is_file() else bag.glob("*.mcap*")
+    found = [bag] if bag.is_file() else bag.glob("*.mcap")
     files = sorted(found, key=lambda file: (len(file.name), file.name))
     if not files:
-        raise BagError(f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered.")
+        raise BagError(
+            f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered, and files "
+            "that rosbag2 has compressed only after `ros2 bag convert`."
+        )
     for file in files:
         check_regular(file)
-    if any(file.suffix in _COMPRESSED for file in files) or _has_compressed_messages(bag):
-        raise BagError(
-            f"The bag {bag} has files or messages compressed by rosbag2, expected plain or chunk "
-            "compressed MCAP; decompress it with `ros2 bag convert` first."
-        )
-    return [file for file in files if file.suffix == ".mcap" or file == bag]
-
-
-def _has_compressed_messages(bag: Path) -> bool:
-    """Return whether rosbag2 has compressed messages one by one; only ``metadata.yaml`` says so."""
-    file = bag / FILE_NAME
-    text = file.read_bytes() if bag.is_dir() and file.is_file() else b""
-    return re.search(rb"compression_mode: \W?message", text, re.IGNORECASE) is not None
+    return files
 
 
 class _Copy:
@@ -139,31 +117,54 @@ class _Copy:
         self.left = 0
         self._writer = writer
         self._numbers: dict[tuple[str, str], int] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, int] = {}
 
     def add(self, file: Path) -> None:
-        """Add all messages and metadata of a file; a message comes after its channel."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, int] = {}
-        for record in self._records(file):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel) and record.schema_id in schemas:
-                channels[record.id] = self._channel(record, schemas[record.schema_id])
-            elif isinstance(record, Message) and record.channel_id in channels:
-                number = channels[record.channel_id]
-                self._writer.write(number, record.data, record.log_time, record.publish_time)
-            elif isinstance(record, Message):
-                self.left += len(record.data)
-            elif isinstance(record, Metadata):
-                self._keep(record)
+        """Add all messages and metadata of a file, up to its index or the cut."""
+        self._schemas, self._channels = {}, {}
+        with mapped(file) as data:
+            if not MAGIC.startswith(data[: len(MAGIC)]):
+                raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
+            end = min(len(MAGIC), len(data))
+            for opcode, start, stop in records(data, end):
+                end = stop
+                if opcode == Opcode.DATA_END:
+                    return
+                self._add_record(opcode, data[start:stop])
+            self.left += len(data) - end
 
-    def close(self) -> BagMetadata:
-        """Finish the new bag."""
-        self._writer.custom_data["recovered_bytes_left"] = str(self.left)
-        return self._writer.close()
+    def _add_record(self, opcode: int, data: bytes) -> None:
+        """Add a record, or count what is damaged."""
+        try:
+            if opcode == Opcode.CHUNK:
+                self._add_chunk(unpacked(data))
+            elif opcode == Opcode.MESSAGE:
+                self._add_message(data)
+            elif opcode == Opcode.SCHEMA:
+                schema = parse(Schema, data)
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                self._add_channel(parse(Channel, data))
+            elif opcode == Opcode.METADATA:
+                self._keep(parse(Metadata, data))
+        except BagError:
+            raise
+        except Exception:  # damaged data can fail anywhere in the parsers
+            self.left += len(data)
 
-    def _channel(self, channel: Channel, schema: Schema) -> int:
-        """Return the number of a channel in the new bag; those of several files become one."""
+    def _add_chunk(self, chunk: Data) -> None:
+        for opcode, start, stop in records(chunk):
+            self._add_record(opcode, chunk[start:stop])
+
+    def _add_message(self, data: bytes) -> None:
+        number, log_time, publish_time = MESSAGE.unpack_from(data)
+        channel = self._channels[number]
+        self._writer.write(channel, data[MESSAGE.size :], log_time, publish_time)
+
+    def _add_channel(self, channel: Channel) -> None:
+        """Announce a channel; those of one topic in several files become one."""
+        schema = self._schemas[channel.schema_id]
         key = channel.topic, schema.name
         if key not in self._numbers:
             self._numbers[key] = self._writer.add_channel(
@@ -172,7 +173,12 @@ class _Copy:
                 type_hash=channel.metadata.get("topic_type_hash", ""),
                 definition=MessageDefinition(schema.encoding, schema.data.decode(errors="replace")),
             )
-        return self._numbers[key]
+        self._channels[channel.id] = self._numbers[key]
+
+    def close(self) -> BagMetadata:
+        """Finish the new bag."""
+        self._writer.custom_data["recovered_bytes_left"] = str(self.left)
+        return self._writer.close()
 
     def _keep(self, record: Metadata) -> None:
         """Copy a metadata record; of rosbag2's own, what messages do not tell."""
@@ -184,37 +190,6 @@ class _Copy:
         if isinstance(custom, dict):
             self._writer.custom_data |= {str(key): str(text) for key, text in custom.items()}
         self._writer.ros_distro = str(tree.get("ros_distro") or self._writer.ros_distro)
-
-    def _records(self, path: Path) -> Iterator[McapRecord]:
-        """Yield the records of a file and of its whole chunks, up to the index or the cut."""
-        with path.open("rb") as file:
-            if not _MAGIC.startswith(file.read(len(_MAGIC))):
-                raise BagError(f"The file {path} is not an MCAP file; only those can be recovered.")
-            end = file.tell()
-            file.seek(0)
-            records = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST).records
-            while (record := self._next(records)) is not None:
-                end = file.tell()
-                if isinstance(record, DataEnd | Footer):
-                    return
-                yield from self._unpacked(record) if isinstance(record, Chunk) else [record]
-            self.left += path.stat().st_size - end
-
-    def _next(self, records: Iterator[McapRecord]) -> McapRecord | None:
-        try:
-            return next(records, None)
-        except Exception:  # damaged data can fail anywhere in the parsers
-            return None
-
-    def _unpacked(self, chunk: Chunk) -> list[McapRecord]:
-        """Return the records of a chunk, none if it is damaged."""
-        try:
-            if chunk.uncompressed_size <= LARGEST:
-                return breakup_chunk(chunk, validate_crc=True)
-        except Exception:  # as above
-            pass
-        self.left += len(chunk.data)
-        return []
 
 
 def _offers(text: str) -> list[OfferedQos]:

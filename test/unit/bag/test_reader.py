@@ -38,11 +38,6 @@ def test_topics_can_be_chosen(bag: Path) -> None:
     assert len(list(read_messages(bag))) == 20
 
 
-def test_times_can_be_chosen(bag: Path) -> None:
-    """The start is inclusive, the end exclusive."""
-    assert [m.log_time for m in read_raw(bag, start=3, stop=6)] == [3, 4, 5]
-
-
 def test_messages_are_decoded(bag: Path) -> None:
     """Fields have their ROS names."""
     assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]

@@ -8,19 +8,24 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from mcap.writer import Writer
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as ForeignWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.metadata import BagMetadata, dump, offered_qos
 from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.records import unpacked
 from tactile_hand_ros.bag.recover import find_bag, is_whole, recover
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
@@ -219,7 +224,7 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
 
 def test_messages_of_an_unknown_channel_are_counted_as_left(tmp_path: Path) -> None:
     recovery = recover(foreign_file(tmp_path / "x.mcap", schema=9))
-    assert (recovery.messages, recovery.left) == (0, len(payload(1)))
+    assert recovery.messages == 0 and recovery.left > len(payload(1))
 
 
 def test_refusals(tmp_path: Path) -> None:
@@ -239,17 +244,22 @@ def test_refusals(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "text.mcap", "run"}
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_compression_of_rosbag2_is_refused(tmp_path: Path, mode: CompressionMode) -> None:
-    """These files and messages are not MCAP's own."""
-    writer = ForeignWriter(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        store = get_typestore(Stores.ROS2_JAZZY)
-        writer.write(writer.add_connection("/a", STRING, typestore=store), 1, payload(1))
+def test_files_compressed_by_rosbag2_are_refused(tmp_path: Path) -> None:
+    """These files are not MCAP's own."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run_0.mcap.zstd").touch()
     with pytest.raises(BagError, match="ros2 bag convert"):
         recover(tmp_path / "run")
     assert not (tmp_path / "run_recovered").exists()
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_a_chunk_is_not_expanded_beyond_what_it_announces(compression: str) -> None:
+    """A frame of 1 kB may hold a gigabyte."""
+    large = {"lz4": lz4.frame.compress, "zstd": zstandard.compress}[compression](bytes(2**20))
+    stream = RecordBuilder()
+    Chunk(compression, large, 0, 0, 0, 1000).write(stream)
+    assert unpacked(stream.end()[9:]) == bytes(1000)
 
 
 def test_a_pipe_among_the_files_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tactile_hand_ros.bag import schema
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.errors import BagError
 
@@ -92,7 +91,6 @@ def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
         path.write_bytes(text.encode())
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(root))
     message_definition.cache_clear()
-    schema._read.cache_clear()
 
 
 def test_arrays_comments_and_line_ends_are_kept(
@@ -118,19 +116,6 @@ def test_what_every_message_may_hold_is_no_type_of_its_own(
     package(tmp_path, monkeypatch, Root_dot_msg=root)
     assert message_definition("my_msgs/msg/Root").text == root
     assert message_definition("my_msgs/Root").text == root
-
-
-def test_type_with_only_an_idl_file_is_written_as_idl(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Then the root has a heading, too, and used types follow the includes."""
-    root = '#include "my_msgs/msg/Part.idl"\nmodule my_msgs {};\n'
-    package(tmp_path, monkeypatch, Root_dot_idl=root, Part_dot_idl="module my_msgs {};\n")
-    definition = message_definition("my_msgs/msg/Root")
-    expected = (
-        f"{LINE}IDL: my_msgs/msg/Root\n{root}\n{LINE}IDL: my_msgs/msg/Part\nmodule my_msgs {{}};\n"
-    )
-    assert (definition.encoding, definition.text) == ("ros2idl", expected)
 
 
 @pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])
