@@ -35,11 +35,11 @@ class RecorderNode(TactileNode[RecorderConfig]):
     fatal = (BagError,)  # a recorder that cannot write has nothing left to do
 
     def __init__(self, local_publishers: Sequence[TickPublisher] = (), **kwargs: Any) -> None:
-        """Create the bag and begin.
+        """Create the bag and start.
 
         Args:
             local_publishers: Publishers of a hand in the same process, whose messages are recorded
-                without a subscription. That hand goes on when the bag cannot be written.
+                without a subscription. That hand continues when the bag cannot be written.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
@@ -70,7 +70,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             BagError: If the bag cannot be created.
         """
         super().check_ready()
-        self._recording.check_ready()
+        self._recording.writer.check()
 
     def peers(self) -> dict[str, int]:
         """Return how many matched peers each topic has; a tapped publisher is one."""
@@ -79,13 +79,16 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
     def on_report(self) -> None:
         """Report the counters of the recording."""
-        status = self._recording.status
-        self.diagnostics.value("output", self._recording.folder)
-        self.diagnostics.value("messages", status.messages)
-        self.diagnostics.value("bytes", status.size)
-        self.diagnostics.value("topics", status.topics)
-        self._warn("lost_messages", status.lost, "messages were lost before they were recorded")
-        self._warn("refused_topics", status.refused, "topics have a type that is not installed")
+        recording, writer = self._recording, self._recording.writer
+        self.diagnostics.value("output", writer.folder)
+        self.diagnostics.value("messages", writer.message_count)
+        self.diagnostics.value("bytes", writer.bytes_received)
+        self.diagnostics.value("topics", len(recording.topics) + len(recording.tapped))
+        lost = sum(recording.lost().values())
+        self._warn("lost_messages", lost, "messages were lost before they were recorded")
+        self._warn(
+            "refused_topics", len(recording.refused), "topics have a type that is not installed"
+        )
 
     def _warn(self, key: str, count: int, text: str) -> None:
         self.diagnostics.value(key, count)

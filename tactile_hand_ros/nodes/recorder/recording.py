@@ -6,7 +6,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from rclpy.node import Node
@@ -24,19 +23,8 @@ from tactile_hand_ros.ros.publishing import TickPublisher
 _CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
 _CALM_AFTER = 1.0  # s
 _QUIET = 0.05  # s without a message after which nothing more is on its way
-_LAST_CALL = 0.5  # s, longest wait for that when publishers go on
+_LAST_CALL = 0.5  # s, longest wait for that while publishers continue
 _ATTENTION = 0.002  # s between two visits to the queues in that time
-
-
-@dataclass(frozen=True)
-class RecordingStatus:
-    """Counters of a recording."""
-
-    messages: int
-    size: int  # bytes of the messages
-    topics: int
-    lost: int
-    refused: int  # topics whose type is not installed
 
 
 class Recording:
@@ -47,12 +35,18 @@ class Recording:
     Topics are subscribed as soon as the graph knows them, with or without a publisher, so that a
     publisher that appears later finds the subscription already there. Publishers of this process
     that can be tapped hand over their bytes instead.
+
+    Attributes:
+        writer: Writer of the bag; its `check` says whether the bag could be created.
+        tapped: Channels of tapped publishers by topic.
+        topics: Subscribed topics by name.
+        refused: Topics whose type is not installed.
     """
 
     def __init__(
         self, node: Node, config: RecorderConfig, local_publishers: Sequence[TickPublisher] = ()
     ) -> None:
-        """Begin the bag; `check_ready` says whether that worked.
+        """Start the bag.
 
         Args:
             node: Node that owns the subscriptions.
@@ -62,58 +56,29 @@ class Recording:
         self._node = node
         self._config = config
         self._selection = TopicSelection(config.topics, config.exclude)
-        self._topics: dict[str, RawTopic] = {}
-        self._tapped: dict[str, int] = {}
-        self._refused: set[str] = set()
+        self.topics: dict[str, RawTopic] = {}
+        self.tapped: dict[str, int] = {}
+        self.refused: set[str] = set()
         self._changed_at = time.monotonic()
         self._next_discovery = self._next_flush = 0.0
         origin = provenance(config.scenario)
-        self._writer = WriterProcess(
+        self.writer = WriterProcess(
             Path(config.output),
             compression=config.compression,
             chunk_size=config.chunk_size,
             custom_data=origin,
         )
         # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
-        self._writer.add_metadata(RECORD_NAME, origin)
+        self.writer.add_metadata(RECORD_NAME, origin)
         for publisher in local_publishers:
             if publisher.topic in self._selection:
                 self._tap(publisher)
 
-    def check_ready(self) -> None:
-        """Wait until the bag is there.
-
-        Raises:
-            BagError: If it cannot be created.
-        """
-        self._writer.check()
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the bag."""
-        return self._writer.folder
-
-    @property
-    def tapped(self) -> Sequence[str]:
-        """Topics whose publishers are tapped."""
-        return list(self._tapped)
-
-    @property
-    def status(self) -> RecordingStatus:
-        """Present counters."""
-        return RecordingStatus(
-            messages=self._writer.message_count,
-            size=self._writer.bytes_received,
-            topics=len(self._topics) + len(self._tapped),
-            lost=sum(self.lost().values()),
-            refused=len(self._refused),
-        )
-
     def lost(self) -> dict[str, int]:
         """Return the topics that lost messages and how many, on the way here or to the disk."""
-        refused = self._writer.lost
-        counts = {name: refused[channel] for name, channel in self._tapped.items()}
-        for topic in self._topics.values():
+        refused = self.writer.lost
+        counts = {name: refused[channel] for name, channel in self.tapped.items()}
+        for topic in self.topics.values():
             counts[topic.name] = topic.lost + refused[topic.channel or 0]
         return {name: count for name, count in counts.items() if count}
 
@@ -136,8 +101,8 @@ class Recording:
         count = self._drain()
         if now >= self._next_flush:
             self._next_flush = now + self._config.flush_period
-            self._writer.flush()
-        self._writer.send()
+            self.writer.flush()
+        self.writer.send()
         return count
 
     def close(self) -> None:
@@ -146,14 +111,14 @@ class Recording:
         Raises:
             BagError: If the disk refuses the data.
         """
-        if not self._writer.is_open:
+        if not self.writer.is_open:
             return
         self._last_call()
         lost = self.lost()
-        self._writer.custom_data["lost_messages"] = str(sum(lost.values()))
+        self.writer.custom_data["lost_messages"] = str(sum(lost.values()))
         for name, count in lost.items():
-            self._writer.custom_data[f"lost_messages{name}"] = str(count)
-        self._writer.close()
+            self.writer.custom_data[f"lost_messages{name}"] = str(count)
+        self.writer.close()
 
     def _last_call(self) -> None:
         """Write until the topics are quiet: what was sent before the end must be in the bag."""
@@ -167,19 +132,19 @@ class Recording:
         self._drain()
 
     def _drain(self) -> int:
-        return sum(topic.drain(self._write) for topic in self._topics.values())
+        return sum(topic.drain(self._write) for topic in self.topics.values())
 
     def _write(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
         if topic.channel is None:
             topic.channel = self._open_channel(topic.name, topic.type_name)
-        self._writer.write(topic.channel, data, received, sent)
+        self.writer.write(topic.channel, data, received, sent)
 
     def _tap(self, publisher: TickPublisher) -> None:
         package = publisher.kind.__module__.partition(".")[0]
         type_name = f"{package}/msg/{publisher.kind.__name__}"
         channel = self._open_channel(publisher.topic, type_name)
-        self._tapped[publisher.topic] = channel
-        write = self._writer.write
+        self.tapped[publisher.topic] = channel
+        write = self.writer.write
 
         def note(data: bytes) -> None:
             now = time.time_ns()
@@ -191,7 +156,7 @@ class Recording:
         """Look for topics and publishers; return whether some came or went."""
         changed = False
         for name, types in self._node.get_topic_names_and_types():
-            topic = self._topics.get(name)
+            topic = self.topics.get(name)
             if topic is None:
                 changed |= self._consider(name, types[0])
             elif topic.adapt(self._write):
@@ -201,16 +166,16 @@ class Recording:
 
     def _consider(self, name: str, type_name: str) -> bool:
         """Subscribe to a new topic if it is wanted and its type is known; return whether it is."""
-        if name in self._refused or name in self._tapped or name not in self._selection:
+        if name in self.refused or name in self.tapped or name not in self._selection:
             return False
         try:
             message_definition(type_name)
             topic = RawTopic(self._node, name, type_name, self._config.queue_depth)
         except BagError as error:
-            self._refused.add(name)
+            self.refused.add(name)
             self._node.get_logger().error(f"{name} is not recorded: {error}")
             return False
-        self._topics[name] = topic
+        self.topics[name] = topic
         self._announce(topic)
         return True
 
@@ -223,4 +188,4 @@ class Recording:
         publishers = publishers_of(self._node, name)
         hashes = [str(p.topic_type_hash) for p in publishers if p.topic_type == type_name]
         offers = [offered_qos(p.qos_profile) for p in publishers]
-        return self._writer.add_channel(name, type_name, offers, hashes[0] if hashes else "")
+        return self.writer.add_channel(name, type_name, offers, hashes[0] if hashes else "")

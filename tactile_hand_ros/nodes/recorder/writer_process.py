@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A `BagWriter` in a process of its own, so that packing, compression and disk delay nobody.
+"""A `BagWriter` in a process of its own, so that compression and disk do not delay a tick.
 
 Python runs one thread at a time: a thread that packs messages would hold up the ticks of a hand in
 the same process. The writing process gets its orders, pickled, through a pipe. It ignores signals
@@ -16,11 +16,11 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.bag.metadata import BagMetadata, OfferedQos
+from tactile_hand_ros.bag.metadata import OfferedQos
 from tactile_hand_ros.errors import BagError
 
 # Before anything is imported, take back what the hand's process was given: this one may be late.
@@ -34,10 +34,12 @@ except OSError:
     pass
 sys.path = [path for path in sys.path if path]
 from {__name__} import main
-sys.exit(main(int(sys.argv[1])))
+sys.exit(main())
 """
+_OPEN = b"open\n"
+"""What the process replies when the bag is there; anything else is the text of an error."""
 _PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to any user
-_MOST_WAITING = 64 << 20  # bytes that wait while the pipe is full; what comes then is lost
+_MAX_WAITING = 64 << 20  # bytes that wait while the pipe is full; what comes then is lost
 
 Message = tuple[int, bytes, int, int]
 """Channel, CDR, times of reception and publication [ns]."""
@@ -62,16 +64,15 @@ class WriterProcess:
             folder: Folder to create.
             **options: For `BagWriter`.
         """
-        answers, replies = os.pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, str(replies)],
+            [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
-            pass_fds=(replies,),
+            stdout=subprocess.PIPE,
             start_new_session=True,  # a Ctrl-C is not for it
         )
-        os.close(replies)
-        assert self._process.stdin is not None
-        self._pipe, self._answers = self._process.stdin.fileno(), os.fdopen(answers, "rb")
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._replies = self._process.stdout
+        self._pipe = self._process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         os.set_blocking(self._pipe, False)
         self._messages: list[Message] = []
@@ -82,7 +83,7 @@ class WriterProcess:
         self.message_count = self.bytes_received = 0
         self.lost: Counter[int] = Counter()
         self.is_open = True
-        self._order("begin", folder=folder, **options)
+        self._order("start", folder=folder, **options)
         self.send()
 
     @property
@@ -96,7 +97,9 @@ class WriterProcess:
         Raises:
             BagError: If it cannot be created.
         """
-        self._answer()
+        reply = self._replies.readline()
+        if reply != _OPEN:
+            raise self._error(reply)
 
     def add_channel(
         self, topic: str, type_name: str, offers: Sequence[OfferedQos] = (), type_hash: str = ""
@@ -114,7 +117,7 @@ class WriterProcess:
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Append one serialized message, which is on its way after the next `send`; times in ns."""
-        if len(self._waiting) > _MOST_WAITING or not self.is_open:
+        if len(self._waiting) > _MAX_WAITING or not self.is_open:
             self.lost[channel] += 1
             return
         self._messages.append((channel, data, log_time, publish_time))
@@ -138,10 +141,9 @@ class WriterProcess:
         except BlockingIOError:
             return
         except OSError:
-            self.is_open = False
-            raise self._reason() from None
+            raise self._error() from None
 
-    def close(self) -> BagMetadata:
+    def close(self) -> None:
         """Write index and metadata, and wait for them.
 
         Raises:
@@ -149,13 +151,13 @@ class WriterProcess:
         """
         self._order("close", custom_data=self.custom_data)
         self.is_open = False
-        metadata = self._answer()
+        os.set_blocking(self._pipe, True)
+        self.send()
+        if self._process.wait():
+            raise self._error()
         assert self._process.stdin is not None
         self._process.stdin.close()
-        self._process.wait()
-        self._answers.close()
-        assert isinstance(metadata, BagMetadata)
-        return metadata
+        self._replies.close()
 
     def _order(self, order: str, /, **arguments: Any) -> None:
         self._pack_messages()
@@ -166,69 +168,51 @@ class WriterProcess:
             self._waiting += pickle.dumps(("write", self._messages))
             self._messages.clear()
 
-    def _answer(self) -> Any:
-        """Send everything and wait for the next answer.
-
-        Raises:
-            BagError: If the answer is one, or there is none.
-        """
-        os.set_blocking(self._pipe, True)
-        self.send()
-        os.set_blocking(self._pipe, False)
-        answer = self._received()
-        if isinstance(answer, BagError):
-            self.is_open = False
-            raise answer
-        return answer
-
-    def _received(self) -> Any:
-        try:
-            return pickle.load(self._answers)
-        except (EOFError, pickle.UnpicklingError):
-            return BagError(
-                f"The process that writes {self.folder} has ended; run "
-                f"`tactile-hand recover {self.folder}`."
-            )
-
-    def _reason(self) -> BagError:
-        """Return why the process has ended; an answer that nobody waited for may come first."""
-        while not isinstance(answer := self._received(), BagError):
-            pass
-        return answer
+    def _error(self, reply: bytes = b"") -> BagError:
+        """Return why the process has ended."""
+        self.is_open = False
+        text = (reply + self._replies.read()).removeprefix(_OPEN).decode()
+        return BagError(
+            text
+            or f"The process that writes {self.folder} has ended; run "
+            f"`tactile-hand recover {self.folder}`."
+        )
 
 
-def main(replies: int) -> int:
+def main() -> int:
     """Write until the pipe ends; return 0 if the bag was closed."""
     from tactile_hand_ros.bag.writer import BagWriter
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    writer: BagWriter | None = None
+    orders = _orders()
     try:
-        while True:
-            name, arguments = pickle.load(sys.stdin.buffer)
-            if name == "begin":
-                writer = BagWriter(**arguments)
-                _reply(replies, None)
-            elif writer is None:
-                return 1
-            elif name == "write":
-                for message in arguments:
-                    writer.write(*message)
-            elif name == "close":
-                writer.custom_data.update(arguments["custom_data"])
-                _reply(replies, writer.close())
-                return 0
-            else:
-                getattr(writer, name)(**arguments)
+        for _, options in orders:
+            writer = BagWriter(**options)
+            os.write(sys.stdout.fileno(), _OPEN)
+            return _execute(writer, orders)
     except BagError as error:
-        _reply(replies, error)
-    except (EOFError, pickle.UnpicklingError):  # the sender was killed
-        if writer is not None:
-            writer.flush()
+        print(error, end="", flush=True)
     return 1
 
 
-def _reply(replies: int, result: Any) -> None:
-    with contextlib.suppress(BrokenPipeError):
-        os.write(replies, pickle.dumps(result))
+def _orders() -> Iterator[tuple[str, Any]]:
+    """Yield the orders until the sender has ended."""
+    with contextlib.suppress(EOFError, pickle.UnpicklingError):
+        while True:
+            yield pickle.load(sys.stdin.buffer)
+
+
+def _execute(writer: Any, orders: Iterator[tuple[str, Any]]) -> int:
+    for name, arguments in orders:
+        if name == "write":
+            for message in arguments:
+                writer.write(*message)
+        elif name == "close":
+            writer.custom_data.update(arguments["custom_data"])
+            writer.close()
+            return 0
+        else:
+            getattr(writer, name)(**arguments)
+    writer.flush()  # the sender was killed
+    return 1

@@ -60,8 +60,8 @@ def test_what_finds_no_room_is_counted_as_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that does not read delays nobody; the rest is in the bag, in order."""
-    assert writer_process._MOST_WAITING == 64 << 20
-    monkeypatch.setattr(writer_process, "_MOST_WAITING", 1 << 20)
+    assert writer_process._MAX_WAITING == 64 << 20
+    monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
     writer = started(tmp_path / "bag")
     os.kill(writer.process_id, signal.SIGSTOP)
     channel = writer.add_channel("/one", TYPE)
