@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
@@ -25,14 +26,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from bench.workload import SCENARIO
+from tactile_hand_ros import names
 from tactile_hand_ros.names import PLANT
-from tactile_hand_ros.orchestrator.graph import ExpectedTopic, expected_topics
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import isolated_domain, use_sockets
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
-from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
@@ -65,21 +64,42 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
         return float(plant.stdout.split()[0])
 
 
-def each_tick() -> list[ExpectedTopic]:
-    """Return the topics that get a message at each tick."""
-    return [
-        link
-        for link in expected_topics(load_scenario(SCENARIO))
-        if link.publisher in NODES and link.each_tick
+class Link(NamedTuple):
+    """A topic that has a message for each tick, its publisher and its subscribers."""
+
+    topic: str
+    publisher: str
+    subscribers: tuple[str, ...] = ()
+
+
+def each_tick() -> list[Link]:
+    """Return the topics of the paper's scenario that have a message for each tick."""
+    acting = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
+    links = [
+        Link(names.JOINT_STATES, PLANT, (names.CONTROLLER,)),
+        Link(names.TRUE_CONTACTS, PLANT, (names.SENSOR,)),
+        Link(names.TRUE_SLIP, PLANT, (names.SENSOR,)),
+        Link(names.OBJECT_POSE, PLANT),
+        Link(names.CLOCK, PLANT),
+        Link(names.CONTACTS, names.SENSOR, acting),
+        Link(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
+        Link(names.GRIP_STATE, names.REGULATOR),
+        Link(names.JOINT_COMMAND, names.CONTROLLER, (PLANT,)),
+        Link(names.AUXILIARY_POSE, names.CONTROLLER),
     ]
+    for finger in ("finger_1", "finger_2", "finger_3"):
+        links += [
+            Link(names.true_wrench(finger), PLANT, (names.SENSOR,)),
+            Link(names.wrench(finger), names.SENSOR, (names.REGULATOR,)),
+            Link(names.optimal_force(finger), names.OPTIMIZER, (names.CONTROLLER,)),
+        ]
+    return links
 
 
 class Role:
     """A node that passes on what it receives; the plant begins, and begins again."""
 
-    def __init__(
-        self, name: str, wiring: Sequence[ExpectedTopic], recorders: int, ticks: int
-    ) -> None:
+    def __init__(self, name: str, wiring: Sequence[Link], recorders: int, ticks: int) -> None:
         """Create publishers and subscriptions.
 
         Args:
@@ -146,12 +166,12 @@ class Role:
 
 def main() -> None:
     """Serve the roles until a signal."""
-    names, recorders, ticks = sys.argv[1].split(","), int(sys.argv[2]), int(sys.argv[3])
+    roles, recorders, ticks = sys.argv[1].split(","), int(sys.argv[2]), int(sys.argv[3])
     wiring = each_tick()
     use_sockets()
     rclpy.init()
     try:
-        spin([Role(name, wiring, recorders, ticks).node for name in names])
+        spin([Role(role, wiring, recorders, ticks).node for role in roles])
     except (KeyboardInterrupt, ExternalShutdownException):
         return
 

@@ -8,6 +8,7 @@ import errno
 import importlib.util
 import io
 import os
+import queue
 import signal
 import sys
 import sysconfig
@@ -110,6 +111,68 @@ def _ended_by_signals() -> Iterator[None]:
 
 def _raise(number: int, frame: FrameType | None) -> None:
     raise _Signalled(signal.Signals(number))
+
+
+class Interrupted(Exception):
+    """The user or the system asked for the end."""
+
+
+class Signals:
+    """Counts SIGINT, SIGTERM and SIGHUP and wakes up the thread that waits.
+
+    Attributes:
+        number: The first signal that came, 0 if none.
+        count: How many came.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a signal."""
+        self.number = 0
+        self.count = 0
+        # Its put may interrupt its get in the same thread, as a handler does. An event's set would
+        # wait for ever for the lock that the interrupted wait holds.
+        self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
+
+    def install(self) -> None:
+        """Take over the handlers; a SIGHUP that is ignored stays so, as ``nohup`` means it.
+
+        Shells without job control start what runs in the background with SIGINT ignored. As the
+        nodes of rclpy do, it is taken over all the same: it is how a run is ended.
+        """
+        for number in _ENDS:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._note)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.number = self.number or number
+        self.count += 1
+        self._came.put(number)
+
+    @property
+    def name(self) -> str:
+        """Name of the first signal."""
+        return signal.Signals(self.number).name if self.number else ""
+
+    @property
+    def exit_code(self) -> int:
+        """The code that a shell expects after the first signal."""
+        return 128 + self.number
+
+    def check(self) -> None:
+        """Raise `Interrupted` if a signal came."""
+        if self.count:
+            raise Interrupted(f"ended by {self.name}")
+
+    def wait(self, seconds: float) -> None:
+        """Wait, but not longer than until a signal, and then raise.
+
+        Raises:
+            Interrupted: If a signal came.
+        """
+        self.check()
+        with contextlib.suppress(queue.Empty):
+            self._came.get(timeout=seconds)
+        self.check()
 
 
 def prepare_for_ros() -> None:

@@ -114,14 +114,14 @@ def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
     run_interpreted()  # a few rotations do not justify loading Numba
     from tactile_hand_ros.ros.middleware import check_environment
 
-    check_environment(os.environ)
-    from tactile_hand_ros.orchestrator import participation
+    check_environment(os.environ)  # before rclpy is loaded, which ends the process
     from tactile_hand_ros.orchestrator.steering import HandClient
+    from tactile_hand_ros.ros import middleware
 
-    place, name = participation.full_namespace(namespace), f"user_{os.getpid()}"
+    place, name = middleware.full_namespace(namespace), f"user_{os.getpid()}"
     with (
-        participation.ros_context() as context,
-        participation.graph_node(context, name, place) as node,
+        middleware.ros_context() as context,
+        middleware.graph_node(context, name, place) as node,
     ):
         yield HandClient(node, timeout)
 

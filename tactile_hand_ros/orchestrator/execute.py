@@ -16,22 +16,17 @@ from typing import IO, cast
 from rclpy.node import Node
 from rich.console import Console
 
-from tactile_hand_ros.command_line import LastingOutput, os_sentence
+from tactile_hand_ros.command_line import LastingOutput, Signals, os_sentence
 from tactile_hand_ros.compiled import ensure_compiled, is_complete
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import ORCHESTRATOR
+from tactile_hand_ros.orchestrator.monitor import View
 from tactile_hand_ros.orchestrator.options import RunOptions
-from tactile_hand_ros.orchestrator.participation import (
-    full_namespace,
-    graph_node,
-    ros_context,
-)
-from tactile_hand_ros.orchestrator.progress import View
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, Session
-from tactile_hand_ros.orchestrator.signals import Signals
 from tactile_hand_ros.orchestrator.steering import how_to_steer
+from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
 from tactile_hand_ros.ros.scheduling import Scheduling, chosen_cpus, parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario

@@ -1,108 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who publishes what to whom, and what is still missing before a run can start."""
+"""What is still missing before a run can start, by what its nodes report about themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
 
 from tactile_hand_ros import names
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 
-_ACTING = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
-
-
-@dataclass(frozen=True)
-class ExpectedTopic:
-    """One topic, its publisher and its subscribers.
-
-    Attributes:
-        topic: Relative name.
-        publisher: A node.
-        subscribers: Other nodes.
-        each_tick: Whether each tick has a message of it.
-    """
-
-    topic: str
-    publisher: str
-    subscribers: tuple[str, ...] = ()
-    each_tick: bool = True
-
-
-def expected_topics(scenario: Scenario) -> list[ExpectedTopic]:
-    """Return the topics between the nodes of a scenario.
-
-    Optimizer and controller subscribe to forces only where they are configured to use them, and the
-    sensor to joints only where it reports contacts by a wrong model of the hand.
-    """
-    fingers = load_hand_config(scenario.hand).finger_names
-    observer = scenario.manipulation_controller.law.observer
-    shaping = (names.OPTIMIZER,) if scenario.force_optimizer.cones else ()
-    force_readers = (
-        names.REGULATOR,
-        *shaping,
-        *((names.CONTROLLER,) if observer.time > 0.0 else ()),
-    )
-    joint_readers = () if scenario.calibration.is_right else (names.SENSOR,)
-    per_finger = [
-        topic
-        for finger in fingers
-        for topic in (
-            ExpectedTopic(names.true_wrench(finger), names.PLANT, (names.SENSOR,)),
-            ExpectedTopic(names.wrench(finger), names.SENSOR, force_readers),
-            ExpectedTopic(names.optimal_force(finger), names.OPTIMIZER, (names.CONTROLLER,)),
-        )
-    ]
-    return [
-        ExpectedTopic(names.JOINT_STATES, names.PLANT, (names.CONTROLLER, *joint_readers)),
-        ExpectedTopic(names.TRUE_CONTACTS, names.PLANT, (names.SENSOR,)),
-        ExpectedTopic(names.TRUE_SLIP, names.PLANT, (names.SENSOR,)),
-        ExpectedTopic(names.OBJECT_POSE, names.PLANT),
-        _event(names.JOINT_HOLD, names.PLANT, (names.CONTROLLER,)),
-        _event(names.TOUCH_REJECTED, names.CONTROLLER, (names.REGULATOR, *shaping)),
-        _event(names.ROBOT_DESCRIPTION, names.PLANT),
-        ExpectedTopic(names.CLOCK, names.PLANT),
-        ExpectedTopic(names.CONTACTS, names.SENSOR, _ACTING),
-        ExpectedTopic(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
-        ExpectedTopic(names.GRIP_STATE, names.REGULATOR, shaping),
-        _event(names.HAPTIC_FEEDBACK, names.REGULATOR),
-        ExpectedTopic(names.JOINT_COMMAND, names.CONTROLLER, (names.PLANT,)),
-        ExpectedTopic(names.AUXILIARY_POSE, names.CONTROLLER),
-        _event(names.ACCEPTED_POSE, names.CONTROLLER),
-        _event(names.ACCEPTED_FORCE, names.REGULATOR),
-        *(_event(names.accepted_parameters(node), node) for node in _ACTING),
-        *(
-            _event(names.accepted_requests(node), node)
-            for node in (names.REGULATOR, *shaping, names.CONTROLLER)
-        ),
-        _event(names.rejected(names.REGULATOR), names.REGULATOR),
-        _event(names.rejected(names.CONTROLLER), names.CONTROLLER),
-        _event(names.DESIRED_POSE, names.ORCHESTRATOR, (names.CONTROLLER,)),
-        _event(names.USER_GRASP_FORCE, names.ORCHESTRATOR, (names.REGULATOR,)),
-        *per_finger,
-    ]
-
-
-def _event(topic: str, publisher: str, subscribers: tuple[str, ...] = ()) -> ExpectedTopic:
-    """Return a topic that has messages now and then."""
-    return ExpectedTopic(topic, publisher, subscribers, each_tick=False)
+_OF_ALL = (names.DIAGNOSTICS, "/parameter_events", "/rosout")
+"""Topics that every node has."""
 
 
 class DuplicateNodeError(TactileHandError):
-    """A node of the same name runs already."""
-
-    @classmethod
-    def of(cls, name: str) -> DuplicateNodeError:
-        """Build the error for the full name of a node."""
-        return cls(
-            f"a node called '{name}' runs already in this ROS domain; stop the other run, or give"
-            " this one another --namespace or ROS_DOMAIN_ID"
-        )
+    """A node of the same name already runs."""
 
 
 @dataclass(frozen=True)
@@ -114,32 +29,25 @@ class MissingEndpoint:
 
 
 class GraphReadiness:
-    """Compares the ROS graph with what a run needs.
+    """Checks that all nodes of a run are there and have matched each other.
 
     That a publisher and a subscription exist is not enough: each must have matched the other, which
-    only the two nodes know. They report it in their diagnostics. What was found is not checked
-    again.
+    only the two nodes know. Each node reports its own in its diagnostics.
     """
 
-    def __init__(self, node: Node, scenario: Scenario, *, composed: bool, recorder: bool) -> None:
-        """List what is needed.
+    def __init__(self, node: Node, members: Sequence[str]) -> None:
+        """Remember who takes part.
 
         Args:
             node: Any node in the namespace of the run.
-            scenario: What is to be run.
-            composed: Whether the nodes share a process, which needs no subscriptions inside.
-            recorder: Whether a recorder runs in its own process. It does not subscribe to the
-                commands of users.
+            members: Names of the nodes. A recorder among them must receive every topic but the
+                commands of users; leave out one that shares a process with the publishers.
         """
         self._node = node
         self._namespace = node.get_namespace()
-        self._waiting: dict[ExpectedTopic, tuple[str, ...]] = {}
-        for each in expected_topics(scenario):
-            inside = composed and each.publisher != names.ORCHESTRATOR
-            recorded = recorder and each.topic not in names.USER_COMMANDS
-            self._waiting[each] = (() if inside else each.subscribers) + (
-                (names.RECORDER,) if recorded else ()
-            )
+        self._members = {self._full(name): name for name in members}
+        self._recorder = self._full(names.RECORDER)
+        self._not_recorded = {*_OF_ALL, *map(self._full, names.USER_COMMANDS)}
 
     def missing(self, facts: Mapping[str, Mapping[str, str]]) -> Iterator[MissingEndpoint]:
         """Yield what is still missing.
@@ -151,42 +59,49 @@ class GraphReadiness:
             DuplicateNodeError: If a node of the run exists twice.
         """
         self._refuse_duplicates()
-        for expected, subscribers in list(self._waiting.items()):
-            found = list(self._missing_of(expected, subscribers, facts))
-            if not found:
-                del self._waiting[expected]
-            yield from found
-
-    def _missing_of(
-        self,
-        expected: ExpectedTopic,
-        subscribers: tuple[str, ...],
-        facts: Mapping[str, Mapping[str, str]],
-    ) -> Iterator[MissingEndpoint]:
-        topic = self._full(expected.topic)
-
-        def matched(node: str, end: str) -> int:
-            return peer_count(facts.get(self._full(node), {}), end, topic)
-
-        for name in subscribers:
-            if not matched(name, SUBSCRIPTIONS):
-                yield MissingEndpoint(name, f"{name} does not receive {topic} yet")
-        wanted = max(len(subscribers), self._node.count_subscribers(topic))
-        count = matched(expected.publisher, PUBLICATIONS)
-        reports = facts.get(self._full(expected.publisher), {})
-        if count < wanted or f"{PUBLICATIONS} {topic}" not in reports:
-            text = f"{expected.publisher} has matched {count} of {wanted} subscribers of {topic}"
-            yield MissingEndpoint(expected.publisher, text)
+        for full, name in self._members.items():
+            if full not in facts:
+                yield MissingEndpoint(name, f"{name} does not report yet")
+        reports = {full: facts[full] for full in self._members if full in facts}
+        sent, received = _ends(reports, PUBLICATIONS), _ends(reports, SUBSCRIPTIONS)
+        for topic in sent:
+            subscribers = received.get(topic, {})
+            if self._recorder in reports and topic not in self._not_recorded:
+                subscribers.setdefault(self._recorder, 0)
+            for full, count in subscribers.items():
+                if not count:
+                    name = self._members[full]
+                    yield MissingEndpoint(name, f"{name} does not receive {topic} yet")
+            wanted = max(len(subscribers), self._node.count_subscribers(topic))
+            for full, count in sent[topic].items():
+                if count < wanted:
+                    name = self._members[full]
+                    text = f"{name} has matched {count} of {wanted} subscribers of {topic}"
+                    yield MissingEndpoint(name, text)
 
     def _refuse_duplicates(self) -> None:
         present = [
-            name
+            self._full(name)
             for name, namespace in self._node.get_node_names_and_namespaces()
             if namespace == self._namespace
         ]
-        for name in {each.publisher for each in self._waiting}:
-            if present.count(name) > 1:
-                raise DuplicateNodeError.of(self._full(name))
+        for full in self._members:
+            if present.count(full) > 1:
+                raise DuplicateNodeError(
+                    f"a node called '{full}' already runs in this ROS domain; stop the other run, "
+                    "or give this one another --namespace or ROS_DOMAIN_ID"
+                )
 
     def _full(self, name: str) -> str:
         return f"{self._namespace.rstrip('/')}/{name}"
+
+
+def _ends(reports: Mapping[str, Mapping[str, str]], end: str) -> dict[str, dict[str, int]]:
+    """Return how many peers each node has matched, by topic and full name of the node."""
+    found: dict[str, dict[str, int]] = {}
+    for full, values in reports.items():
+        for key, count in values.items():
+            kind, _, topic = key.partition(" ")
+            if kind == end and topic not in _OF_ALL:
+                found.setdefault(topic, {})[full] = int(count)
+    return found

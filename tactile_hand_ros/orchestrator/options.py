@@ -11,8 +11,6 @@ import typer
 
 from tactile_hand_ros.errors import ConfigurationError
 
-_DEFAULT = "paper"
-
 
 def _scenarios(incomplete: str) -> list[str]:
     """Complete the name of a scenario in a shell."""
@@ -97,4 +95,4 @@ class RunOptions:
             )
         if given == [""]:
             raise ConfigurationError("the scenario is '', expected its name or a YAML file")
-        return given[0] if given else _DEFAULT
+        return given[0] if given else "paper"

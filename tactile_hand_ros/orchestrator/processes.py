@@ -1,44 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes of a run: started as ``ros2 run`` does, each in its own session, and ended."""
+"""The processes of a run: started, watched and stopped.
+
+Each leads a session of its own and gets a signal from the kernel when the orchestrator dies, so
+nothing outlives it. It also holds the lock of the run, which thus ends with the last of them.
+"""
 
 from __future__ import annotations
 
-import shutil
 import signal
 import socket
 import subprocess
-import sys
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import rclpy
-
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.orchestrator import keeper
-from tactile_hand_ros.ros.processes import PACKAGE, ChildProcess, end_together, executable_path
+from tactile_hand_ros.ros.processes import ChildProcess, end_together, executable_path
 
 _TAIL = 15  # lines of a log that are shown
 
 
 class NodeDiedError(TactileHandError):
-    """A process of the run ended by itself."""
-
-
-def start_command(name: str) -> list[str]:
-    """Return program and first arguments for an executable of this package.
-
-    ``ros2 run`` where that command belongs to the ROS installation in use; else the file that it
-    would start.
-
-    Raises:
-        ExecutableError: If it does not exist.
-    """
-    path = executable_path(name)
-    ros2 = shutil.which("ros2")
-    if ros2 is not None and Path(ros2).resolve().parents[1] in Path(rclpy.__file__).parents:
-        return [ros2, "run", PACKAGE, name]
-    return [str(path)]
+    """A process of the run ended unexpectedly."""
 
 
 class NodeProcess(ChildProcess):
@@ -49,19 +31,29 @@ class NodeProcess(ChildProcess):
         log: File with its output.
     """
 
-    def __init__(self, name: str, command: Sequence[str], log: Path, mark: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        log: Path,
+        *,
+        orphaned: signal.Signals = signal.SIGKILL,
+        lock: Sequence[int] = (),
+    ) -> None:
         """Start it.
 
         Args:
             name: Name of the executable.
             command: Program and arguments.
             log: File to create.
-            mark: Mark by which the keeper finds it.
+            orphaned: Signal that it gets when the orchestrator dies.
+            lock: Descriptors that it inherits.
         """
         self.name = name
         self.log = log
+        guarded = ["setpriv", "--pdeathsig", orphaned.name.removeprefix("SIG"), "--", *command]
         with log.open("wb") as output:
-            super().__init__(command, output, subprocess.STDOUT, env={keeper.MARK: mark})
+            super().__init__(guarded, output, subprocess.STDOUT, pass_fds=lock)
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -86,59 +78,49 @@ class NodeProcess(ChildProcess):
 
 
 class Processes:
-    """The processes of a run and their keeper; nothing is left when the block ends."""
+    """The processes of a run; nothing is left when the block ends."""
 
     def __init__(
         self,
         in_a_hurry: Callable[[], bool] = lambda: False,
         lock: socket.socket | None = None,
-        command: Callable[[str], list[str]] = start_command,
+        command: Callable[[str], list[str]] = lambda name: [str(executable_path(name))],
     ) -> None:
         """Prepare.
 
         Args:
-            in_a_hurry: Asked while waiting for an end: whether to be less patient.
-            lock: The lock of the run. The keeper shares it, since it may outlive the orchestrator.
+            in_a_hurry: Called while waiting for an end: whether to be less patient.
+            lock: The lock of the run.
             command: Returns program and first arguments for the name of an executable.
         """
         self._command = command
         self._in_a_hurry = in_a_hurry
-        self._shared = () if lock is None else (lock.fileno(),)
-        self._mark = uuid.uuid4().hex
+        self._lock = () if lock is None else (lock.fileno(),)
         self._started: dict[str, NodeProcess] = {}
-        self._keeper: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Processes:
-        """Start the keeper before anything that it might have to end."""
-        self._keeper = subprocess.Popen(
-            [sys.executable, "-I", "-S", keeper.__file__, self._mark],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            pass_fds=self._shared,
-            start_new_session=True,
-        )
+        """Return the processes."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End what still runs, then the keeper."""
+        """Stop what still runs."""
         self.stop([list(self._started)])
-        if self._keeper is not None and self._keeper.stdin is not None:
-            self._keeper.stdin.close()
-            self._keeper.wait()
 
-    def start(self, name: str, log: Path, *arguments: str) -> None:
+    def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
         """Start an executable of this package.
 
         Args:
             name: Its name.
             log: File for its output.
             *arguments: Its arguments.
+            records: Whether it must finish a bag when the orchestrator dies, before it ends.
 
         Raises:
             ExecutableError: If it does not exist.
         """
         command = [*self._command(name), *arguments]
-        self._started[name] = NodeProcess(name, command, log, self._mark)
+        orphaned = signal.SIGINT if records else signal.SIGKILL
+        self._started[name] = NodeProcess(name, command, log, orphaned=orphaned, lock=self._lock)
 
     def check(self) -> None:
         """Raise if one of the processes has ended.
@@ -162,13 +144,14 @@ class Processes:
         Returns:
             A sentence for each that did not end well.
         """
-        complaints: list[str] = []
-        for names in order:
-            group = [self._started[name] for name in names if name in self._started]
-            complaints += self._stop_together(group)
-        return complaints
+        return [
+            complaint
+            for names in order
+            for complaint in self._stop_together([n for n in names if n in self._started])
+        ]
 
-    def _stop_together(self, group: list[NodeProcess]) -> list[str]:
+    def _stop_together(self, names: Sequence[str]) -> list[str]:
+        group = [self._started[name] for name in names]
         running = [process for process in group if process.returncode is None]
         end_together(group, self._in_a_hurry)
         return [

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -12,13 +14,14 @@ from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
-from tactile_hand_ros.command_line import os_sentence
+from tactile_hand_ros.command_line import Interrupted, Signals, os_sentence
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import (
     COMPOSED,
     CONTROLLER,
     OPTIMIZER,
+    ORCHESTRATOR,
     PLANT,
     RECORD,
     RECORDER,
@@ -28,12 +31,11 @@ from tactile_hand_ros.names import (
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.orchestrator.graph import GraphReadiness, MissingEndpoint
-from tactile_hand_ros.orchestrator.monitor import Monitor
+from tactile_hand_ros.orchestrator.monitor import Monitor, Rate, View
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
-from tactile_hand_ros.orchestrator.progress import Rate, View
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -123,7 +125,7 @@ class RunOutcome:
 
     def done(self, step: str) -> None:
         """Note that a step of the start is done."""
-        self.startup[step] = round(process_age(), 3)
+        self.startup[step] = round(_process_age(), 3)
 
 
 class Session:
@@ -195,7 +197,9 @@ class Session:
             parameters = [word for file in files for word in ("--params-file", str(file))]
             own = [] if name == RECORDER else list(scheduling.arguments)
             own += [RECORD] if name == COMPOSED and RECORDER in configs else []
-            self._processes.start(name, self.directory.log(name), *own, *common, *parameters)
+            words = (*own, *common, *parameters)
+            log, records = self.directory.log(name), RECORDER in configs
+            self._processes.start(name, log, *words, records=records)
         self.outcome.done("processes_started")
 
     def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:
@@ -250,8 +254,10 @@ class Session:
             DuplicateNodeError: If a node of the run exists twice.
         """
         plan = self.plan
-        recorder = plan.record and plan.process(RECORDER) == RECORDER
-        readiness = GraphReadiness(node, plan.scenario, composed=plan.composed, recorder=recorder)
+        members = [PLANT, SENSOR, REGULATOR, OPTIMIZER, CONTROLLER, ORCHESTRATOR]
+        if plan.record and plan.process(RECORDER) == RECORDER:
+            members.append(RECORDER)
+        readiness = GraphReadiness(node, members)
 
         def missing() -> Iterator[MissingEndpoint]:
             ours = {node.get_fully_qualified_name(): steering.facts}
@@ -317,13 +323,15 @@ class Session:
         """Pause and wait for the answers to the last tick, so that it is complete in the bag."""
         with contextlib.suppress(SteeringError):
             steering.run(False, timeout=_REST, check=False)
-        end = time.monotonic() + _REST
-        with contextlib.suppress(NodeDiedError):  # it will not answer any more
-            while not monitor.is_at_rest and time.monotonic() < end:
-                self._processes.check()
-                time.sleep(_LOOK)
+
+        def is_at_rest() -> bool:
+            self._processes.check()
+            return monitor.is_at_rest
+
+        with contextlib.suppress(NodeDiedError, TimeoutError):  # it will not answer any more
+            wait_until(is_at_rest, _REST)
         if self.plan.record:
-            time.sleep(_LAST_HEARTBEATS)
+            threading.Event().wait(_LAST_HEARTBEATS)
         self.outcome.plant = monitor.plant_facts()
 
     def _check(self) -> None:
@@ -347,3 +355,12 @@ def _stall(monitor: Monitor) -> str:
     where = f"t = {1e-9 * monitor.tick:g} s" if monitor.tick >= 0 else "the start"
     faults = "; ".join(monitor.faults()) or "no node reports a fault"
     return f"no tick was answered for {STALL:g} s since {where}: {faults}; look at the logs"
+
+
+def _process_age() -> float:
+    """Return how long ago this process started [s], including the interpreter's own start."""
+    with open("/proc/self/stat", encoding="ascii") as file:
+        fields = file.read().rpartition(")")[2].split()
+    with open("/proc/uptime", encoding="ascii") as file:
+        now = float(file.read().split()[0])
+    return now - int(fields[19]) / os.sysconf("SC_CLK_TCK")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An executable loads no library that it does not need: seven of them start at the same time."""
+"""An executable loads no library that it does not need: seven start at the same time."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def loaded() -> Callable[[str], set[str]]:
 
     The orchestrator imports what runs only when it knows that it has to.
     """
-    conduct = [
+    execute = [
         "-c",
         "from tactile_hand_ros.compiled import run_interpreted; run_interpreted();"
         "import tactile_hand_ros.orchestrator.execute",
     ]
 
     def start(name: str) -> subprocess.CompletedProcess[str]:
-        what = conduct if name == "orchestrator" else [str(executable_path(name)), "--help"]
+        what = execute if name == "orchestrator" else [str(executable_path(name)), "--help"]
         command = [sys.executable, "-X", "importtime", *what]
         # In the root folder, or `-c` would take the tree for the installed package.
         return subprocess.run(

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tactile_hand_ros.command_line import Interrupted, Signals
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER
 from tactile_hand_ros.orchestrator.command import main, split_ros_arguments
@@ -22,14 +23,14 @@ from tactile_hand_ros.orchestrator.execute import (
     single_run_lock,
 )
 from tactile_hand_ros.orchestrator.options import RunOptions
-from tactile_hand_ros.orchestrator.participation import (
+from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
+from tactile_hand_ros.ros.middleware import (
+    check_environment,
     full_namespace,
     graph_node,
+    isolated_domain,
     ros_context,
 )
-from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
-from tactile_hand_ros.ros.middleware import check_environment, isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("paper", {"duration": 0.1})

@@ -23,10 +23,9 @@ from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator import steering as module
-from tactile_hand_ros.orchestrator.participation import graph_node
 from tactile_hand_ros.orchestrator.steering import HandClient, SteeringError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import graph_node, isolated_domain, private_context
 
 STAMP = 12_500_000_000
 NOW = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])

@@ -6,24 +6,23 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-import rclpy
 
-from tactile_hand_ros.orchestrator.keeper import MARK
 from tactile_hand_ros.orchestrator.processes import (
     NodeDiedError,
     NodeProcess,
     Processes,
-    start_command,
 )
-from tactile_hand_ros.ros.processes import PACKAGE, executable_path, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"
+ALONE = "echo ready; exec tail -f /dev/null"
 # Leaves a child behind that ignores the signals.
 PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0' INT; wait"
 
@@ -42,6 +41,8 @@ def started(processes: Processes, folder: Path, *names: str) -> None:
 
 
 def _is_ours(process: psutil.Process, folder: Path) -> bool:
+    if process.pid == os.getpid():
+        return False
     try:
         return process.environ().get("RUN_OF_TEST") == str(folder)
     except psutil.Error:
@@ -53,8 +54,11 @@ def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let the processes of a test be told from all others, and insist that none is left."""
     monkeypatch.setenv("RUN_OF_TEST", str(tmp_path))
     yield
-    left = [p for p in psutil.process_iter() if _is_ours(p, tmp_path) and p.pid != os.getpid()]
-    assert not left
+
+    def nothing_is_left() -> bool:
+        return not any(_is_ours(each, tmp_path) for each in psutil.process_iter())
+
+    wait_until(nothing_is_left)
 
 
 def test_groups_end_in_order(tmp_path: Path) -> None:
@@ -94,45 +98,63 @@ def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_death_is_described(program: str, said: str, tmp_path: Path) -> None:
-    process = NodeProcess("x", ["/bin/sh", "-c", program], tmp_path / "x.log", "mark")
+    process = NodeProcess("x", ["/bin/sh", "-c", program], tmp_path / "x.log")
     wait_until(lambda: process.returncode is not None)
     with pytest.raises(NodeDiedError) as caught:
         process.check()
     assert str(caught.value) == said
 
 
-def test_process_carries_its_mark_and_a_session_of_its_own(tmp_path: Path) -> None:
-    program = f"echo ${MARK}"
-    process = NodeProcess("x", ["/bin/sh", "-c", program], tmp_path / "x.log", "the mark")
-    wait_until(lambda: process.returncode is not None)
-    assert process.tail() == ["the mark"]
+ORPHANS = """
+import signal, sys
+from pathlib import Path
+from tactile_hand_ros.orchestrator.processes import Processes
+
+folder = Path(sys.argv[1])
+recorder = f'''
+import signal
+from pathlib import Path
+signal.signal(signal.SIGINT, lambda *_: Path("{folder}/bag").write_text("finished"))
+print("ready", flush=True)
+signal.pause()
+'''
+programs = {
+    "suspended": ["/bin/sh", "-c", "kill -STOP $$"],
+    "deaf": ["/bin/sh", "-c", "trap '' INT TERM; exec tail -f /dev/null"],
+    "recorder": [sys.executable, "-c", recorder],
+}
+with Processes(command=programs.__getitem__) as processes:
+    for name in programs:
+        processes.start(name, folder / f"{name}.log", records=name == "recorder")
+    print("started", flush=True)
+    signal.pause()
+"""
 
 
-def test_the_keeper_shares_the_lock_of_the_run(tmp_path: Path) -> None:
+def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_path: Path) -> None:
+    """Not even a node that is suspended; a recorder gets the signal that lets it finish its bag."""
+    with CapturedProcess([sys.executable, "-c", ORPHANS, tmp_path]) as orchestrator:
+        orchestrator.wait_for_output("started")
+        ready = tmp_path / "recorder.log"
+        wait_until(lambda: "ready" in ready.read_text())
+        ours = psutil.Process(orchestrator.pid).children(recursive=True)
+        assert len(ours) == 3
+        orchestrator.send(signal.SIGKILL)
+        assert orchestrator.wait() == -signal.SIGKILL
+        wait_until(lambda: not any(each.is_running() for each in ours))
+    assert (tmp_path / "bag").read_text() == "finished"
+
+
+def test_the_processes_hold_the_lock_of_the_run(tmp_path: Path) -> None:
     """The lock lasts as long as anything of the run, also when the orchestrator is killed."""
     name = f"\0tactile_hand_ros/test/{os.getpid()}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     lock.bind(name)
     other = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with Processes(lock=lock):
+    with Processes(lock=lock, command=lambda _: ["/bin/sh", "-c", ALONE]) as processes:
+        started(processes, tmp_path, "a")
         lock.close()
         with pytest.raises(OSError, match="in use"):
             other.bind(name)
     other.bind(name)
     other.close()
-
-
-@pytest.mark.parametrize("belongs", [True, False])
-def test_ros2_run_is_used_where_it_belongs_to_the_rclpy_in_use(
-    belongs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    prefix, elsewhere = tmp_path / "ros", tmp_path / "elsewhere"
-    for folder in (prefix, elsewhere):
-        (folder / "bin").mkdir(parents=True)
-        (folder / "bin" / "ros2").write_text("#!/bin/sh\n")
-        (folder / "bin" / "ros2").chmod(0o755)
-    ros2 = (prefix if belongs else elsewhere) / "bin" / "ros2"
-    monkeypatch.setenv("PATH", str(ros2.parent), prepend=":")
-    monkeypatch.setattr(rclpy, "__file__", str(prefix / "lib" / "python" / "rclpy" / "x.py"))
-    expected = [str(ros2), "run", PACKAGE, "plant"] if belongs else [str(executable_path("plant"))]
-    assert start_command("plant") == expected

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from tactile_hand_ros.orchestrator import progress as module
-from tactile_hand_ros.orchestrator.monitor import Progress
-from tactile_hand_ros.orchestrator.progress import Rate, View, facts
+from tactile_hand_ros.orchestrator import monitor as module
+from tactile_hand_ros.orchestrator.monitor import Progress, Rate, View, facts
 
 NOW = Progress(time=1.25, position_error=0.0123, grasp_force=7.125)
 

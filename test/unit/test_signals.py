@@ -11,14 +11,13 @@ import threading
 import time
 from collections.abc import Iterator
 
-import psutil
 import pytest
 
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals, process_age
+from tactile_hand_ros.command_line import Interrupted, Signals
 
 FLOOD = """
 import os, signal, threading
-from tactile_hand_ros.orchestrator.signals import Interrupted, Signals
+from tactile_hand_ros.command_line import Interrupted, Signals
 
 signals = Signals()
 signals.install()
@@ -96,10 +95,3 @@ def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
     )
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) > 0
-
-
-def test_age_counts_from_the_start_of_the_process() -> None:
-    """Against psutil, whose idea of the boot time is rounded to a second."""
-    created = psutil.Process().create_time()
-    before = time.time() - created
-    assert before - 1.0 <= process_age() <= time.time() - created + 1.0
