@@ -7,6 +7,8 @@ nothing outlives it. It also holds the lock of the run, which thus ends with the
 
 from __future__ import annotations
 
+import functools
+import shutil
 import signal
 import socket
 import subprocess
@@ -14,9 +16,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.processes import ChildProcess, end_together, executable_path
+from tactile_hand_ros.ros.processes import (
+    PACKAGE,
+    ChildProcess,
+    end_together,
+    executable_directory,
+    executable_path,
+)
 
 _TAIL = 15  # lines of a log that are shown
+_ROS2_PATIENCE = 20.0
+"""Time for ``ros2`` to say where this package is [s]; it takes one second on an idle computer."""
+
+Program = Callable[[str, list[str]], list[str]]
+"""From the name of an executable and the command to run it under to the whole command."""
 
 
 class NodeDiedError(TactileHandError):
@@ -36,8 +49,6 @@ class NodeProcess(ChildProcess):
         name: str,
         command: Sequence[str],
         log: Path,
-        *,
-        orphaned: signal.Signals = signal.SIGKILL,
         lock: Sequence[int] = (),
     ) -> None:
         """Start it.
@@ -46,14 +57,12 @@ class NodeProcess(ChildProcess):
             name: Name of the executable.
             command: Program and arguments.
             log: File to create.
-            orphaned: Signal that it gets when the orchestrator dies.
             lock: Descriptors that it inherits.
         """
         self.name = name
         self.log = log
-        guarded = ["setpriv", "--pdeathsig", orphaned.name.removeprefix("SIG"), "--", *command]
         with log.open("wb") as output:
-            super().__init__(guarded, output, subprocess.STDOUT, pass_fds=lock)
+            super().__init__(command, output, subprocess.STDOUT, pass_fds=lock)
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -77,6 +86,35 @@ class NodeProcess(ChildProcess):
         raise NodeDiedError(f"{self.name} {how}{last}")
 
 
+def started_by(name: str, guard: list[str]) -> list[str]:
+    """Return the command for an executable: ``ros2 run``, or its file where there is no ``ros2``.
+
+    Args:
+        name: Name of the executable.
+        guard: The command that it is run under.
+
+    Raises:
+        ExecutableError: If it does not exist.
+    """
+    path = executable_path(name)
+    if (ros2 := _ros2()) is None:
+        return [*guard, str(path)]
+    return [*guard, ros2, "run", "--prefix", " ".join(guard), PACKAGE, name]
+
+
+@functools.cache
+def _ros2() -> str | None:
+    """Return the ``ros2`` command if it finds this package where the ament index does."""
+    if (ros2 := shutil.which("ros2")) is None:
+        return None
+    try:
+        asked = [ros2, "pkg", "prefix", PACKAGE]
+        found = subprocess.run(asked, capture_output=True, text=True, timeout=_ROS2_PATIENCE)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return ros2 if Path(found.stdout.strip()) == executable_directory().parents[1] else None
+
+
 class Processes:
     """The processes of a run; nothing is left when the block ends."""
 
@@ -84,14 +122,14 @@ class Processes:
         self,
         in_a_hurry: Callable[[], bool] = lambda: False,
         lock: socket.socket | None = None,
-        command: Callable[[str], list[str]] = lambda name: [str(executable_path(name))],
+        command: Program = started_by,
     ) -> None:
         """Prepare.
 
         Args:
             in_a_hurry: Called while waiting for an end: whether to be less patient.
             lock: The lock of the run.
-            command: Returns program and first arguments for the name of an executable.
+            command: Returns program and first arguments for an executable.
         """
         self._command = command
         self._in_a_hurry = in_a_hurry
@@ -118,9 +156,10 @@ class Processes:
         Raises:
             ExecutableError: If it does not exist.
         """
-        command = [*self._command(name), *arguments]
-        orphaned = signal.SIGINT if records else signal.SIGKILL
-        self._started[name] = NodeProcess(name, command, log, orphaned=orphaned, lock=self._lock)
+        # The kernel ends it when its parent dies; `ros2 run` is a parent of its own.
+        guard = ["setpriv", "--pdeathsig", "INT" if records else "KILL", "--"]
+        command = [*self._command(name, guard), *arguments]
+        self._started[name] = NodeProcess(name, command, log, self._lock)
 
     def check(self) -> None:
         """Raise if one of the processes has ended.

@@ -13,12 +13,13 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tactile_hand_ros.orchestrator import processes as launcher
 from tactile_hand_ros.orchestrator.processes import (
     NodeDiedError,
     NodeProcess,
     Processes,
 )
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, executable_directory, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"
@@ -29,7 +30,7 @@ PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0'
 
 def shells(**programs: str) -> Processes:
     """Return processes whose executables are shell programs."""
-    return Processes(command=lambda name: ["/bin/sh", "-c", programs[name], name])
+    return Processes(command=lambda name, guard: [*guard, "/bin/sh", "-c", programs[name], name])
 
 
 def started(processes: Processes, folder: Path, *names: str) -> None:
@@ -71,7 +72,9 @@ def test_groups_end_in_order(tmp_path: Path) -> None:
 
 
 def test_stubborn_process_is_killed_sooner_in_a_hurry_and_is_named(tmp_path: Path) -> None:
-    with Processes(lambda: True, command=lambda name: ["/bin/sh", "-c", STUBBORN]) as processes:
+    with Processes(
+        lambda: True, command=lambda _, guard: [*guard, "/bin/sh", "-c", STUBBORN]
+    ) as processes:
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
         assert complaint.startswith(f"mule did not end well: code -{signal.SIGKILL}")
@@ -123,7 +126,7 @@ programs = {
     "deaf": ["/bin/sh", "-c", "trap '' INT TERM; exec tail -f /dev/null"],
     "recorder": [sys.executable, "-c", recorder],
 }
-with Processes(command=programs.__getitem__) as processes:
+with Processes(command=lambda name, guard: [*guard, *programs[name]]) as processes:
     for name in programs:
         processes.start(name, folder / f"{name}.log", records=name == "recorder")
     print("started", flush=True)
@@ -151,10 +154,38 @@ def test_the_processes_hold_the_lock_of_the_run(tmp_path: Path) -> None:
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     lock.bind(name)
     other = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with Processes(lock=lock, command=lambda _: ["/bin/sh", "-c", ALONE]) as processes:
+    with Processes(
+        lock=lock, command=lambda _, guard: [*guard, "/bin/sh", "-c", ALONE]
+    ) as processes:
         started(processes, tmp_path, "a")
         lock.close()
         with pytest.raises(OSError, match="in use"):
             other.bind(name)
     other.bind(name)
     other.close()
+
+
+@pytest.mark.parametrize(
+    ("prefix", "used"), [(executable_directory().parents[1], True), ("/opt/other", False)]
+)
+def test_ros2_run_starts_a_node_where_it_finds_the_same_package(
+    prefix: Path | str, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A script stands for `ros2`, which has no wheel; it does what `ros2 run` does."""
+    ros2 = tmp_path / "ros2"
+    ros2.write_text(
+        f'#!/bin/sh\nif [ "$1" = pkg ]; then echo {prefix}; exit; fi\n'
+        f'echo "$@" > {tmp_path}/asked; exec $3 {executable_directory()}/"$5" "$6"\n'
+    )
+    ros2.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    launcher._ros2.cache_clear()
+    try:
+        with Processes() as run:
+            run.start("plant", tmp_path / "log", "--help")
+            wait_until(lambda: "Arguments" in (tmp_path / "log").read_text(), 60.0, "the help")
+    finally:
+        launcher._ros2.cache_clear()
+    asked = tmp_path / "asked"
+    expected = "run --prefix setpriv --pdeathsig KILL -- tactile_hand_ros plant --help"
+    assert (asked.read_text().strip() if asked.exists() else "") == (expected if used else "")
