@@ -88,7 +88,7 @@ def click_on(page: Page, element: object, share: float) -> None:
 
 
 def test_it_draws_and_asks_for_nothing(report: Page) -> None:
-    assert report.js("return report.scene.colors()") > 500  # a blank picture has one color
+    assert report.js("return report.scene.colours()") > 500  # a blank picture has one color
     drawn = report.js(
         """return report.charts.map(({plot}) => {
              const {width, height} = plot.ctx.canvas;
@@ -243,7 +243,7 @@ def test_nothing_sticks_out_at_any_size(page: Page, run: Run, tmp_path: Path) ->
 
 def test_a_real_hand_without_truth_and_scenario(page: Page, tmp_path: Path) -> None:
     page.open(write_report(Run(write_record(tmp_path / "bag", random_record(truth=False)))))
-    assert page.js("return report.scene.colors()") > 50
+    assert page.js("return report.scene.colours()") > 50
     assert page.js("return report.scene.solid") is None
     assert page.js("return report.scene.contacts[0].group.visible")
     assert "No scenario is known" in page.driver.find_element(By.CSS_SELECTOR, ".notes").text
@@ -272,7 +272,7 @@ def test_a_comparison_overlays_runs(page: Page, run: Run, tmp_path: Path) -> Non
     assert page.js("return report.scenes.length") == 2
     page.wait(lambda: page.js("return report.scenes.every((scene) => scene.frames > 0)"))
     assert page.js(FARTHEST) < 1.0, "the object or the number of a finger is cut off"
-    assert min(page.js("return report.scenes.map((scene) => scene.colors())")) > 200
+    assert min(page.js("return report.scenes.map((scene) => scene.colours())")) > 200
     assert "plant.object.friction" in page.js(
         "return document.querySelector('.settings').textContent"
     )

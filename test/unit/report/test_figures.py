@@ -69,12 +69,6 @@ def test_lines_are_the_numbers_of_the_record() -> None:
     np.testing.assert_array_equal(forces.lines[1].get_ydata(), expected)
 
 
-def test_units_stand_on_the_axes() -> None:
-    labels = [axes.get_ylabel() for axes in motion_figure(RECORDS["good"]).axes]
-    for label, unit in zip(labels, ["rad/s", "m", "rad", "N"], strict=True):
-        assert label.endswith(f"[{unit}]")
-
-
 def test_loss_of_contact_is_marked() -> None:
     for name, marks in (("good", 0), ("lost", 4)):
         texts = [text.get_text() for a in motion_figure(RECORDS[name]).axes for text in a.texts]

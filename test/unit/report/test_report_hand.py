@@ -53,12 +53,6 @@ def test_tips_are_where_the_physics_has_them(layout: str) -> None:
     assert [tip["radius"] for tip in tree["tips"]] == hand.radii.tolist()
 
 
-def test_tips_of_an_unknown_hand_are_its_drawn_spheres() -> None:
-    tree = hand_tree(SLIDER, ["slide"], {})
-    assert tree["tips"] == [{"link": 1, "finger": "", "radius": 0.02}]
-    np.testing.assert_allclose(tips_of(tree, np.array([0.1])), [[0.0, 0.0, 0.9]], atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -104,11 +98,3 @@ def test_a_tip_is_a_sphere_at_the_end_or_what_the_file_of_the_hand_names() -> No
     assert [tip["link"] for tip in hand_tree(drawn, [], {"gone": ("x", 0.1)})["tips"]] == [1]
     plain = SLIDER.replace('radius="0.02"', "")
     assert hand_tree(plain, [], {})["tips"][0]["radius"] == 0.01
-
-
-def test_links_in_a_circle_end() -> None:
-    circle = SLIDER.replace(
-        "</robot>",
-        '<joint name="back" type="fixed"><parent link="jaw"/><child link="jaw"/></joint></robot>',
-    )
-    assert len(hand_tree(circle, ["slide"], {})["links"]) == 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.report.document import pack, shown
+from tactile_hand_ros.report.document import shown
 from tactile_hand_ros.run.assumptions import Assumption
 from tactile_hand_ros.run.metrics import Metrics, Settling
 from tactile_hand_ros.run.recording import BagMetrics, TopicCount
@@ -63,27 +63,6 @@ def test_lengths_are_in_thousandths(value: float | None, text: str) -> None:
 def test_numbers_have_four_digits_and_their_unit() -> None:
     texts = [tables.number(1.23456, "N"), tables.number(12345.6), tables.number(math.nan, "N")]
     assert texts == ["1.235 N", "1.235e+04", "unknown"]
-
-
-def test_metrics_of_a_run_that_held() -> None:
-    assert tables.metrics_rows(METRICS) == [
-        ["simulated time", "1 s in 500 ticks"],
-        ["final position error", "1.234 mm"],
-        ["final orientation error |r_d|", "0.02 rad"],
-        ["settling time", "0.5 s"],
-        ["k_f", "10 N"],
-        ["sum of f_n", "8 N  (20 % off k_f)"],
-        ["f_n of a", "5 N  (k_f f*_n 4 N)"],
-        ["f_n of b", "3 N  (k_f f*_n unknown)"],
-        ["peak joint rate", "2.5 rad/s"],
-        ["beta of a, final / largest", "0.1 / 0.3"],
-        ["beta of b, final / largest", "0.2 / 0.4"],
-        ["ticks without a contact", "3, first at 0.25 s"],
-        ["largest motion of the object in the grasp", "1 mm, 0.01 rad"],
-        ["longest slip", "2 mm"],
-        ["slips, detected", "4, 5"],
-        ["goal", "reached"],
-    ]
 
 
 def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
@@ -170,20 +149,3 @@ def test_of_twelve_ticks_seven_are_shown() -> None:
     few = shown(12, 11, [signal], np.array([3], dtype=np.int64))
     assert few.tolist() == [0, 1, 3, 4, 5, 6, 8, 10, 11]
     assert shown(12, 2, [signal], np.array([3])).tolist() == [0, 3, 8, 10, 11]
-
-
-@pytest.mark.parametrize("limit", [5, 8, 20, 60, 99])
-def test_of_many_ticks_first_last_peaks_and_events_are_shown(limit: int) -> None:
-    up, down = np.zeros(100), np.zeros(100)
-    up[37], down[61], up[3] = 5.0, -5.0, np.nan
-    rows = shown(100, limit, [up, down], np.array([42]))
-    assert {0, 37, 42, 61, 99} <= set(rows.tolist()) and (np.diff(rows) > 0).all()
-    assert len(rows) <= max(limit, 9) + 9
-    np.testing.assert_array_equal(shown(100, 100, [up], np.array([42])), np.arange(100))
-
-
-def test_whole_numbers_are_packed_with_a_mark_for_nan() -> None:
-    assert pack(np.array([0.0, np.nan, 254.0]), "u1") == {
-        "type": "u1", "shape": [3], "data": "AP/+",
-    }  # fmt: skip
-    assert pack(np.array([[1.0]])) == {"type": "f4", "shape": [1, 1], "data": "AACAPw=="}

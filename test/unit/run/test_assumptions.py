@@ -14,7 +14,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.run.assumptions import _line, assumptions
+from tactile_hand_ros.run.assumptions import assumptions
 from tactile_hand_ros.simulation.plant import true_reading
 
 HAND = Hand.load("paper")
@@ -80,22 +80,6 @@ def test_a_lost_contact_breaks_a7_for_as_long_as_it_lasts(record):
     assert line.worst == 0.0
     assert line.broken == [(pytest.approx(0.4), pytest.approx(0.598))]
     assert line.held_fraction == pytest.approx(1 - 100 / 476, abs=0.01)
-
-
-def test_a_slip_breaks_a4_at_once_and_a6_when_it_lasts(record):
-    record.grip[200:230, 1] = 2  # 60 ms
-    found = lines(record)
-    assert found["A4"].broken == [(pytest.approx(0.4), pytest.approx(0.458))]
-    assert found["A6"].worst == pytest.approx(0.02 - 0.06, abs=2e-3)
-    record.grip[205:230, 1] = 1  # 10 ms
-    assert not lines(record)["A6"].broken
-
-
-def test_weight_breaks_a3():
-    heavy = run_scenario("lift", {"duration": 0.3})
-    assert not lines(heavy)["A3"].broken
-    pulled = run_scenario("hold", {"duration": 0.3})
-    assert lines(pulled)["A3"].held_fraction == 0.0
 
 
 def test_the_load_is_the_sum_of_all_forces_turned_into_the_palm(still):
@@ -252,20 +236,3 @@ def test_of_a_long_run_about_a_thousand_ticks_are_looked_at(ticks, last):
     assert found["A7"].held_fraction == 0.0
     unknown = ["A1", "A2", "A3", "A4 cone", "A5", "(13)"]
     assert all(np.isnan(found[name].worst) for name in unknown)
-
-
-@pytest.mark.parametrize(("below", "worst", "share"), [(True, 3.0, 2 / 5), (False, 0.5, 2 / 5)])
-def test_a_value_at_its_limit_breaks_it_and_each_time_has_its_interval(still, below, worst, share):
-    """What is unknown, and the first 50 ms, are not judged."""
-    values = np.full(40, np.nan)
-    values[4] = 9.0 if below else -9.0
-    good, bad = (0.5, 3.0) if below else (3.0, 0.5)
-    values[[5, 10, 11, 20, 30]] = bad, good, 1.0, good, bad
-    line = _line("A", "", "", still, values, 1.0, below)
-    assert (line.worst, line.held_fraction) == (worst, pytest.approx(share))
-    # Ticks of which nothing is known part no interval.
-    assert line.broken == [
-        (pytest.approx(0.05), pytest.approx(0.05)),
-        (pytest.approx(0.11), pytest.approx(0.11)),
-        (pytest.approx(0.30), pytest.approx(0.30)),
-    ]

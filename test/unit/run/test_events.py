@@ -49,19 +49,6 @@ def test_slip_its_detection_and_the_reaction(record: Record) -> None:
     assert told(record, "reaction") == [(pytest.approx(0.35), "")]
 
 
-def test_creep_is_no_slip_and_an_alarm_without_answer_no_reaction(record: Record) -> None:
-    record.true_sliding[30:, 0] = 0.0009
-    record.grip[33:38, 0] = ContactState.SLIP
-    assert told(record, "slip") == []
-    assert told(record, "reaction") == []
-
-
-def test_a_flickering_alarm_is_one(record: Record) -> None:
-    record.grip[[20, 22, 24], 1] = ContactState.SLIP
-    record.grip[60, 1] = ContactState.SLIP
-    assert [time for time, _ in told(record, "detection")] == pytest.approx([0.2, 0.6])
-
-
 def test_contacts_lost_and_made(record: Record) -> None:
     record.contact_positions[50:60, 1] = np.nan
     assert told(record, "contact_lost") == [(pytest.approx(0.5), "ring_finger")]
@@ -79,11 +66,6 @@ def test_new_poses(record: Record) -> None:
     record.desired_position[:10] = np.nan
     record.desired_position[70:] = [0.0, 0.1, 0.0]
     assert [time for time, _ in told(record, "command")] == pytest.approx([0.1, 0.7])
-
-
-def test_without_truth_there_are_no_slips(record: Record) -> None:
-    record.true_sliding[:] = np.nan
-    assert told(record, "slip") == []
 
 
 def test_disturbances_come_from_the_scenario(record: Record) -> None:

@@ -28,9 +28,6 @@ from support.recorded import (
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.extras import MissingLibraryError
-from tactile_hand_ros.run.reading import HandTopics, Series
-from tactile_hand_ros.run.recording import bag_metrics
 from tactile_hand_ros.run.result import columns
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
@@ -103,17 +100,6 @@ class TestRecord:
         assert run.record.stamps.tolist() == [0, 2, 4]
         assert run.bag_metrics.repeated_ticks == 2
         assert run.earlier == []
-
-    def test_after_a_reset_only_the_last_run_counts(self, tmp_path: Path) -> None:
-        second = 10**9
-        with RunWriter(tmp_path / "bag") as bag:
-            for at, tick in enumerate([0, 2, 4, 0, 2]):
-                tick_only(bag, tick, at * second)
-                squeeze = (0.0, float(at), 0.0)
-                bag.write("/grasp_force", recorded.wrench(tick, squeeze), at * second + 1)
-        record = Run(tmp_path / "bag").record
-        assert record.stamps.tolist() == [0, 2]
-        assert record.grasp_force.tolist() == [3.0, 4.0]
 
     def test_after_two_resets_only_what_came_after_the_last_counts(self, tmp_path: Path) -> None:
         """An earlier run has ticks, a squeeze and a pose that the last one does not have."""
@@ -227,13 +213,6 @@ class TestDesiredPose:
         assert self.in_force(tmp_path / "a", (25, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
         assert self.in_force(tmp_path / "b", (50, 1.0)) == [-1.0] * 5
 
-    def test_of_an_earlier_run_in_the_bag_it_is_forgotten(self, tmp_path: Path) -> None:
-        with RunWriter(tmp_path / "bag") as bag:
-            for stamp, at in ((0, 0), (10, 1), (0, 10**9), (10, 10**9 + 1)):
-                tick_only(bag, stamp, at)
-            bag.write("/accepted/desired_pose", pose_stamped(10, (1.0, 0.0, 0.0), STRAIGHT), 2)
-        assert np.isnan(Run(tmp_path / "bag").record.desired_position).all()
-
     def test_a_bag_without_the_ticks_of_its_commands_is_refused(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             tick_only(bag, 0, 100)
@@ -262,11 +241,6 @@ class TestFolders:
         for path in (folder, folder / "bag"):
             assert Run(path).scenario == load_scenario("pinch")
         assert Run(folder).metrics.goal_reached is False
-
-    def test_scenario_in_the_bag(self, tmp_path: Path) -> None:
-        said = {"scenario": resolved(load_scenario("waypoints"))}
-        run = Run(write_record(tmp_path / "bag", random_record(), custom_data=said))
-        assert run.scenario == load_scenario("waypoints")
 
     def test_scenario_of_another_version(self, folder: Path) -> None:
         """What was recorded is there nevertheless."""
@@ -325,25 +299,12 @@ class TestFolders:
         with pytest.raises(BagError, match="damaged"):
             _ = Run(folder).record
 
-    def test_bag_without_joint_states(self, tmp_path: Path) -> None:
-        with RunWriter(tmp_path / "bag") as bag:
-            bag.write("/grasp_force", recorded.wrench(0, (0.0, 1.0, 0.0)), 0)
-        with pytest.raises(BagError, match="no topic joint_states"):
-            Run(tmp_path / "bag")
-
     def test_bag_with_a_silent_hand(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
         run = Run(tmp_path / "bag")
         with pytest.raises(BagError, match="not a single tick"):
             _ = run.record
-
-    def test_topic_of_another_type(self, tmp_path: Path) -> None:
-        with RunWriter(tmp_path / "bag") as bag:
-            tick_only(bag, 0, 0)
-            bag.write("/grasp_force", message("std_msgs/msg/Float64", data=1.0), 1)
-        with pytest.raises(BagError, match="/grasp_force has the type std_msgs/msg/Float64"):
-            Run(tmp_path / "bag")
 
 
 def test_bag_metrics(tmp_path: Path) -> None:
@@ -370,6 +331,7 @@ def test_bag_metrics(tmp_path: Path) -> None:
     assert m.wall_time_s == pytest.approx(19 * PERIOD * 1e-9)
     assert m.ticks_per_second == pytest.approx(1e9 / PERIOD)
     assert m.command_latency_median_s == pytest.approx(1e-9 * LATENCY)
+    assert m.command_latency_p99_s == pytest.approx((1.0 + 0.82 * 4.0) * 1e-9 * LATENCY)
     assert m.command_latency_max_s == pytest.approx(5e-9 * LATENCY)
     assert json.loads(json.dumps(m.to_dict()))["topics"]["/grasp_force"]["messages"] == 18
 
@@ -423,13 +385,6 @@ def test_columns_for_tables(tmp_path: Path) -> None:
     assert len(named) == sum(array[0].size for array in arrays)
 
 
-def test_pandas_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
-    run = Run(write_record(tmp_path / "bag", random_record()))
-    with pytest.raises(MissingLibraryError, match="pip install pandas"):
-        run.to_pandas()
-
-
 def test_joints_have_the_order_of_the_first_message(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "bag") as bag:
         for at, names in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
@@ -437,22 +392,6 @@ def test_joints_have_the_order_of_the_first_message(tmp_path: Path) -> None:
     record = Run(tmp_path / "bag").record
     assert record.joint_names == ["b", "a"]
     np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 2.0], [5.0, 3.0]])
-
-
-def test_latencies_are_told_by_median_99th_percentile_and_longest(tmp_path: Path) -> None:
-    ms = 1_000_000
-    with RunWriter(tmp_path / "bag") as bag:
-        for tick in range(201):
-            tick_only(bag, tick, START + 500 * ms * tick)
-            answer = joints(tick, NAMES, effort=[1.0, 2.0])
-            bag.write("/joint_command", answer, START + 500 * ms * tick + ms * (201 - tick))
-    found = Run(tmp_path / "bag").bag_metrics
-    assert found.command_latency_median_s == pytest.approx(0.101)
-    assert found.command_latency_p99_s == pytest.approx(0.199)
-    assert found.command_latency_max_s == pytest.approx(0.201)
-    assert found.ticks_per_second == pytest.approx(2.0) and found.wall_time_s == pytest.approx(
-        100.0
-    )
 
 
 def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> None:
@@ -504,15 +443,6 @@ def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_pat
     run = Run(tmp_path / "bag")
     np.testing.assert_allclose(run.latencies, [0.0, np.nan, 0.007])
     assert run.bag_metrics.command_latency_max_s == pytest.approx(0.007)
-
-
-def test_of_topics_without_messages_nothing_is_measured() -> None:
-    topics = HandTopics("/", ["a"])
-    nothing = np.zeros(0, dtype=np.int64)
-    found = bag_metrics({name: Series(nothing, nothing, []) for name in topics.types}, topics, 0)
-    assert (found.wall_time_s, found.repeated_ticks, found.complete) == (0.0, 0, False)
-    assert np.isnan([found.ticks_per_second, found.command_latency_max_s]).all()
-    assert found.topics == {} and "/joint_states" in found.absent
 
 
 def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:

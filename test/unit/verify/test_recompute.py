@@ -96,18 +96,6 @@ def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_pa
     assert 0.0 < wrong.largest < 1e-12
 
 
-def test_missing_messages_leave_their_ticks_out(
-    paper: tuple[Scenario, Record], tmp_path: Path
-) -> None:
-    """Without touch the recorded hand held, and so does the recomputed one."""
-    scenario, record = paper
-    record = copy.deepcopy(record)
-    record.forces[50] = np.nan
-    result = recompute(write(tmp_path, scenario, record))
-    grasp = next(c for c in result.comparisons if c.topic == "grasp_force")
-    assert grasp.compared == len(record) and grasp.first == int(record.stamps[50])
-
-
 def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(
     gravity: tuple[Scenario, Record], tmp_path: Path
 ) -> None:
@@ -198,31 +186,6 @@ def test_shadow_controllers_show_the_difference(
     }
     assert by_topic["grasp_force"].identical == by_topic["joint_command"].identical == 0
     assert by_topic["optimal_force"].same
-
-
-def test_shadow_of_a_run_with_requests_applies_them_where_the_run_did(
-    gravity: tuple[Scenario, Record], tmp_path: Path
-) -> None:
-    """Only what the change causes differs."""
-    result = recompute(write(tmp_path, *gravity), {"manipulation_controller.law.damping": 0.123})
-    differing = {c.topic for c in result.comparisons if not c.same}
-    assert differing == {"joint_command"}
-
-
-def test_law_of_the_user(
-    paper: tuple[Scenario, Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_laws.py").write_text(
-        "from tactile_hand_ros.control.laws import OptimalLaw\n"
-        "class Mine(OptimalLaw):\n"
-        "    def drive(self, wrench):\n"
-        "        return 2.0 * super().drive(wrench)\n"
-    )
-    result = recompute(
-        write(tmp_path, *paper), {"manipulation_controller.law.name": "my_laws:Mine"}
-    )
-    assert {c.topic for c in result.comparisons if not c.same} == {"joint_command"}
 
 
 def test_a_bag_cannot_import_a_law(
