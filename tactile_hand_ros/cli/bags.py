@@ -64,7 +64,7 @@ class ReplayRequest:
 
 @with_options
 def replay(request: ReplayRequest) -> None:
-    """Publish a bag as it was recorded, or recompute it. Space pauses, Ctrl-C ends.
+    """Publish a bag as it was recorded, or recompute it. Ctrl-C stops it.
 
     Exit code of --recompute with the recorded law and without --set: 0 if all is as recorded, to
     the bit, 1 if not. A law of your own is imported only if you name it here, by --law.
@@ -122,7 +122,7 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
         "namespace": f"/{namespace}" if namespace else "",
         "paused": request.paused,
     }
-    with replaying(bag, **options) as player, _line(player) as watch, _keyboard(player):
+    with replaying(bag, **options) as player, _line(player) as watch:
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
         print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
@@ -145,41 +145,11 @@ def _line(player: Replay) -> Iterator[Any]:
     task = bar.add_task("replay", total=player.duration, state="")
 
     def watch(player: Replay) -> None:
-        state = "paused, space goes on" if player.paused else counted(player.messages, "message")
+        state = "paused" if player.paused else counted(player.messages, "message")
         bar.update(task, completed=player.position, state=state)
 
     with bar:
         yield watch
-
-
-@contextlib.contextmanager
-def _keyboard(player: Replay) -> Iterator[None]:
-    """Let the space key pause, where there is a terminal."""
-    if not sys.stdin.isatty():
-        yield
-        return
-    import select
-    import termios
-    import threading
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    done = threading.Event()
-
-    def listen() -> None:
-        while not done.is_set():
-            if select.select([sys.stdin], [], [], 0.1)[0] and sys.stdin.read(1) == " ":
-                player.pause(not player.paused)
-
-    thread = threading.Thread(target=listen, daemon=True)
-    try:
-        tty.setcbreak(sys.stdin)
-        thread.start()
-        yield
-    finally:
-        done.set()
-        thread.join()
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def recover(

@@ -27,6 +27,7 @@ MAX_BYTES = 2_900_000
 MAX_EVENTS = 400
 
 _CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are too few
+_BYTES = {"f8": 8, "f4": 4, "u1": 1}
 
 
 def page_document(
@@ -71,7 +72,8 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
     hand, problem = model.hand(run)
     plots = plot_columns(run)
     columns = plots | scene_columns(record)
-    rows = _rows(run, room // _bytes_per_tick(columns))
+    per_tick = sum(_BYTES[_code(name)] * each[:1].size for name, each in columns.items())
+    rows = _rows(run, room // per_tick)
     around = [pair for pair in gaps(record) if pair[0]]
     rows = np.union1d(rows, [row for pair in around for row in pair]).astype(np.int64)
     broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
@@ -79,7 +81,7 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
         "name": run.name,
         "label": label or run.name,
         "gaps": [[float(record.times[row]) for row in pair] for pair in around],
-        "description": str(run.loose_scenario.get("description", "")),
+        "description": run.scenario.description if run.scenario else "",
         "recorded": _date(run),
         "headline": run.headline,
         "passed": facts.passed(run),
@@ -150,14 +152,6 @@ def scene_columns(record: Record) -> dict[str, Array]:
     return {name: getattr(record, name) for name in names}
 
 
-def _bytes_per_tick(columns: dict[str, Array]) -> int:
-    sizes = {"f8": 8, "f4": 4, "u1": 1}
-    return sum(
-        sizes[_CODES.get(name, "f4")] * int(np.prod(values.shape[1:], dtype=int))
-        for name, values in columns.items()
-    )
-
-
 def _rows(run: RunData, limit: int) -> Rows:
     record = run.record
     at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
@@ -188,7 +182,7 @@ def _joints(record: Record, hand: dict[str, Any] | None) -> list[dict[str, Any]]
     owner = _owners(record, hand)
     joints: list[dict[str, Any]] = []
     for column, name in enumerate(record.joint_names):
-        finger = owner.get(column, _finger_by_name(record, name))
+        finger = owner.get(column, -1)
         place = sum(joint["finger"] == finger for joint in joints)
         joints.append({"label": style.pretty(name), "finger": finger, "place": place})
     return joints
@@ -205,11 +199,6 @@ def _owners(record: Record, hand: dict[str, Any] | None) -> dict[int, int]:
             link = hand["links"][link]["parent"] if hand else -1
     found.pop(-1, None)
     return found
-
-
-def _finger_by_name(record: Record, joint: str) -> int:
-    named = [i for i, finger in enumerate(record.finger_names) if joint.startswith(finger)]
-    return named[0] if named else -1
 
 
 def _date(run: RunData) -> str:

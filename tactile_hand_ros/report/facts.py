@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.assumptions import Assumption
@@ -182,7 +183,8 @@ _PLACES = ("manipulation_controller.law.folder",)  # where a file lies changes n
 
 def differing(runs: Sequence[RunData]) -> list[list[str]]:
     """Return a row for each setting that is not the same in all runs: its key, and each value."""
-    flat = [_flat(run.loose_scenario) for run in runs]
+    texts = [run.scenario_text if run.scenario else "{}" for run in runs]
+    flat = [_flat(parse_yaml(text, "scenario")) for text in texts]
     keys = dict.fromkeys(key for each in flat for key in each)
     rows = [[key, *(each.get(key, _NOT_SET) for each in flat)] for key in keys]
     return [row for row in rows if len(set(row[1:])) > 1]

@@ -15,7 +15,6 @@ from tactile_hand_ros.errors import HandModelError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_vector
 from tactile_hand_ros.run.result import RunData
-from tactile_hand_ros.scenario.scenario import object_config
 
 
 def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
@@ -32,22 +31,17 @@ def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
 
 def _description(run: RunData) -> str:
     """Return the URDF, the recorded one before that of the scenario."""
-    if run.description:
+    if run.description or run.scenario is None:
         return run.description
-    plain = run.loose_scenario
-    name, layout = plain.get("hand"), plain.get("layout", "")
-    if not isinstance(name, str) or not isinstance(layout, str):
-        return ""
-    return Hand.load(name, layout).description
+    return Hand.load(run.scenario.hand, run.scenario.layout).description
 
 
 def _tips(run: RunData) -> dict[str, tuple[str, float]]:
     """Return finger and radius by tip link, nothing where the hand's file is not here."""
-    name = run.loose_scenario.get("hand")
-    if not isinstance(name, str):
+    if run.scenario is None:
         return {}
     try:
-        config = load_hand_config(name)
+        config = load_hand_config(run.scenario.hand)
     except TactileHandError:  # it stayed on the machine of the run
         return {}
     return {finger.tip: (finger.name, finger.radius) for finger in config.fingers}
@@ -55,13 +49,9 @@ def _tips(run: RunData) -> dict[str, tuple[str, float]]:
 
 def solid(run: RunData) -> dict[str, Any] | None:
     """Return corners in m, faces and edges of the object; None where its shape is unknown."""
-    plant = run.loose_scenario.get("plant")
-    if not isinstance(plant, dict) or "object" not in plant:
+    if run.scenario is None:
         return None
-    try:
-        shape = object_config(plant["object"], "scenario").solid()
-    except TactileHandError:
-        return None
+    shape = run.scenario.plant.object.solid()
     return {
         "vertices": shape.vertices.tolist(),
         "faces": [corners.tolist() for corners in shape.face_corners],

@@ -8,6 +8,7 @@ hand has them too.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -79,39 +80,21 @@ def assumptions(record: Record, hand: Hand) -> list[Assumption]:
         hand: The hand, in the layout of the run.
     """
     sparse = record.part(slice(None, None, max(1, len(record) // _ROWS)))
-    return [
-        _rolled(sparse, hand),
-        _on_hemisphere(sparse, hand),
-        _unloaded(sparse),
-        _no_slip(record),
-        _in_cones(record),
-        _regular(sparse, hand),
-        _fast_enough(record),
-        _spread(sparse),
-        _balanced(sparse),
-    ]
+    return [_judged(line, record if line[-1] in _CHEAP else sparse, hand) for line in _LINES]
 
 
-def _line(
-    name: str,
-    meaning: str,
-    margin: str,
-    record: Record,
-    values: Array,
-    limit: float,
-    below: bool = False,
-) -> Assumption:
+def _judged(line: _Line, record: Record, hand: Hand) -> Assumption:
+    name, meaning, margin, limit, below, measure = line
+    values = measure(record, hand)
     looked = (record.times >= _SETTLING) & ~np.isnan(values)
     known, times = values[looked], record.times[looked]
-    if not len(known):
-        return Assumption(name, meaning, margin, math.nan, limit, below, math.nan, [])
-    worst = float(known.max() if below else known.min())
-    if math.isnan(limit):
-        return Assumption(name, meaning, margin, worst, limit, below, math.nan, [])
-    good = known < limit if below else known > limit
-    return Assumption(
-        name, meaning, margin, worst, limit, below, float(good.mean()), _intervals(times, ~good)
-    )
+    held, worst, broken = math.nan, math.nan, []
+    if len(known):
+        worst = float(known.max() if below else known.min())
+    if len(known) and not math.isnan(limit):
+        good = known < limit if below else known > limit
+        held, broken = float(good.mean()), _intervals(times, ~good)
+    return Assumption(name, meaning, margin, worst, limit, below, held, broken)
 
 
 def _intervals(times: Array, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -119,127 +102,114 @@ def _intervals(times: Array, bad: NDArray[np.bool_]) -> list[tuple[float, float]
     return [(float(times[a]), float(times[b - 1])) for a, b in zip(edges[::2], edges[1::2])]
 
 
-def _contacts(record: Record, row: int) -> Contacts | None:
-    contacts = Contacts.from_poses(record.contact_positions[row], record.contact_quaternions[row])
-    return contacts if contacts.touching.all() else None
-
-
-def _each(record: Record, value: Any) -> Array:
-    """Evaluate a function of contacts and row at each row with all contacts; NaN elsewhere."""
-    out = np.full(len(record), np.nan)
+def _each(record: Record, value: Callable[[Contacts, int], Any], shape: tuple[int, ...]) -> Array:
+    """Evaluate a function of contacts and row where all fingers touch; NaN elsewhere."""
+    out = np.full((len(record), *shape), np.nan)
     for row in range(len(record)):
-        contacts = _contacts(record, row)
-        if contacts is not None:
+        positions, quaternions = record.contact_positions[row], record.contact_quaternions[row]
+        contacts = Contacts.from_poses(positions, quaternions)
+        if contacts.touching.all():
             out[row] = value(contacts, row)
     return out
 
 
 def _on_tips(record: Record, hand: Hand) -> Array:
     """Return contact normals in the frames of their fingertips, shape (n, k, 3)."""
-    seen = np.full((len(record), hand.fingers, 3), np.nan)
-    for row in range(len(record)):
-        contacts = _contacts(record, row)
-        if contacts is not None:
-            tips = hand.tip_rotations(record.theta[row])
-            seen[row] = local_normals(contacts.normals, tips)
-    return seen
+    return _each(
+        record,
+        lambda contacts, row: local_normals(
+            contacts.normals, hand.tip_rotations(record.theta[row])
+        ),
+        (hand.fingers, 3),
+    )
 
 
-def _rolled(record: Record, hand: Hand) -> Assumption:
+def _wandered(record: Record, hand: Hand) -> Array:
     """How far the contacts wandered over their fingertips; faces end where touch cannot see."""
     seen = _on_tips(record, hand)
     first = np.flatnonzero(~np.isnan(seen[:, 0, 0]))
     start = seen[first[0]] if len(first) else np.full(3, np.nan)
-    wander = (hand.radii * angles_between(seen, start)).max(axis=1)
-    return _line(
-        "A1", "rigid polyhedron, contacts on its faces", "contacts wandered over the tips, m",
-        record, wander, math.nan, below=True,
-    )  # fmt: skip
+    return np.asarray((hand.radii * angles_between(seen, start)).max(axis=1))
 
 
-def _on_hemisphere(record: Record, hand: Hand) -> Assumption:
-    angles = angles_between(_on_tips(record, hand), TIP)
-    return _line(
-        "A2", "contacts on the hemispheres of the tips", "angle left to their rim, rad",
-        record, (0.5 * np.pi - angles).min(axis=1), 0.0,
-    )  # fmt: skip
+def _to_rim(record: Record, hand: Hand) -> Array:
+    return np.asarray((0.5 * np.pi - angles_between(_on_tips(record, hand), TIP)).min(axis=1))
 
 
-def _unloaded(record: Record) -> Assumption:
-    def load(contacts: Contacts, row: int) -> float:
+def _load(record: Record, hand: Hand) -> Array:
+    def load(contacts: Contacts, row: int) -> Any:
         wrench = net_wrench(contacts.positions, contacts.rotations, record.forces[row])
-        return float(np.linalg.norm(wrench[:3]))
+        return np.linalg.norm(wrench[:3])
 
-    return _line(
-        "A3", "no external load", "net contact force, N",
-        record, _each(record, load), _QUIET, below=True
-    )  # fmt: skip
+    return _each(record, load, ())
 
 
-def _no_slip(record: Record) -> Assumption:
+def _before_alarm(record: Record, hand: Hand) -> Array:
     evidence = np.where(record.grip == ContactState.UNKNOWN, 0.0, record.slip_evidence)
     left = 1.0 - evidence.max(axis=1)
     left[(record.grip == ContactState.SLIP).any(axis=1)] = 0.0
     left[(record.grip == ContactState.UNKNOWN).all(axis=1)] = np.nan
-    return _line("A4", "no contact slips", "evidence left before an alarm, 1", record, left, 0.0)
+    return np.asarray(left)
 
 
-def _in_cones(record: Record) -> Assumption:
-    """How near a contact came to the cone of the friction that the hand took it for."""
+def _to_cone(record: Record, hand: Hand) -> Array:
+    """How near a contact came to the cone of the friction that the hand estimates."""
     distances = cone_distances(record.forces, record.friction)
     distances[record.grip == ContactState.UNKNOWN] = np.nan
-    known = ~np.isnan(distances).all(axis=1)
-    nearest = np.full(len(record), np.nan)
-    nearest[known] = np.nanmin(distances[known], axis=1)
-    return _line(
-        "A4 cone", "forces inside the estimated cones", "minimum mu f_n - |f_t|, N",
-        record, nearest, math.nan,
-    )  # fmt: skip
+    return np.asarray(np.fmin.reduce(distances, axis=1, initial=np.nan))
 
 
-def _regular(record: Record, hand: Hand) -> Assumption:
+def _levers(record: Record, hand: Hand) -> Array:
     def margin(contacts: Contacts, row: int) -> float:
         tips = hand.fingertips(record.theta[row])
         return joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
 
-    return _line(
-        "A5", "the joints can move every contact", "minimum singular value of J_h, m/rad",
-        record, _each(record, margin), _MIN_JOINT_MARGIN,
-    )  # fmt: skip
+    return _each(record, margin, ())
 
 
-def _fast_enough(record: Record) -> Assumption:
-    slips = record.grip == ContactState.SLIP
+def _to_end_of_slip(record: Record, hand: Hand) -> Array:
+    slips = (record.grip == ContactState.SLIP).any(axis=1)
     lasted = np.zeros(len(record))
     steps = np.diff(record.times, prepend=record.times[:1])
     for i in range(1, len(record)):
-        lasted[i] = lasted[i - 1] + steps[i] if slips[i].any() else 0.0
+        lasted[i] = lasted[i - 1] + steps[i] if slips[i] else 0.0
     lasted[np.isnan(record.grip).any(axis=1)] = np.nan
-    return _line(
-        "A6", "slip prevention is fast enough", "time left to end a slip, s",
-        record, REACTION - lasted, 0.0,
-    )  # fmt: skip
+    return REACTION - lasted
 
 
-def _spread(record: Record) -> Assumption:
-    margins = np.zeros(len(record))
-    for row in range(len(record)):
-        contacts = _contacts(record, row)
-        if contacts is not None:
-            margins[row] = collinearity_margin(contacts.positions)
-    return _line(
-        "A7", "three contacts off a line", "second to first extent of the contacts, 1",
-        record, margins, MIN_COLLINEARITY_MARGIN,
-    )  # fmt: skip
+def _spread(record: Record, hand: Hand) -> Array:
+    """How far the contacts are from one line; 0 where one is missing."""
+    spread = _each(record, lambda contacts, _: collinearity_margin(contacts.positions), ())
+    return np.asarray(np.nan_to_num(spread))
 
 
-def _balanced(record: Record) -> Assumption:
+def _residual(record: Record, hand: Hand) -> Array:
     def residual(contacts: Contacts, row: int) -> float:
         forces = record.optimal_forces[row]
         wrench = net_wrench(contacts.positions, contacts.rotations, forces)
         return float(max(np.abs(wrench).max(), abs(forces[:, 1].sum() - 1.0)))
 
-    return _line(
-        "(13)", "f* is in balance and sums to 1", "residual, N and N m",
-        record, _each(record, residual), _BALANCE, below=True,
-    )  # fmt: skip
+    return _each(record, residual, ())
+
+
+_Line = tuple[str, str, str, float, bool, Callable[[Record, Hand], Array]]
+"""Name, meaning, margin, limit, whether smaller is better, and how the margin is measured."""
+
+_LINES: tuple[_Line, ...] = (
+    ("A1", "rigid polyhedron, contacts on its faces", "contacts wandered over the tips, m",
+     math.nan, True, _wandered),
+    ("A2", "contacts on the hemispheres of the tips", "angle left to their rim, rad",
+     0.0, False, _to_rim),
+    ("A3", "no external load", "net contact force, N", _QUIET, True, _load),
+    ("A4", "no contact slips", "evidence left before an alarm, 1", 0.0, False, _before_alarm),
+    ("A4 cone", "forces inside the estimated cones", "minimum mu f_n - |f_t|, N",
+     math.nan, False, _to_cone),
+    ("A5", "the joints can move every contact", "minimum singular value of J_h, m/rad",
+     _MIN_JOINT_MARGIN, False, _levers),
+    ("A6", "slip prevention is fast enough", "time left to end a slip, s",
+     0.0, False, _to_end_of_slip),
+    ("A7", "three contacts off a line", "second to first extent of the contacts, 1",
+     MIN_COLLINEARITY_MARGIN, False, _spread),
+    ("(13)", "f* is in balance and sums to 1", "residual, N and N m", _BALANCE, True, _residual),
+)  # fmt: skip
+_CHEAP = (_before_alarm, _to_cone, _to_end_of_slip)  # looked at at every tick

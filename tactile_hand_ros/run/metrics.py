@@ -168,7 +168,7 @@ def metrics(
     """Measure a run: how near it comes to (7), and in its normal forces to (15).
 
     Args:
-        record: The run; ground truth and single topics may be missing.
+        record: The run, at least one tick; ground truth and single topics may be missing.
         scenario: Its scenario, for the goal.
         releases: When a user let the hand open, s.
     """
@@ -181,9 +181,9 @@ def metrics(
     slid = _peak(record.true_slid)
     found = Metrics(
         ticks=len(record),
-        simulated_time_s=_span(record.times),
-        final_position_error_m=_last(position),
-        final_rotation_error_rad=_last(rotation),
+        simulated_time_s=float(record.times[-1] - record.times[0]),
+        final_position_error_m=float(position[-1]),
+        final_rotation_error_rad=float(rotation[-1]),
         settling_time_s=_settling(record, inside),
         peak_joint_rate_rad_per_s=_peak(np.abs(record.rates)),
         **_force_metrics(record),
@@ -204,8 +204,9 @@ def metrics(
 def _force_metrics(record: Record) -> dict[str, Any]:
     """Compare the normal forces of the last tick with k_f f*_n, and their sum with k_f."""
     every = derived.contact_forces(record)[:, :, 1]
-    normal, optimal = _last_row(every), _last_row(derived.expected_normal_forces(record))
-    grasp_force, total = _last(record.grasp_force), float(normal.sum()) if len(normal) else math.nan
+    normal, optimal = every[-1], derived.expected_normal_forces(record)[-1]
+    grasp_force = float(record.grasp_force[-1])
+    total = float(normal.sum()) if len(normal) else math.nan
     return {
         "final_grasp_force_N": grasp_force,
         "final_normal_forces_N": _by_finger(record, normal),
@@ -219,17 +220,17 @@ def _force_metrics(record: Record) -> dict[str, Any]:
 
 def _friction_metrics(record: Record) -> dict[str, Any]:
     beta = derived.required_friction(record)
-    later = record.times >= (record.times[0] if len(record) else 0.0) + START_S
+    later = record.times >= record.times[0] + START_S
     peaks = np.array([_peak(column) for column in beta[later].T])
     return {
-        "final_required_friction": _by_finger(record, _last_row(beta)),
+        "final_required_friction": _by_finger(record, beta[-1]),
         "max_required_friction": _by_finger(record, peaks),
     }
 
 
 def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
     """Return the time from the last change of the desired pose until the errors stay inside."""
-    if not len(inside) or not inside[-1]:
+    if not inside[-1]:
         return math.nan
     outside = np.flatnonzero(~inside)
     settled = int(outside[-1]) + 1 if len(outside) else 0
@@ -238,18 +239,6 @@ def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
     changes = np.flatnonzero(~same.all(axis=1))
     commanded = int(changes[-1]) + 1 if len(changes) else 0
     return float(max(0.0, record.times[settled] - record.times[commanded]))
-
-
-def _span(times: Array) -> float:
-    return float(times[-1] - times[0]) if len(times) else 0.0
-
-
-def _last(values: Array) -> float:
-    return float(values[-1]) if len(values) else math.nan
-
-
-def _last_row(values: Array) -> Array:
-    return values[-1] if len(values) else np.full(values.shape[1:], np.nan)
 
 
 def _peak(values: Array) -> float:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.config.plain_yaml import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import Assumption, assumptions
@@ -57,15 +56,6 @@ class RunData:
     def scenario_text(self) -> str:
         """The scenario as YAML, empty where there is none."""
         return resolved(self.scenario) if self.scenario is not None else ""
-
-    @cached_property
-    def loose_scenario(self) -> dict[str, Any]:
-        """The scenario as plain data, also where this version cannot use all of it."""
-        try:
-            data = parse_yaml(self.scenario_text, "scenario")
-        except ConfigurationError:
-            return {}
-        return data if isinstance(data, dict) else {}
 
     @property
     def folder(self) -> Path:

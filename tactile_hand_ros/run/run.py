@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run on disk: arrays, metrics and diagnostics from its bag."""
+"""A run on disk: arrays and metrics from its bag."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.bag.reader import TopicMessages, decode, read_messages, read_topics, summarize
+from tactile_hand_ros.bag.reader import TopicMessages, decode, read_topics, summarize
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
@@ -36,25 +35,6 @@ from tactile_hand_ros.scenario.scenario import Scenario
 BAG = "bag"
 SCENARIO_FILE = "scenario.yaml"
 SUMMARY_FILE = "summary.json"
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """One diagnostic message of one node.
-
-    Attributes:
-        log_time: When it was recorded, ns since the epoch.
-        name: Name of the node.
-        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
-        message: Its sentence.
-        values: Facts by name, as text.
-    """
-
-    log_time: int
-    name: str
-    level: int
-    message: str
-    values: dict[str, str]
 
 
 class Run(Result):
@@ -157,7 +137,7 @@ class Run(Result):
         """What the run is called: its scenario, else the name of its folder or file."""
         path = self.path.resolve()
         folder = path.parent.name if path.name == BAG else path.stem
-        return str(self.loose_scenario.get("name") or folder)
+        return self.scenario.name if self.scenario is not None else folder
 
     @property
     def folder(self) -> Path:
@@ -267,21 +247,6 @@ class Run(Result):
         if not found or self.summary.types[topic] != "std_msgs/msg/String":
             return ""
         return str(decode("std_msgs/msg/String", found[0]).data)
-
-    @cached_property
-    def diagnostics(self) -> list[Diagnosis]:
-        """All diagnostics of all nodes, in order of log time."""
-        return [
-            Diagnosis(
-                log_time=log_time,
-                name=status.name,
-                level=int(status.level),
-                message=status.message,
-                values={pair.key: pair.value for pair in status.values},
-            )
-            for _, log_time, message in read_messages(self.bag, [names.DIAGNOSTICS])
-            for status in message.status
-        ]
 
 
 _CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)

@@ -28,7 +28,7 @@ from tactile_hand_ros.scenario.files import (
     put_changes,
     read_layers,
 )
-from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
+from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorConfig
 
 __all__ = [
@@ -40,7 +40,6 @@ __all__ = [
     "changed",
     "find_scenario",
     "load_scenario",
-    "object_config",
     "resolved",
     "scenario_names",
 ]
@@ -272,19 +271,6 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
         take_law(wanted.manipulation_controller.law)
     return wanted
-
-
-def object_config(data: Any, source: str) -> ObjectConfig:
-    """Read the object alone, for those who draw a scenario that they may not be able to run.
-
-    Args:
-        data: Content of the key ``plant.object``.
-        source: Where it came from, for the error text.
-
-    Raises:
-        ConfigurationError: If a key or value is wrong.
-    """
-    return validate(ObjectConfig, data, source)
 
 
 def load_scenario(

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import pty
 import re
 import signal
 import sys
@@ -195,39 +193,6 @@ def test_loop_of_one_instant_does_not_spin(
     assert process.wait() == 130
     [count] = re.findall(r"published (\d+) messages", process.stderr)
     assert 4 <= int(count) <= 10.0 * (time.monotonic() - begin) + 1.0
-
-
-def test_space_key_goes_on(
-    replay: Callable[..., CapturedProcess], listener: Listener, tmp_path: Path
-) -> None:
-    """On a terminal, which is given back as it was."""
-    listener.listen("/value", Float64, DEEP)
-    pid, terminal = pty.fork()
-    if pid == 0:
-        command = [sys.executable, "-m", "tactile_hand_ros.cli", "replay", str(tmp_path / "bag")]
-        os.execv(sys.executable, [*command, "--start-paused", "--rate=10"])
-    try:
-        listener.until(heard_of(listener, "/value"))
-        os.set_blocking(terminal, False)
-        shown = b""
-
-        def finished() -> bool:
-            nonlocal shown
-            if b"paused" in shown and b"\x20sent" not in shown:
-                os.write(terminal, b" ")
-                shown += b"\x20sent"
-            try:
-                shown += os.read(terminal, 65536)
-            except OSError:
-                pass
-            return len(listener.heard["/value"]) == COUNT
-
-        listener.until(finished)
-        assert listener.numbers("/value") == [float(i) for i in range(COUNT)]
-    finally:
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-        os.close(terminal)
 
 
 @pytest.mark.parametrize(

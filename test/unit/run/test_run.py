@@ -18,7 +18,6 @@ from support.recorded import (
     RunWriter,
     assert_same,
     joints,
-    message,
     pose_stamped,
     random_record,
     request_message,
@@ -349,28 +348,6 @@ def test_absent_topics_are_named(tmp_path: Path) -> None:
         "/optimal_force/thumb",
     ]
     assert not m.complete and np.isnan(m.ticks_per_second)
-
-
-def test_diagnostics(tmp_path: Path) -> None:
-    pair = message("diagnostic_msgs/msg/KeyValue", key="ticks", value="12")
-    status = message(
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        level=2,
-        name="plant",
-        message="late",
-        hardware_id="",
-        values=[pair],
-    )
-    content = message(
-        "diagnostic_msgs/msg/DiagnosticArray", header=recorded.header(0), status=[status] * 2
-    )
-    with RunWriter(tmp_path / "bag") as bag:
-        tick_only(bag, 0, 0)
-        bag.write("/diagnostics", content, 5)
-    found = Run(tmp_path / "bag").diagnostics
-    assert len(found) == 2 and found[0] == found[1]
-    assert (found[0].log_time, found[0].name, found[0].level) == (5, "plant", 2)
-    assert (found[0].message, found[0].values) == ("late", {"ticks": "12"})
 
 
 def test_columns_for_tables(tmp_path: Path) -> None:
