@@ -25,7 +25,7 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.executor import make_executor
+from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     PoseCodec,
@@ -313,7 +313,7 @@ class RunningHand:
 @contextmanager
 def _spinning(node: Node) -> Iterator[None]:
     """Serve a node in a thread."""
-    executor = make_executor(node.context)
+    executor = WaitSetExecutor(context=node.context)
     executor.add_node(node)
     thread = threading.Thread(target=executor.spin)
     thread.start()

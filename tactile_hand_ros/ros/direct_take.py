@@ -2,8 +2,7 @@
 """Messages taken straight from the queue of a subscription, without an executor.
 
 An executor would rebuild its wait set and wake up for each message, which costs ten times as much
-as taking the message. ``take_message`` of the object behind the public ``handle`` is not public;
-`executor.is_supported` checks for it.
+as taking the message. ``take_message`` of the object behind the public ``handle`` is not public.
 """
 
 from __future__ import annotations

@@ -6,26 +6,24 @@ wake-up, which costs more than the message itself. `WaitSetExecutor` keeps one w
 subscriptions, timers and guard conditions directly. Everything rare (services, clients, QoS
 events, actions, coroutines) is handed to the inherited, public `SingleThreadedExecutor`.
 
-Pieces of rclpy that are not public, all checked by `is_supported`:
+Pieces of rclpy (Jazzy) that are not public:
 
 * ``rclpy.impl.implementation_singleton.rclpy_implementation.WaitSet``: the wait set itself.
 * ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
   ``handle`` of subscriptions and timers.
-* ``Subscription._callback_type``: whether a callback wants the message's info too.
-* ``Executor._take_service`` and ``_take_subscription``, which `SurvivingExecutor` overrides.
-* ``Executor._guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the base class.
+* ``Subscription._callback_type``: whether a callback takes the message's info too.
+* ``Executor._take_service``, ``_guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the
+  base class.
 
-While messages flow the full wait set, which also has every service and QoS event, gets its turn
+While messages flow, the full wait set, which also has every service and QoS event, gets its turn
 only every `FULL_PERIOD_NS`, because waiting on it costs five times as much. When they pause, it is
 the one that blocks, and nothing is polled.
 
 A node that has work of its own to do between messages has a function `work`. It is called again and
-again, and returns whether there is more; nothing is waited for meanwhile.
+again, and returns whether there is more; the executor does not block meanwhile.
 
-Where one is missing, `make_executor` falls back to `SurvivingExecutor`, which is public rclpy.
-
-What the middleware throws (a request that cannot be taken, an answer that cannot be sent) goes to
-``survive`` of the nodes that have it, and does not end the loop.
+An error of the middleware (a request that cannot be taken, an answer that cannot be sent) goes to
+``survive`` of the nodes that have it, and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -66,43 +64,6 @@ _SLOW_TIMER_NS = 5 * FULL_PERIOD_NS
 WAIT_LIMIT_NS = 1_000_000_000
 """Longest uninterrupted wait [ns]: a lost wake-up costs a second instead of a hang."""
 
-_NEEDED = {
-    "WaitSet": (
-        "add_client add_event add_guard_condition add_service add_subscription add_timer"
-        " clear_entities get_ready_entities wait"
-    ),
-    "Subscription": "take_message pointer",
-    "Timer": "call_timer is_timer_ready pointer",
-    "GuardCondition": "pointer",
-}
-
-
-def is_supported() -> bool:
-    """Return whether this rclpy has every non-public piece that `WaitSetExecutor` uses."""
-    native = all(
-        hasattr(getattr(_rclpy, name, None), method)
-        for name, methods in _NEEDED.items()
-        for method in methods.split()
-    )
-    source = inspect.getsource(Executor.__init__)
-    takes = all(hasattr(Executor, name) for name in ("_take_service", "_take_subscription"))
-    fields = ("self._guard", "self._sigint_gc", "self._tasks", "self._is_shutdown")
-    known = all(field in source for field in fields)
-    return native and takes and known and _knows_callback_type()
-
-
-def _knows_callback_type() -> bool:
-    return hasattr(Subscription, "CallbackType") and "_callback_type" in inspect.getsource(
-        Subscription
-    )
-
-
-def make_executor(context: Context | None = None) -> Executor:
-    """Return the fastest single-threaded executor that this rclpy allows."""
-    kind = WaitSetExecutor if is_supported() else SurvivingExecutor
-    return kind(context=context)
-
-
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
     """Serve one or several nodes of one context until it is shut down.
 
@@ -111,10 +72,10 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
 
     Args:
         nodes: The nodes.
-        executor: Executor to use; None takes the one of `make_executor`.
+        executor: Executor to use; by default a new `WaitSetExecutor`.
     """
     listed = [nodes] if isinstance(nodes, Node) else list(nodes)
-    chosen = executor or make_executor(listed[0].context)
+    chosen = executor or WaitSetExecutor(context=listed[0].context)
     for node in listed:
         chosen.add_node(node)
     try:
@@ -125,67 +86,6 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
         for node in listed:
             chosen.remove_node(node)
         chosen.shutdown()
-
-
-class SurvivingExecutor(SingleThreadedExecutor):
-    """A single-threaded executor that passes errors to the nodes that survive them.
-
-    A request of damaged bytes makes rclpy raise while it takes it, and would leave the service and
-    its callback group locked for ever; hence the two overridden methods that are not public.
-    """
-
-    def spin(self) -> None:
-        """Execute callbacks until the context or the executor is shut down."""
-        while self._is_running():
-            self.spin_once(0 if self._work() else None)
-
-    def _is_running(self) -> bool:
-        return bool(self._context.ok()) and not self._is_shutdown
-
-    def _work(self) -> bool:
-        """Let nodes do their own work; return whether there is more."""
-        works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
-        return any([work() for work in works])
-
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Serve one thing."""
-        try:
-            super().spin_once(timeout_sec)
-        except (ExternalShutdownException, ShutdownException):
-            raise
-        except Exception as error:
-            self._survive("services", error)
-
-    def _take_service(self, srv: Service) -> Any:
-        try:
-            return super()._take_service(srv)
-        except Exception as error:
-            owners = [node for node in self.get_nodes() if srv in node.services]
-            self._survive(srv.srv_name, _unreadable(error), owners)
-            return None
-
-    def _take_subscription(self, sub: Subscription) -> Any:
-        try:
-            return super()._take_subscription(sub)
-        except Exception as error:
-            self._refuse(sub, error)
-            return None
-
-    def _refuse(self, subscription: Subscription, error: Exception) -> None:
-        owners = [node for node in self.get_nodes() if subscription in node.subscriptions]
-        self._survive(subscription.topic_name, _unreadable(error), owners)
-
-    def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
-        """Let the nodes that an error concerns survive it; all where that is not known."""
-        survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
-        if not survivors:
-            raise error
-        for node in survivors:
-            node.survive(source, error)
-
-
-def _unreadable(error: Exception) -> MessageError:
-    return MessageError(f"its bytes cannot be read ({type(error).__name__}).")
 
 
 class Ready(NamedTuple):
@@ -313,7 +213,7 @@ class _WaitSet:
         return native
 
 
-class WaitSetExecutor(SurvivingExecutor):
+class WaitSetExecutor(SingleThreadedExecutor):
     """A single-threaded executor that keeps its wait set.
 
     Not for use from several threads, except `create_task`, `wake` and `shutdown`.
@@ -402,7 +302,7 @@ class WaitSetExecutor(SurvivingExecutor):
             try:
                 item = None if self._stale else take(kind, raw)
             except Exception as error:  # bytes that are not this message
-                self._refuse(subscription, error)
+                self._reject(subscription, subscription.topic_name, error)
                 continue
             if item is None:
                 return
@@ -412,3 +312,40 @@ class WaitSetExecutor(SurvivingExecutor):
         """Let the public executor await what a coroutine function has returned."""
         if result is not None and inspect.iscoroutine(result):
             self.create_task(result)
+
+    def _is_running(self) -> bool:
+        return bool(self._context.ok()) and not self._is_shutdown
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Serve one thing, as the public executor does."""
+        try:
+            super().spin_once(timeout_sec)
+        except (ExternalShutdownException, ShutdownException):
+            raise
+        except Exception as error:
+            self._survive("services", error)
+        self._call_afterwards()
+
+    # A request of damaged bytes makes rclpy raise while it takes it, and would leave the service and
+    # its callback group locked for ever.
+    def _take_service(self, srv: Service) -> Any:
+        try:
+            return super()._take_service(srv)
+        except Exception as error:
+            self._reject(srv, srv.srv_name, error)
+            return None
+
+    def _reject(self, entity: Service | Subscription, name: str, error: Exception) -> None:
+        """Report bytes that cannot be read to the owner of the entity."""
+        nodes = self.get_nodes()
+        owners = [node for node in nodes if entity in (*node.services, *node.subscriptions)]
+        text = f"its bytes cannot be read ({type(error).__name__})."
+        self._survive(name, MessageError(text), owners)
+
+    def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
+        """Let the nodes that an error concerns survive it; all where that is not known."""
+        survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
+        if not survivors:
+            raise error
+        for node in survivors:
+            node.survive(source, error)

@@ -17,11 +17,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from tactile_hand_ros.ros.executor import (
-    SurvivingExecutor,
-    WaitSetExecutor,
-    spin,
-)
+from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 
@@ -51,13 +47,13 @@ def make_node(context):
         node.destroy_node()
 
 
-@pytest.fixture(params=[WaitSetExecutor, SurvivingExecutor], ids=["own", "public"])
-def spun(request, context):
-    """Spin nodes in a thread with the own executor, and with the one it falls back to."""
+@pytest.fixture
+def spun(context):
+    """Spin nodes in a thread."""
     running = []
 
     def start(*nodes):
-        executor = request.param(context=context)
+        executor = WaitSetExecutor(context=context)
         thread = threading.Thread(target=spin, args=(nodes, executor))
         thread.start()
         running.append((executor, thread))
@@ -283,7 +279,6 @@ def program(tmp_path, domain):
         (signal.SIGINT, "spinning", "busy"),
         (signal.SIGTERM, "built", "busy"),
         (signal.SIGTERM, "spinning", "idle"),
-        (signal.SIGHUP, "spinning", "busy"),
     ],
 )
 def test_a_signal_ends_a_node_at_once_and_quietly(program, number, phase, load):
@@ -297,14 +292,6 @@ def test_a_signal_ends_a_node_at_once_and_quietly(program, number, phase, load):
         known = (": ready", "publisher's context is invalid, at")
         assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
         assert "closed" in process.stdout
-
-
-def test_a_node_that_ignores_a_closed_terminal_goes_on_until_it_is_stopped(program):
-    with CapturedProcess(["nohup", *program, "idle"]) as process:
-        process.wait_for_output("spinning")
-        process.send(signal.SIGHUP)
-        process.send(signal.SIGTERM)
-        assert process.wait(5.0) == 0
 
 
 def test_an_idle_node_uses_no_processor_time(program):

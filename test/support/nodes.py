@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
-from tactile_hand_ros.ros.executor import SurvivingExecutor
+from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -24,7 +24,7 @@ class Process:
     def __init__(self, context: Any) -> None:
         self.context = context
         self.user = Node("user", context=context)
-        self._executor = SurvivingExecutor(context=context)
+        self._executor = WaitSetExecutor(context=context)
         self._nodes: list[Any] = [self.user]
         self._received: dict[str, tuple[Any, list[Any]]] = {}
         self._executor.add_node(self.user)

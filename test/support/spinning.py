@@ -10,13 +10,13 @@ from typing import Any
 
 from rclpy.node import Node
 
-from tactile_hand_ros.ros.executor import make_executor
+from tactile_hand_ros.ros.executor import WaitSetExecutor
 
 
 @contextlib.contextmanager
 def spinning(*nodes: Node) -> Iterator[None]:
     """Serve nodes in a thread that is joined at the end; its exception is raised here."""
-    executor = make_executor(nodes[0].context)
+    executor = WaitSetExecutor(context=nodes[0].context)
     for node in nodes:
         executor.add_node(node)
     failures: list[BaseException] = []

@@ -382,7 +382,7 @@ class PlantDriver:
                 self._answered_at = now
                 self._resume()
             return
-        if not self._waits:
+        if not self._waits or self._torque is not None:
             return
         if now - self._answered_at >= c.command_timeout:
             self._on_long_silence()
