@@ -64,6 +64,7 @@ _SLOW_TIMER_NS = 5 * FULL_PERIOD_NS
 WAIT_LIMIT_NS = 1_000_000_000
 """Longest uninterrupted wait [ns]: a lost wake-up costs a second instead of a hang."""
 
+
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
     """Serve one or several nodes of one context until it is shut down.
 

@@ -207,8 +207,9 @@ class Graph:
     def _has_writers(self, name: str) -> bool:
         health = self.health.get(self.full(name))
         values = health.values.items() if health else ()
-        heard = [int(value) for key, value in values if key.startswith(SUBSCRIPTIONS)]
-        return bool(heard) and min(heard) >= 1
+        writers = [int(value) for key, value in values if key.startswith(SUBSCRIPTIONS)]
+        # Inside one process some nodes subscribe to nothing.
+        return health is not None and (self._composed or bool(writers)) and all(writers)
 
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
         """Wait for a condition; all processes must be alive meanwhile unless they were killed."""

@@ -116,9 +116,7 @@ def test_a_callback_that_fails_ends_the_loop_of_a_node_that_is_not_guarded(
 def test_a_flood_leaves_the_other_topics_their_turn(nodes: list[Any]) -> None:
     order: list[str] = []
     for name in ("flood", "few"):
-        nodes[0].create_subscription(
-            Float64, name, lambda _, name=name: order.append(name), 300
-        )
+        nodes[0].create_subscription(Float64, name, lambda _, name=name: order.append(name), 300)
     publish(nodes[1], "flood", *[Float64()] * 250)
     publish(nodes[1], "few", Float64())
     spin_until(nodes, lambda: len(order) == 251)
