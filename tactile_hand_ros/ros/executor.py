@@ -327,8 +327,8 @@ class WaitSetExecutor(SingleThreadedExecutor):
             self._survive("services", error)
         self._call_afterwards()
 
-    # A request of damaged bytes makes rclpy raise while it takes it, and would leave the service and
-    # its callback group locked for ever.
+    # A request of damaged bytes makes rclpy raise while it takes it, which would leave the service
+    # and its callback group locked for ever.
     def _take_service(self, srv: Service) -> Any:
         try:
             return super()._take_service(srv)
