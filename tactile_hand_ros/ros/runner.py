@@ -51,7 +51,7 @@ def run_nodes(
         described: What ``--help`` shows the docstrings of.
 
     Returns:
-        0 after a normal end, 1 when a node gave up while running, 2 when the configuration
+        0 after a normal stop, 1 when a node failed while running, 2 when the configuration
         was refused; the reason is one sentence on stderr.
     """
     line = list(sys.argv if args is None else args)
@@ -62,7 +62,7 @@ def run_nodes(
         for node in make():
             nodes.append(node)
         for node in nodes:
-            _check_ready(node)
+            getattr(node, "check_ready", _nothing)()
             _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
@@ -114,7 +114,7 @@ def _let_signals_shut_down() -> None:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    """End as after SIGTERM, which rclpy knows: the terminal was closed."""
+    """Stop as after SIGTERM, which rclpy handles: the terminal was closed."""
     os.kill(os.getpid(), signal.SIGTERM)
 
 
@@ -127,7 +127,7 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Scheduling:
-    """Let the kernel schedule the process as asked, and initialise rclpy.
+    """Let the kernel schedule the process as asked, and initialize rclpy.
 
     Returns:
         What was asked for.
@@ -140,7 +140,7 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Schedulin
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
         scheduling.restrict()  # before there are threads and processes that should inherit it
         rclpy.init(args=line)
-        if _was_signalled:  # before rclpy could know of it
+        if _was_signalled:  # before rclpy handles signals
             raise KeyboardInterrupt
     except (_rclpy.RCLError, RuntimeError) as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
@@ -162,14 +162,8 @@ def _help(described: Sequence[Callable[..., Any]]) -> str:
     return "\n\n".join([*texts, f"Arguments: {USAGE}", usage])
 
 
-def _check_ready(node: Node) -> None:
-    check = getattr(node, "check_ready", None)
-    if check is not None:
-        check()
-
-
 def _announce(node: Node) -> None:
-    """Log that a node is ready, and what it was started with, unless a signal has ended it."""
+    """Log that a node is ready, and its main parameters, unless a signal has stopped it."""
     if _was_signalled or not node.context.ok():
         return
     config = getattr(node, "config", None)
@@ -182,17 +176,13 @@ def _stop(nodes: Sequence[Node], code: int) -> int:
     """Close and destroy the nodes and leave rclpy as before."""
     for node in reversed(nodes):
         try:
-            getattr(node, "close", lambda: None)()
+            getattr(node, "close", _nothing)()
         except Exception as error:
-            code = max(code, _code_of_close(error))
+            code = max(code, _code_of(error, EXIT_FAILED))
         node.destroy_node()
     rclpy.try_shutdown()
     return code
 
 
-def _code_of_close(error: Exception) -> int:
-    if isinstance(error, TactileHandError):
-        print(error, file=sys.stderr, flush=True)
-    else:
-        sys.excepthook(type(error), error, error.__traceback__)
-    return EXIT_FAILED
+def _nothing() -> None:
+    """Stand in for what a node does not have."""

@@ -1,34 +1,168 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A signal is not lost, whenever it comes; the life of whole processes is in test/integration."""
+"""How a process of nodes stops: its exit code, what it prints, and in which order it closes."""
 
 from __future__ import annotations
 
+import gc
+import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
+import rclpy
+from rclpy.node import Node
 
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import runner
+from tactile_hand_ros.ros.middleware import isolated_domain
+
+LOOSE = TactileHandError("the cable is loose, fix it.")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@pytest.fixture
-def _handlers() -> Iterator[None]:
-    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-    before = {number: signal.getsignal(number) for number in numbers}
-    yield
+@pytest.fixture(autouse=True)
+def _process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Leave the handlers of signals and the collector as they were."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    with isolated_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield
     for number, handler in before.items():
         signal.signal(number, handler)
+    gc.unfreeze()
 
 
-@pytest.mark.usefixtures("_handlers")
+class ExampleConfig(Config):
+    """A hand, a rate and more."""
+
+    hand: str = param("paper", "hand")
+    rate: float = param(250.0, "rate")
+    gain: float = param(2.0, "gain")
+
+
+class Example(Node):
+    """Does this and that."""
+
+    def __init__(self, action: Callable[[], Any], name: str = "a", closing: Any = None) -> None:
+        super().__init__(name)
+        self.config = ExampleConfig() if name == "a" else None
+        self._closing = closing
+        self.create_timer(0.01, action)
+
+    def close(self) -> None:
+        print(f"close {self.get_name()}")
+        if self._closing is not None:
+            raise self._closing
+
+
+def fail(error: BaseException) -> Callable[[], None]:
+    def action() -> None:
+        raise error
+
+    return action
+
+
+def send(*numbers: int) -> Callable[[], None]:
+    def action() -> None:
+        for number in numbers:
+            os.kill(os.getpid(), number)
+        assert len(numbers) < 2  # the second one interrupts
+
+    return action
+
+
+@pytest.mark.parametrize(
+    ("action", "code", "printed"),
+    [
+        (rclpy.shutdown, 0, ""),
+        (send(signal.SIGINT), 0, ""),
+        (send(signal.SIGTERM), 0, ""),
+        (send(signal.SIGHUP), 0, ""),
+        (send(signal.SIGTERM, signal.SIGTERM), 0, ""),
+        (fail(KeyboardInterrupt()), 0, ""),
+        (fail(LOOSE), 1, "the cable is loose, fix it.\n"),
+        (fail(SystemExit(5)), 5, ""),
+        (fail(SystemExit("text")), 1, "SystemExit: text\n"),
+        (fail(ZeroDivisionError("0")), 1, "ZeroDivisionError: 0\n"),
+    ],
+)
+def test_the_exit_code_follows_from_what_stops_the_nodes(
+    action: Any, code: int, printed: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert runner.run_node(lambda: Example(action), ["program"]) == code
+    captured = capfd.readouterr()
+    assert captured.out == "close a\n"
+    ready, _, rest = captured.err.partition("[a]: ready: hand paper, rate 250.0\n")
+    assert ready.startswith("[INFO]") and rest.endswith(printed) and bool(rest) == bool(printed)
+    assert not rclpy.ok()
+
+
+def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    actions = iter([send(signal.SIGHUP), rclpy.shutdown])
+    done: list[int] = []
+
+    def act() -> None:
+        next(actions)()
+        done.append(1)
+
+    assert runner.run_node(lambda: Example(act), ["program"]) == 0
+    assert len(done) == 2
+
+
+@pytest.mark.parametrize(
+    ("closing", "code", "printed"),
+    [(None, 0, ""), (LOOSE, 1, "the cable is loose"), (KeyError("x"), 1, "KeyError: 'x'")],
+)
+def test_nodes_are_closed_in_reverse_whatever_happens(
+    closing: Exception | None, code: int, printed: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def both() -> Iterator[Node]:
+        yield Example(rclpy.shutdown, "a")
+        yield Example(rclpy.shutdown, "b", closing)
+
+    assert runner.run_nodes(both, ["program"]) == code
+    captured = capfd.readouterr()
+    assert captured.out == "close b\nclose a\n" and printed in captured.err
+
+
+def test_a_node_that_cannot_be_made_closes_those_before_it(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def both() -> Iterator[Node]:
+        yield Example(rclpy.shutdown)
+        raise LOOSE
+
+    assert runner.run_nodes(both, ["program"]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == "close a\n" and captured.err == "the cable is loose, fix it.\n"
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_before_rclpy_can_know_of_it_ends_the_process(
+def test_a_signal_before_rclpy_handles_it_stops_the_process(
     monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    def init(*_: object, **__: object) -> None:
-        signal.raise_signal(number)
+    monkeypatch.setattr(runner, "use_sockets", lambda: signal.raise_signal(number))
+    assert runner.run_node(lambda: pytest.fail("no node is made"), ["program"]) == 0
 
-    monkeypatch.setattr(runner.rclpy, "init", init)
-    made: list[int] = []
-    assert runner.run_nodes(lambda: made or made.append(1) or [], ["program"]) == 0  # type: ignore[func-returns-value]
-    assert made == []
+
+@pytest.mark.parametrize(
+    ("words", "code", "printed"),
+    [
+        (["-h"], 0, "Does this and that.\n\nArguments: --priority N"),
+        (["--help"], 0, "--params-file FILE"),
+        (["--fast", "--slow"], 2, "unknown argument '--fast', expected --priority"),
+        (["--ros-args", "-r", "x"], 2, "the ROS arguments cannot be used: "),
+    ],
+)
+def test_arguments_are_explained_or_rejected_in_a_sentence(
+    words: list[str], code: int, printed: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert runner.run_node(Example, ["program", *words]) == code  # type: ignore[arg-type]
+    captured = capfd.readouterr()
+    assert printed in (captured.err if code else captured.out)
+    assert "src/" not in captured.err
