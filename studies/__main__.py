@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -29,49 +30,62 @@ from tactile_hand_ros.cli.output import (
 )
 from tactile_hand_ros.cli.sweep import ClusterOption, progress
 from tactile_hand_ros.command_line import run_command
+from tactile_hand_ros.report.tables import markdown, rich_table
 from tactile_hand_ros.sweep.engine import workers
+
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+"""Title, columns and rows."""
+
+
+def _finish(out: Path, files: list[Path], *tables: Table) -> None:
+    """Write tables as Markdown, print them, and print which files there are."""
+    text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
+    out.joinpath("summary.md").write_text(text, encoding="utf-8")
+    for table in tables:
+        print_table(rich_table(*table))
+    print_files([*files, out / "summary.md"], out)
 
 
 def slip(
-    out: Annotated[Path, typer.Option(help="Folder for figures, tables and data.")] = Path("study"),
+    out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("study"),
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
-    roc: Annotated[
-        bool, typer.Option(help="Also replay the detector for its receiver operating curve.")
-    ] = False,
     formats: FormatOption = None,
 ) -> None:
-    """Measure how fast slip is found and stopped, and at what squeeze."""
-    from studies.slip import figures as study_figures
-    from studies.slip import roc as slip_roc
+    """Measure how fast slip is found and stopped, and at what grasp force."""
     from studies.slip import study as s
-    from tactile_hand_ros.report import tables
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
-    with Progress("holding", len(s.tasks_of(runs, seed))) as advance, workers(jobs):
-        result = s.run_study(runs, seed, advance)
-    drawn = study_figures.figures(result)
-    points: list[slip_roc.Point] = []
-    if roc:
-        with Progress("replaying", slip_roc.steps(slip_roc.SLIPS)) as advance, workers(jobs):
-            points = slip_roc.run_roc(seed=seed, progress=advance)
-        drawn["study_roc"] = slip_roc.roc_figure(points)
-    files = s.write(result, out)
-    if points:
-        files += slip_roc.write(points, out)
-    for name, figure in drawn.items():
-        files += save(figure, out, name, kinds)
-    print_table(tables.rich_table(f"slip, {runs} runs", s.COLUMNS, s.rows(result)))
-    print_table(tables.rich_table("how often", s.SHARE_COLUMNS, s.share_rows(result)))
-    if points:
-        print_table(tables.rich_table("detector", slip_roc.COLUMNS, slip_roc.rows(points)))
-    print_files(files, out)
+    with progress("holding") as watch, workers(jobs):
+        s.run_study(runs, seed, out, watch)
+    table = s.read_table(out)
+    files = save(s.figure(table), out, "study_detection", kinds)
+    delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
+    _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
+
+
+def detector(
+    out: Annotated[Path, typer.Option(help="Folder for figure and table.")] = Path("detector"),
+    runs: Annotated[int, typer.Option(help="Number of recorded cases.", min=1)] = 120,
+    jobs: JobsOption = -1,
+    seed: SeedOption = 0,
+    formats: FormatOption = None,
+) -> None:
+    """Replay the slip detector alone: detection against false alarms."""
+    from studies.slip import detector as d
+    from tactile_hand_ros.report.style import save
+
+    kinds = folder_for_results(out, formats)
+    with Progress("replaying", d.steps(runs)) as advance, workers(jobs):
+        scores = d.run_roc(runs, seed=seed, progress=advance)
+    files = save(d.figure(scores), out, "study_roc", kinds)
+    _finish(out, files, ("detector", d.COLUMNS, d.rows(scores)))
 
 
 def loads(
-    out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("study"),
+    out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("loads"),
     runs: Annotated[int, typer.Option(help="Number of loads for each reserve.", min=1)] = 300,
     jobs: JobsOption = -1,
     seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
@@ -83,23 +97,20 @@ def loads(
 ) -> None:
     """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
 
-    What is in the folder already is kept: after an interruption the same command goes on.
+    What is in the folder already is kept: after an interruption the same command continues.
     """
-    from studies.slip import loads as slip_loads
-    from tactile_hand_ros.report import tables
+    from studies.slip import loads as load_study
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
-    reserves = slip_loads.RESERVES
+    reserves = load_study.RESERVES
     if floor:
-        reserves = tuple((value, slip_loads.DEFAULT[1]) for value in floor)
+        reserves = tuple((value, load_study.DEFAULT[1]) for value in floor)
     with progress("loading") as watch, workers(jobs):
-        slip_loads.run_loads(runs, seed, out, reserves, watch)
-    found = slip_loads.outcomes_of(out)
-    files = [slip_loads.write(found, out)]
-    files += save(slip_loads.loads_figure(found), out, "study_loads", kinds)
-    print_table(tables.rich_table(f"{runs} loads", slip_loads.HEADS, slip_loads.rows(found)))
-    print_files(files, out)
+        load_study.run_loads(runs, seed, out, reserves, watch)
+    curve = load_study.trade_offs(load_study.read_table(out))
+    files = save(load_study.figure(curve), out, "study_loads", kinds)
+    _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))
 
 
 def faults(
@@ -225,7 +236,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, loads, faults, fuzz, robustness, soak):
+for _command in (slip, detector, loads, faults, fuzz, robustness, soak):
     app.command()(_command)
 
 

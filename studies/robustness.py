@@ -75,18 +75,18 @@ def _scaled(key: str, sign: float) -> Callable[[Scenario, float, list[float]], M
 
 
 def _heavier(scenario: Scenario, size: float, _: list[float]) -> Mapping[str, Any]:
-    body, share = scenario.plant.object, 1.0 + 0.01 * size
-    inertia = [share * x for x in body.inertia]
-    return {"plant.object.mass": share * body.mass, "plant.object.inertia": inertia}
+    body, fraction = scenario.plant.object, 1.0 + 0.01 * size
+    inertia = [fraction * x for x in body.inertia]
+    return {"plant.object.mass": fraction * body.mass, "plant.object.inertia": inertia}
 
 
 def _slipperier(scenario: Scenario, size: float, _: list[float]) -> Mapping[str, Any]:
-    share = 1.0 - 0.01 * size
+    fraction = 1.0 - 0.01 * size
     changes = [
-        {"start": change.start, "friction": share * change.friction}
+        {"start": change.start, "friction": fraction * change.friction}
         for change in scenario.plant.friction_changes
     ]
-    friction = share * scenario.plant.object.friction
+    friction = fraction * scenario.plant.object.friction
     return {"plant.object.friction": friction, "plant.friction_changes": changes}
 
 

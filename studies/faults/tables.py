@@ -15,7 +15,7 @@ import numpy as np
 from studies.faults import situations, space
 from studies.faults.outcome import Outcome
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.sweep.statistics import share
+from tactile_hand_ros.sweep.statistics import fraction_of
 
 COLUMNS = (
     "",
@@ -67,7 +67,7 @@ def row(name: str, some: Sequence[Outcome]) -> list[str]:
     drops = [o.dropped for o in some]
     if not drops:
         return [name, "0", *["-"] * 6]
-    _, low, high = share(drops)
+    _, low, high = fraction_of(sum(drops), len(drops))
     kept = _kept(some)
     return [
         name,
@@ -128,15 +128,15 @@ def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
 
 def _cell(cell: space.Cell, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     some = [o for o in judged(outcomes) if o.cell == cell]
-    probable, low, high = share([o.dropped for o in some])
+    probable, low, high = fraction_of(sum(o.dropped for o in some), len(some))
     return {
         **cell._asdict(),
         "runs": len(some),
         "drops": sum(o.dropped for o in some),
-        "drop_share": probable,
+        "drop_fraction": probable,
         "interval": [low, high],
         "moved_m": max((o.moved for o in _kept(some)), default=math.nan),
         "safe_s": [o.safe for o in some],
-        "peak_share": max((o.peak / o.limit for o in some), default=math.nan),
+        "peak_fraction": max((o.peak / o.limit for o in some), default=math.nan),
         "recovered_s": [o.recovered for o in some],
     }

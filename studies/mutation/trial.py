@@ -130,7 +130,7 @@ def run_trials(
     jobs: int,
     budget: float,
     on_trial: Callable[[Trial], None],
-) -> list[Trial]:
+) -> None:
     """Try mutants on several cores, each in a copy of the project.
 
     Args:
@@ -162,12 +162,9 @@ def run_trials(
             copies.put(copy)
         return Trial(mutant, KILLED if fails else SURVIVED)
 
-    done = []
     with ThreadPoolExecutor(jobs) as pool:
         for trial in pool.map(attempt, mutants):
             on_trial(trial)
-            done.append(trial)
-    return done
 
 
 def _copy(root: Path, to: Path) -> Path:

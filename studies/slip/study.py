@@ -1,175 +1,432 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The slip study: how fast slip is found and stopped, and at what squeeze, over many short runs."""
+"""The slip study: how fast slip is found and stopped, and at what grasp force.
+
+Every run starts where the hand stands once it knows the object: with the friction as the estimate
+and the grasp force that this takes. After a while the surface turns slippery, or the object is
+pulled. A few runs last longer without any event, for the grasp force at rest.
+"""
 
 from __future__ import annotations
 
-import json
+import functools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from studies.slip.cases import EVENTS, SlipCase, pull_of, sample_cases
-from studies.slip.outcomes import HELD, Held, SlipOutcome, hold_case, run_case
+from studies.slip.minimum import minimum_against, minimum_at
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.sweep.engine import in_parallel
-from tactile_hand_ros.sweep.statistics import rank, share
+from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel, look, new_figure
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.statistics import fraction_of, median_interval, rank
+from tactile_hand_ros.sweep.table import (
+    LAST_COLUMNS,
+    LOST,
+    MISSED,
+    REACHED,
+    Store,
+    Tally,
+    keep,
+    read_column,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Event = Literal["friction", "step", "ramp"]
+
+EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
+LOADS = {"friction": (1.2, 3.5), "step": (1.5, 8.0), "ramp": (1.5, 8.0)}
+RATES = (250.0, 500.0, 1000.0)
+CENTROID = (0.0, 0.0434, 0.4098)  # of the contacts at the start: the object is held where it is
+EVENT_TIME, DURATION, RAMP = 0.07, 0.19, 0.05  # s
+HELD = {"known": 2.0, "unknown": 12.0}
+"""Duration of the runs without an event, by what the hand knows of the friction [s]."""
+
+SLIDING = 1e-3  # m/s; slower sliding is creep of contacts that hold
+LOST_SLIDE = 0.02  # m; as far as this no grasp is left
+_RISEN = 1.02  # grasp force against that before the event, from which it counts as a reaction
+_INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
+_NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
+_LONGEST = 40.0  # ms that are drawn
+
+MEASURED = {
+    "onset": "s",
+    "detection": "s",
+    "reaction": "s",
+    "slip": "m",
+    "early_slip": "m",
+    "false_alarms": "",
+    "excess": "",
+    "survivable": "",
+    "lost": "",
+    "caught": "",
+    "peak": "",
+    "ratio": "",
+    "estimate": "",
+}
+"""Measured columns and their units.
+
+Onset: first tick with a sliding contact after the event, NaN if it slid already. Detection: from
+there to the first alarm of that contact, infinite where none came. Reaction: from there to the
+grasp force that the plant acts on rising; below zero if the load had been foreseen. Slip and early
+slip: largest distance that a contact slid since the event, and before it. Excess: minimum grasp
+force after the event against the one that was held at it. Survivable: whether a grasp inside the
+crush limit can carry the load after the event. Peak: largest sum of normal forces since the event
+against the minimum after it. Ratio and estimate, of a run without an event: sum of normal forces at
+the end against the minimum, and largest estimated friction against the true one.
+"""
 
 
 @dataclass(frozen=True)
-class Study:
-    """All runs.
+class SlipCase:
+    """What is varied from run to run.
 
     Attributes:
-        seed: Of the cases.
-        outcomes: Runs with an event.
-        pulls: 10 N at once on 0.2 kg with mu = 0.5, under the noise and latency of some cases.
-        held: Runs that nothing disturbs.
+        index: Number of the case; it seeds the sensor.
+        event: What happens.
+        friction: mu before the event.
+        mass: Mass of the object, kg.
+        noise: Standard deviation of each force component, N.
+        latency: Age of a tactile sample, s.
+        rate: Samples per second, Hz.
+        load: Minimum grasp force after the event against that before it.
+        pull: Direction of the pull.
     """
 
-    seed: int
-    outcomes: list[SlipOutcome]
-    pulls: list[SlipOutcome]
-    held: list[Held]
+    index: int
+    event: Event
+    friction: float
+    mass: float
+    noise: float
+    latency: float
+    rate: float
+    load: float
+    pull: tuple[float, float, float]
 
 
-def tasks_of(runs: int, seed: int) -> list[tuple[SlipCase, str]]:
-    """Return all runs: those with an event, some with the same pull, and a few held for longer."""
+def sample_cases(runs: int, seed: int) -> list[SlipCase]:
+    """Return cases that fill the ranges evenly, by Latin-hypercube sampling."""
+    qmc = optional("scipy.stats.qmc", "The slip study")
+    cases = []
+    for i, u in enumerate(qmc.LatinHypercube(d=9, rng=np.random.default_rng(seed)).random(runs)):
+        angle, tilt = 2.0 * math.pi * u[7], 0.5 * u[8]
+        sideways, event = math.sin(tilt), EVENTS[int(3 * u[0])]
+        cases.append(
+            SlipCase(
+                index=i,
+                event=event,
+                friction=_between(0.2, 1.0, u[1]),
+                mass=_between(0.05, 0.5, u[2]),
+                noise=_between(0.002, 0.03, u[3]),
+                latency=round(0.01 * u[4], 4),
+                rate=RATES[int(3 * u[5])],
+                load=_between(*LOADS[event], u[6]),
+                pull=(sideways * math.cos(angle), sideways * math.sin(angle), -math.cos(tilt)),
+            )
+        )
+    return cases
+
+
+def _between(low: float, high: float, fraction: float) -> float:
+    """Return a value at a fraction of the logarithm of a range."""
+    return float(low * (high / low) ** fraction)
+
+
+def pull_of(case: SlipCase) -> SlipCase:
+    """Return a step of 10 N on 0.2 kg with mu = 0.5, at 1 kHz with a case's noise and latency."""
+    load, down = 1.0 + 10.0 / (9.81 * 0.2), (0.0, 0.0, -1.0)
+    return replace(case, event="step", friction=0.5, mass=0.2, rate=1000.0, load=load, pull=down)
+
+
+@functools.cache
+def _start() -> tuple[Contacts, Array]:
+    """Return the contacts and the center of mass at the start of a run."""
+    plant = Plant(_base().plant)
+    return plant.state.contacts, plant.state.position
+
+
+@functools.cache
+def _base() -> Scenario:
+    return load_scenario("gravity")
+
+
+def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """Return the scenario of a case, with its event unless the changes by dotted key say else."""
+    base = _base().slip_regulator
+    contacts, position = _start()
+    wrench = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
+    minimum = minimum_against(contacts, position, wrench, case.friction)
+    values = {
+        "duration": DURATION,
+        "seed": case.index + 1,
+        "targets": [{"time": 0.0, "position": list(CENTROID)}],
+        "plant.object.mass": case.mass,
+        "plant.object.inertia": [_INERTIA * case.mass] * 3,
+        "plant.object.friction": case.friction,
+        "tactile_sensor.force_noise": case.noise,
+        "tactile_sensor.latency": case.latency,
+        "tactile_sensor.rate": case.rate,
+        "slip_regulator.grasp_force": min(max(1.3 * minimum, base.minimum), base.maximum),
+        "slip_regulator.friction.prior": case.friction,
+        **_event(case),
+        **(changes or {}),
+    }
+    return load_scenario("gravity", values)
+
+
+def _event(case: SlipCase) -> dict[str, Any]:
+    if case.event == "friction":
+        change = {"start": EVENT_TIME, "friction": case.friction / case.load}
+        return {"plant.friction_changes": [change]}
+    force = [9.81 * case.mass * (case.load - 1.0) * x for x in case.pull]
+    push = {"kind": case.event, "start": EVENT_TIME, "duration": RAMP, "force": force}
+    return {"plant.disturbances": [push]}
+
+
+def tasks_of(runs: int, seed: int) -> list[tuple[str, SlipCase]]:
+    """Return kind and case of all runs: a few held for longer, some with one pull, the events."""
     cases = sample_cases(runs, seed)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
     # The longest first, so that no core waits for one at the end.
-    out = [(case, kind) for kind in sorted(HELD, key=lambda k: -HELD[k]) for case in long]
-    out += [(pull_of(case), "pull") for case in same]
-    return out + [(case, "event") for case in cases]
+    tasks = [(kind, case) for kind in ("unknown", "known") for case in long]
+    tasks += [("pull", pull_of(case)) for case in same]
+    return tasks + [("event", case) for case in cases]
 
 
-def _run(task: tuple[SlipCase, str]) -> SlipOutcome | Held:
-    case, kind = task
-    return hold_case(case, kind) if kind in HELD else run_case(case)
-
-
-def run_study(runs: int, seed: int, progress: Callable[[str], None] = lambda _: None) -> Study:
-    """Run the study, where `workers` says.
+def run_study(
+    runs: int, seed: int, folder: Path, watch: Callable[[Tally], None] = lambda _: None
+) -> Tally:
+    """Make all runs that are not done yet, where `workers` says, and write their table.
 
     Args:
         runs: Number of runs with an event.
         seed: The same seed gives the same numbers, on any number of cores.
-        progress: Called whenever a run is done.
+        folder: Of the results; holds those of an earlier, unfinished call.
+        watch: Called after each run.
     """
-    tasks = tasks_of(runs, seed)
-    found: dict[str, list[Any]] = {kind: [] for kind in ("event", "pull", *HELD)}
-    for (case, kind), result in zip(tasks, in_parallel(_run, tasks), strict=True):
-        found[kind].append(result)
-        progress(f"{kind}, run {case.index}")
-    held = [result for kind in HELD for result in found[kind]]
-    return Study(seed, found["event"], found["pull"], held)
+    kinds = {"int": int, "float": float}
+    columns: dict[str, type] = {"kind": str}
+    columns |= {field.name: kinds.get(str(field.type), str) for field in fields(SlipCase)}
+    columns |= dict.fromkeys(MEASURED, float)
+    study = Study(Space({"task": Choice(tuple(tasks_of(runs, seed)))}), "grid", run_one)
+    store = Store(folder, {**columns, **LAST_COLUMNS}, MEASURED)
+    return keep(study, store, {"runs": runs, "seed": seed}, _parameters, watch)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Median and percentiles of a quantity, with the 95 % bootstrap interval of the median."""
-
-    count: int
-    median: float
-    low: float
-    high: float
-    p90: float
-    p99: float
+def _parameters(point: Point) -> dict[str, Any]:
+    kind, case = point.values["task"]
+    return {"kind": kind, **vars(case)}
 
 
-def estimate(values: Sequence[float], seed: int = 0, resamples: int = 1000) -> Estimate:
-    """Return median and percentiles; infinite values count as larger than all others.
+def run_one(point: Point) -> dict[str, Any]:
+    """Make a run and return its measured columns and its outcome."""
+    kind, case = point.values["task"]
+    if kind in HELD:
+        return {**hold_case(case, kind), "outcome": REACHED}
+    scenario = scenario_of(case)
+    found = measure(ClosedLoop(scenario).run(), scenario)
+    outcome = LOST if found["lost"] else REACHED if found["caught"] else MISSED
+    return {**found, "outcome": outcome}
+
+
+def measure(record: Record, scenario: Scenario) -> dict[str, float]:
+    """Return what a run with an event shows, see `MEASURED`."""
+    event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
+    slides = record.true_sliding > SLIDING
+    after = slides[event:].any(axis=1)
+    # What slid already has no onset after the event.
+    fresh = after.any() and not slides[max(0, event - 5) : event].any()
+    onset = event + int(after.argmax()) if fresh else None
+    minimum = minimum_at(record, scenario, scenario.duration, event)
+    slip = float(np.nanmax(record.true_slid - record.true_slid[event]))
+    gone = not np.isfinite(record.true_positions[-1]).all()
+    held = float(record.true_forces[event, :, 1].sum())
+    peak = float(np.nanmax(record.true_forces[event:, :, 1].sum(axis=1)))
+    return {
+        "onset": math.nan if onset is None else float(record.times[onset]),
+        "detection": math.nan if onset is None else _detection(record, onset, slides[onset]),
+        "reaction": math.nan if onset is None else _reaction(record, event, onset),
+        "slip": slip,
+        "early_slip": float(np.nanmax(record.true_slid[event])),
+        "false_alarms": float(false_alarms(record.part(slice(0, event)))),
+        "excess": minimum / held if held > 0.0 else math.inf,
+        "survivable": float(minimum <= scenario.slip_regulator.maximum),
+        "lost": float(gone or slip > LOST_SLIDE),
+        "caught": float(not gone and not slides[-5:].any()),
+        "peak": peak / minimum if minimum > 0.0 else math.inf,
+    }
+
+
+def _detection(record: Record, onset: int, first: NDArray[np.bool_]) -> float:
+    alarms = (record.grip[onset:, first] == ContactState.SLIP).any(axis=1)
+    return float(record.times[alarms.argmax()] - record.times[0]) if alarms.any() else math.inf
+
+
+def _reaction(record: Record, event: int, onset: int) -> float:
+    # Until the alarm the grasp force may also fall; what counts is that it rises above its level.
+    risen = record.grasp_force[event:] > _RISEN * record.grasp_force[event]
+    rise = event + int(risen.argmax())
+    return float(record.times[rise] - record.times[onset]) if risen.any() else math.inf
+
+
+def false_alarms(record: Record) -> int:
+    """Count alarms that begin while no contact slides nor has lately."""
+    slips = record.grip == ContactState.SLIP
+    begins = slips[1:] & ~slips[:-1]
+    moving = (record.true_sliding > 0.1 * SLIDING).any(axis=1)
+    recent = np.convolve(moving, np.ones(50))[: len(record)] > 0.0
+    return int((begins & ~recent[1:, None]).sum())
+
+
+def hold_case(case: SlipCase, kind: str) -> dict[str, float]:
+    """Hold the object of a case without an event and compare the grasp force at the end.
 
     Args:
-        values: The sample; NaN is left out.
-        seed: Of the bootstrap.
-        resamples: Number of bootstrap samples.
+        case: What is varied.
+        kind: ``known``: as in the short runs; ``unknown``: friction and grasp force by default.
     """
-    known = np.sort([v for v in values if not math.isnan(v)])
-    if not len(known):
-        return Estimate(0, *[math.nan] * 5)
-    picks = np.random.default_rng(seed).integers(0, len(known), (resamples, len(known)))
-    medians = rank(np.sort(known[picks], axis=1).T, 0.5)
-    low, high = rank(np.sort(medians), 0.025), rank(np.sort(medians), 0.975)
-    middle = [rank(known, share) for share in (0.5, 0.9, 0.99)]
-    return Estimate(len(known), float(middle[0]), float(low), float(high), *map(float, middle[1:]))
+    changes: dict[str, Any] = {
+        "duration": HELD[kind],
+        "plant.friction_changes": [],
+        "plant.disturbances": [],
+    }
+    if kind == "unknown":
+        base = _base().slip_regulator
+        changes["slip_regulator.friction.prior"] = base.friction.prior
+        changes["slip_regulator.grasp_force"] = base.grasp_force
+    scenario = scenario_of(case, changes)
+    record = ClosedLoop(scenario).run()
+    held = float(record.true_forces[-200:, :, 1].sum(axis=1).mean())
+    return {
+        "ratio": held / minimum_at(record, scenario, scenario.duration, -1),
+        "estimate": float(record.friction[-1].max()) / case.friction,
+        "slip": float(np.nanmax(record.true_slid)),
+    }
+
+
+Table = dict[str, NDArray[Any]]
+"""Columns by name, of some runs."""
+
+
+def read_table(folder: Path) -> Table:
+    """Return the columns of a study's runs that are looked at."""
+    return {
+        n: read_column(folder, n) for n in ("kind", "event", "noise", "latency", "rate", *MEASURED)
+    }
+
+
+def _some(table: Table, chosen: NDArray[np.bool_]) -> Table:
+    return {name: column[chosen] for name, column in table.items()}
+
+
+def _slipped(table: Table) -> Table:
+    return _some(table, (table["kind"] == "event") & np.isfinite(table["onset"]))
 
 
 COLUMNS = ("", "runs", "median", "95 % interval", "90 %", "99 %", "goal")
-SHARE_COLUMNS = ("", "runs", "share", "95 % interval")
+FRACTION_COLUMNS = ("", "runs", "fraction", "95 % interval")
 
 
-def rows(study: Study) -> list[list[str]]:
+def rows(table: Table) -> list[list[str]]:
     """Return the results as text, columns as in `COLUMNS`."""
-    slipped = [o for o in study.outcomes if not math.isnan(o.onset)]
-    fast = [o for o in slipped if o.case.rate == 1000.0]
-    prompt = [o for o in fast if o.case.latency <= 0.002]
+    slipped = _slipped(table)
+    fast = _some(slipped, slipped["rate"] == 1000.0)
+    prompt = _some(fast, fast["latency"] <= 0.002)
     out = []
-    for name, some in (("", slipped), (", 1 kHz", fast), (", 1 kHz, latency < 2 ms", prompt)):
-        out.append(_row(f"detection{name}", [1e3 * o.detection for o in some], "ms", "< 10 ms"))
-    for name, some in (("", slipped), (", 1 kHz", fast), (", 1 kHz, latency < 2 ms", prompt)):
-        out.append(_row(f"reaction{name}", [1e3 * o.reaction for o in some], "ms", "< 20 ms"))
+    for name, goal in (("detection", "< 10 ms"), ("reaction", "< 20 ms")):
+        for among, some in (("", slipped), (", 1 kHz", fast), (", 1 kHz, latency < 2 ms", prompt)):
+            out.append(_row(name + among, 1e3 * some[name], "ms", goal))
+    kept = _some(slipped, slipped["survivable"] > 0.0)
     for event in EVENTS:
-        some = [o for o in slipped if o.case.event == event and o.survivable]
-        out.append(_row(f"slip distance, {event}", [1e3 * o.slip for o in some], "mm", ""))
-    pulls = [1e3 * o.slip for o in study.pulls]
+        slips = 1e3 * kept["slip"][kept["event"] == event]
+        out.append(_row(f"slip distance, {event}", slips, "mm"))
+    pulls = 1e3 * table["slip"][table["kind"] == "pull"]
     out.append(_row("slip distance, 10 N on 0.2 kg, mu 0.5", pulls, "mm", "< 1 mm"))
-    out.append(_row("largest squeeze / least", [o.peak for o in slipped if o.survivable], "", ""))
+    out.append(_row("largest grasp force / minimum", kept["peak"]))
     for kind in HELD:
-        ratios = [h.ratio for h in study.held if h.kind == kind]
-        out.append(_row(f"steady squeeze / least, mu {kind}", ratios, "", "< 1.4"))
+        ratios = table["ratio"][table["kind"] == kind]
+        out.append(_row(f"steady grasp force / minimum, mu {kind}", ratios, goal="< 1.4"))
     return out
 
 
-def _row(name: str, values: Sequence[float], unit: str, goal: str) -> list[str]:
-    e = estimate(values)
-    interval = f"{_text(e.low)} to {_text(e.high)}"
-    numbers = [f"{_text(e.median)} {unit}".rstrip(), interval, _text(e.p90), _text(e.p99)]
-    return [name, str(e.count), *numbers, goal]
+def _row(name: str, values: Array, unit: str = "", goal: str = "") -> list[str]:
+    known = np.sort(values[~np.isnan(values)])
+    middle, low, high = median_interval(known)
+    tail = [float(rank(known, f)) if len(known) else math.nan for f in (0.9, 0.99)]
+    numbers = [f"{_text(middle)} {unit}".rstrip(), f"{_text(low)} to {_text(high)}"]
+    return [name, str(len(known)), *numbers, *map(_text, tail), goal]
 
 
 def _text(value: float) -> str:
     return "never" if math.isinf(value) else tables.number(float(f"{value:.3g}"))
 
 
-def share_rows(study: Study) -> list[list[str]]:
-    """Return what happened how often, columns as in `SHARE_COLUMNS`."""
-    slipped = [o for o in study.outcomes if not math.isnan(o.onset)]
-    survivable = [o for o in study.outcomes if o.survivable]
+def fraction_rows(table: Table) -> list[list[str]]:
+    """Return what happened how often, columns as in `FRACTION_COLUMNS`."""
+    events, slipped = _some(table, table["kind"] == "event"), _slipped(table)
+    possible = _some(events, events["survivable"] > 0.0)
     flags = {
-        "slipped": [not math.isnan(o.onset) for o in study.outcomes],
-        "alarm within 10 ms of slipping": [o.detection <= 0.01 for o in slipped],
-        "alarm at all after slipping": [math.isfinite(o.detection) for o in slipped],
-        "squeeze rose within 20 ms of slipping": [o.reaction <= 0.02 for o in slipped],
-        "no alarm without slip before the event": [o.false_alarms == 0 for o in study.outcomes],
-        "slid before the event": [o.early_slip > 1e-5 for o in study.outcomes],
-        "a grasp inside the crush limit can survive": [o.survivable for o in study.outcomes],
-        "survivable: lost": [o.lost for o in survivable],
-        "survivable: at rest in the end": [o.caught for o in survivable],
-        "survivable: slid less than 1 mm": [o.slip < 1e-3 for o in survivable],
+        "slipped": np.isfinite(events["onset"]),
+        "alarm within 10 ms of slipping": slipped["detection"] <= 0.01,
+        "alarm at all after slipping": np.isfinite(slipped["detection"]),
+        "grasp force rose within 20 ms of slipping": slipped["reaction"] <= 0.02,
+        "no alarm without slip before the event": events["false_alarms"] == 0,
+        "slid before the event": events["early_slip"] > 1e-5,
+        "a grasp inside the crush limit can survive": events["survivable"] > 0.0,
+        "survivable: lost": possible["lost"] > 0.0,
+        "survivable: at rest in the end": possible["caught"] > 0.0,
+        "survivable: slid less than 1 mm": possible["slip"] < 1e-3,
     }
-    return [
-        [name, str(len(values)), *_share_texts(*share(values))] for name, values in flags.items()
-    ]
+    return [[name, str(len(f)), *_percent(int(f.sum()), len(f))] for name, f in flags.items()]
 
 
-def _share_texts(value: float, low: float, high: float) -> tuple[str, str]:
+def _percent(count: int, n: int) -> tuple[str, str]:
+    value, low, high = fraction_of(count, n)
     return f"{100 * value:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
-def write(study: Study, folder: Path) -> list[Path]:
-    """Write all runs as JSON and the tables as Markdown; return the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    report, data = folder / "study_slip.md", folder / "study_slip.json"
-    text = [
-        f"# Slip study: {len(study.outcomes)} runs, seed {study.seed}\n",
-        tables.markdown(COLUMNS, rows(study)),
-        tables.markdown(SHARE_COLUMNS, share_rows(study)),
-    ]
-    report.write_text("\n".join(text), encoding="utf-8")
-    data.write_text(json.dumps(json_ready(asdict(study)), indent=1) + "\n", encoding="utf-8")
-    return [report, data]
+def figure(table: Table) -> Figure:
+    """Draw how many slips are found, and answered, within a time; those never found stay out."""
+    slipped = _slipped(table)
+    with look():
+        made = new_figure(PAGE, 2.4)
+        left, right = made.subplots(1, 2, sharey=True)
+        _distributions(left, slipped["noise"], slipped["detection"], 10.0)
+        label_panel(left, "a", "from onset to alarm")
+        left.set_ylabel("fraction of slips")
+        left.legend(loc="lower right", title="force noise")
+        _distributions(right, slipped["noise"], slipped["reaction"], 20.0)
+        label_panel(right, "b", "from onset to rising grasp force")
+    return made
+
+
+def _distributions(axes: Axes, noise: Array, delays: Array, goal: float) -> None:
+    for i, (low, high) in enumerate(_NOISES):
+        values = np.sort(1e3 * delays[(low <= noise) & (noise < high)])
+        if not len(values):
+            continue
+        known = values[np.isfinite(values)]
+        # To the edge, so that what was never found shows as what is missing there.
+        times = np.append(known, _LONGEST)
+        found = np.append(np.arange(1, len(known) + 1), len(known)) / len(values)
+        name = f"{1e3 * low:g} to {1e3 * high:g} mN" if i < 2 else f"over {1e3 * low:g} mN"
+        axes.step(times, found, where="post", color=finger_color(i), label=name)
+    axes.axvline(goal, color=FAINT, linewidth=0.8)
+    axes.set_xlim(-5.0, _LONGEST)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_xlabel("time [ms]")

@@ -201,7 +201,7 @@ def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
         for name, figure in figures(each).items():
             pictures.append(save(figure, out, name, formats)[0])
     page = tables.write(results, out, pictures)
-    print_table(rich_table("outcomes", tables.SHARE_COLUMNS, tables.share_rows(results)))
+    print_table(rich_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results)))
     print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
     if rows := tables.effect_rows(results):
         print_table(rich_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10]))

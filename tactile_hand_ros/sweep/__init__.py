@@ -37,7 +37,7 @@ def run(
         jobs: Number of processes, -1 for one on each core.
 
     Returns:
-        The table: ``column(name)``, ``shares()``, ``medians()`` and ``effects()``.
+        The table: ``column(name)``, ``fractions()``, ``medians()`` and ``effects()``.
 
     Raises:
         TactileHandError: If a name, path, range or value cannot be used.

@@ -69,7 +69,7 @@ class Study:
     seed: int = 0
 
     @functools.cached_property
-    def shares(self) -> Any:
+    def fractions(self) -> Any:
         """The points of the study in the unit cube, shape (n, d)."""
         return SAMPLERS[self.sampler](self.space, self.runs, self.seed)
 
@@ -79,12 +79,12 @@ class Study:
         Raises:
             StudyError: If the study has no such run.
         """
-        if not 0 <= index < len(self.shares):
+        if not 0 <= index < len(self.fractions):
             raise StudyError(
-                f"there is no run {index}, expected a number from 0 to {len(self.shares) - 1}."
+                f"there is no run {index}, expected a number from 0 to {len(self.fractions) - 1}."
             )
         seed = int(np.random.SeedSequence([self.seed, index]).generate_state(1)[0])
-        return Point(index, seed, self.space.values(self.shares[index]))
+        return Point(index, seed, self.space.values(self.fractions[index]))
 
     def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
         """Make some runs, or all, and yield each with what came of it, in any order.
@@ -95,7 +95,7 @@ class Study:
             MissingLibraryError: If joblib is not installed.
             StudyError: If processes die, or a worker has other sources.
         """
-        chosen = range(len(self.shares)) if indices is None else indices
+        chosen = range(len(self.fractions)) if indices is None else indices
         attempt = functools.partial(_attempt, self.run, build())
         yield from in_parallel(attempt, map(self.point, chosen), ordered=False)
 

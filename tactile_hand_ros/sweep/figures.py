@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.report.style import FAINT, PAGE, look, new_figure, run_color
 from tactile_hand_ros.sweep.results import Results
 from tactile_hand_ros.sweep.space import Range
-from tactile_hand_ros.sweep.statistics import median_interval, share_of
+from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
 from tactile_hand_ros.sweep.table import REACHED
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def figures(results: Results) -> dict[str, Figure]:
 
 
 def success_figure(results: Results, pairs: list[tuple[str, str]]) -> Figure:
-    """Draw the share of runs that reach the goal over pairs of parameters, with contours."""
+    """Draw the fraction of runs that reach the goal over pairs of parameters, with contours."""
     reached = results.column(REACHED)
     across = min(3, len(pairs))
     rows = math.ceil(len(pairs) / across)
@@ -55,7 +55,7 @@ def success_figure(results: Results, pairs: list[tuple[str, str]]) -> Figure:
         for axes in panels[len(pairs) :]:
             axes.set_visible(False)
         bar = figure.colorbar(mesh, ax=panels.tolist(), shrink=0.9)
-        bar.set_label("share of runs that reach the goal")
+        bar.set_label("fraction of runs that reach the goal")
     return figure
 
 
@@ -66,12 +66,12 @@ def _map(axes: Axes, results: Results, x: str, y: str, reached: Array) -> Any:
     count, *_ = np.histogram2d(*columns, edges)
     good, *_ = np.histogram2d(*columns, edges, weights=reached)
     with np.errstate(invalid="ignore"):
-        share = np.ma.masked_invalid(good / count).T
-    mesh = axes.pcolormesh(*edges, share, cmap="cividis", vmin=0.0, vmax=1.0)
+        fraction = np.ma.masked_invalid(good / count).T
+    mesh = axes.pcolormesh(*edges, fraction, cmap="cividis", vmin=0.0, vmax=1.0)
     _scale(axes, results, x, y)
     centres = [_centres(results, p, e) for p, e in zip((x, y), edges, strict=True)]
-    if min(share.shape) > 1 and np.ma.min(share) < 0.9:
-        lines = axes.contour(*centres, share, levels=[0.5, 0.9], colors=["white", "white"])
+    if min(fraction.shape) > 1 and np.ma.min(fraction) < 0.9:
+        lines = axes.contour(*centres, fraction, levels=[0.5, 0.9], colors=["white", "white"])
         axes.clabel(lines, fmt=lambda level: f"{100 * level:.0f} %", fontsize=6.0)
     axes.grid(False)
     return mesh
@@ -120,7 +120,9 @@ def _against(axes: Axes, results: Results, path: str, name: str) -> None:
     for i, centre in enumerate(_centres(results, path, edges)):
         inside = y[bins == i]
         found = (
-            share_of(int(inside.sum()), len(inside)) if name == REACHED else median_interval(inside)
+            fraction_of(int(inside.sum()), len(inside))
+            if name == REACHED
+            else median_interval(inside)
         )
         if not math.isnan(found[0]):
             points.append((centre, found[0], found[0] - found[1], found[2] - found[0]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a sweep, column by column, and what it shows: shares, medians, sensitivities."""
+"""The table of a sweep, column by column, and what it shows: fractions, medians, sensitivities."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.sweep.metrics import measures
 from tactile_hand_ros.sweep.space import Choice, Parameter
-from tactile_hand_ros.sweep.statistics import median_interval, share_of
+from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
 from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
 from tactile_hand_ros.sweep.table import OUTCOMES, REACHED, read_column
 
@@ -78,11 +78,11 @@ class Results:
         """The columns that were asked for."""
         return list(measures(self.sweep.metrics))
 
-    def shares(self) -> list[tuple[str, int, int, tuple[float, float, float]]]:
-        """Return outcome, count, number of runs, and share with Wilson's interval."""
+    def fractions(self) -> list[tuple[str, int, int, tuple[float, float, float]]]:
+        """Return outcome, count, number of runs, and fraction with Wilson's interval."""
         found = self.column("outcome").astype(str)
         counts = {name: int((found == name).sum()) for name in OUTCOMES}
-        return [(name, n, len(found), share_of(n, len(found))) for name, n in counts.items()]
+        return [(name, n, len(found), fraction_of(n, len(found))) for name, n in counts.items()]
 
     def medians(self) -> list[tuple[str, int, tuple[float, float, float]]]:
         """Return metric, number of runs that know it, and median with bootstrap interval."""

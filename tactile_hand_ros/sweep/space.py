@@ -39,14 +39,14 @@ class Range:
     is_whole: bool = False
     levels: int = 0
 
-    def value(self, share: float) -> float | int:
-        """Return the value at a share of the range, 0 to 1."""
+    def value(self, fraction: float) -> float | int:
+        """Return the value at a fraction of the range, 0 to 1."""
         if self.is_whole:
             span = int(self.high) - int(self.low) + 1
-            return int(self.low) + min(int(share * span), span - 1)
+            return int(self.low) + min(int(fraction * span), span - 1)
         if self.is_log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + share * (self.high - self.low))
+            return float(self.low * (self.high / self.low) ** fraction)
+        return float(self.low + fraction * (self.high - self.low))
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Choice:
         """Number of values."""
         return len(self.values)
 
-    def value(self, share: float) -> Any:
-        """Return the value at a share of the list, 0 to 1."""
-        return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+    def value(self, fraction: float) -> Any:
+        """Return the value at a fraction of the list, 0 to 1."""
+        return self.values[min(int(fraction * len(self.values)), len(self.values) - 1)]
 
 
 Parameter = Range | Choice
@@ -78,10 +78,10 @@ class Space:
         """Return the number of parameters."""
         return len(self.parameters)
 
-    def values(self, shares: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
-        """Return the values at a point of the unit cube, one share for each parameter."""
-        pairs = zip(self.parameters.items(), shares, strict=True)
-        return {name: parameter.value(float(share)) for (name, parameter), share in pairs}
+    def values(self, fractions: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
+        """Return the values at a point of the unit cube, one fraction for each parameter."""
+        pairs = zip(self.parameters.items(), fractions, strict=True)
+        return {name: parameter.value(float(fraction)) for (name, parameter), fraction in pairs}
 
 
 def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Parameter]:

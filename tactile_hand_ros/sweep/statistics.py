@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Medians and shares with their confidence intervals."""
+"""Medians and fractions with their confidence intervals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,18 +14,13 @@ from tactile_hand_ros.extras import optional
 Array = NDArray[np.float64]
 
 
-def rank(ordered: Array, share: float) -> Any:
+def rank(ordered: Array, fraction: float) -> Any:
     """Return a percentile that is one of the values: there is nothing between 1 and infinity."""
-    return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
+    return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)]
 
 
-def share(flags: Sequence[bool]) -> tuple[float, float, float]:
-    """Return a share with its 95 % interval, see `share_of`."""
-    return share_of(sum(flags), len(flags))
-
-
-def share_of(count: int, n: int) -> tuple[float, float, float]:
-    """Return what share of n a count is, with its 95 % interval.
+def fraction_of(count: int, n: int) -> tuple[float, float, float]:
+    """Return which fraction of n a count is, with its 95 % interval.
 
     Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
     """
@@ -55,7 +49,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     if not n:
         return math.nan, math.nan, math.nan
     binomial = optional("scipy.stats", "A bootstrap interval").binom
-    shares = np.arange(1, n + 1) / n
-    below = binomial.sf(math.ceil(0.5 * n) - 1, n, shares)  # P(median of a resample <= x_(j))
+    fractions = np.arange(1, n + 1) / n
+    below = binomial.sf(math.ceil(0.5 * n) - 1, n, fractions)  # P(median of a resample <= x_(j))
     low, high = (int(np.searchsorted(below, level)) for level in (0.025, 0.975))
     return float(rank(known, 0.5)), float(known[low]), float(known[min(high, n - 1)])

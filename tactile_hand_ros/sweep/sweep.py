@@ -141,7 +141,7 @@ class Sweep:
             _put(data, path, value)
             try:
                 validate(Scenario, data, f"--over {path}")
-            except ConfigurationError as error:  # once for each node that shares the value
+            except ConfigurationError as error:  # once for each node that fractions the value
                 raise ConfigurationError(str(error).splitlines()[0]) from None
 
     def description(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.sweep.engine import Failure, Point, Study, StudyError, build
-from tactile_hand_ros.sweep.statistics import share_of
+from tactile_hand_ros.sweep.statistics import fraction_of
 
 DESCRIPTION, ROWS, TABLE, TEXT = "study.json", "runs.jsonl", "runs.parquet", "runs.csv"
 INDEX = "run"
@@ -71,7 +71,7 @@ class Tally:
 
     def __str__(self) -> str:
         """Return how many failed, how fast it goes, and an early look at the result."""
-        fraction, low, high = share_of(self.outcomes[REACHED], self.outcomes.total())
+        fraction, low, high = fraction_of(self.outcomes[REACHED], self.outcomes.total())
         speed = f"{self.rate:.3g} runs/s"
         if math.isnan(fraction):
             return speed
@@ -198,7 +198,7 @@ def keep(
     Raises:
         StudyError: If the folder holds another study or cannot be written, or processes die.
     """
-    total = len(study.shares)
+    total = len(study.fractions)
     done = store.begin({**description, "build": build()})
     tally = Tally(total, len(done))
     if tally.before == total and (store.folder / TABLE).is_file():

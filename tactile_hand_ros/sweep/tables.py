@@ -12,17 +12,23 @@ from tactile_hand_ros.report import tables
 from tactile_hand_ros.sweep.results import Results
 
 SUMMARY = "summary.md"
-SHARE_COLUMNS = ("scenario", "outcome", "runs", "share", "95 % interval")
+FRACTION_COLUMNS = ("scenario", "outcome", "runs", "fraction", "95 % interval")
 EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation", "95 % interval")
 METRIC_COLUMNS = ("scenario", "metric", "runs", "median", "95 % interval")
 
 
-def share_rows(results: Sequence[Results]) -> list[list[str]]:
-    """Return outcomes as text, columns as in `SHARE_COLUMNS`."""
+def fraction_rows(results: Sequence[Results]) -> list[list[str]]:
+    """Return outcomes as text, columns as in `FRACTION_COLUMNS`."""
     return [
-        [_name(each), outcome, f"{count} of {runs}", _percent(share[0]), _span(share, _percent)]
+        [
+            _name(each),
+            outcome,
+            f"{count} of {runs}",
+            _percent(fraction[0]),
+            _span(fraction, _percent),
+        ]
         for each in results
-        for outcome, count, runs, share in each.shares()
+        for outcome, count, runs, fraction in each.fractions()
     ]
 
 
@@ -53,7 +59,7 @@ def write(results: Sequence[Results], folder: Path, pictures: Sequence[Path]) ->
         f"# {', '.join(sweep.scenarios)} over {', '.join(sweep.space.parameters)}\n",
         f"{sweep.runs} runs asked for, sampler {sweep.sampler}, seed {sweep.seed}. Each row of "
         "`runs.parquet` and `runs.csv` is a run.\n",
-        tables.markdown(SHARE_COLUMNS, share_rows(results)),
+        tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
         tables.markdown(METRIC_COLUMNS, metric_rows(results)),
         tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
         *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),

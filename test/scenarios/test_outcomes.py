@@ -6,8 +6,8 @@ import pytest
 from joblib import Parallel, delayed
 from support.outcomes import run_scenario, survival
 
-from studies.slip.outcomes import SLIDING
-from studies.slip.survival import least_against
+from studies.slip.minimum import minimum_against
+from studies.slip.study import SLIDING
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
@@ -80,7 +80,7 @@ def ready_squeeze(record, scenario, push):
     wrench = external_wrench(plant.disturbances, time)
     wrench[:3] += plant.object.mass * np.array(plant.gravity) + push
     changes = [plant.object.friction, *(c.friction for c in plant.friction_changes)]
-    return least_against(contacts, record.object_position[-1], wrench, changes[-1])
+    return minimum_against(contacts, record.object_position[-1], wrench, changes[-1])
 
 
 def final_error(record):

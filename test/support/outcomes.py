@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run scenarios by function calls, in processes that can import this."""
+"""Run scenarios in-process, in processes that can import this."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from studies.slip.survival import least_at
+from studies.slip.minimum import minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
@@ -23,7 +23,7 @@ class Survival:
     """Whether the object can be held at all.
 
     Attributes:
-        worst: Largest squeeze that was ever needed, the least sum of normal forces, N.
+        worst: Largest grasp force that was ever needed, the minimum sum of normal forces, N.
         time: When, s.
         limit: The crush limit, N.
     """
@@ -58,7 +58,7 @@ def survival(record: Record, scenario: Scenario) -> Survival:
     for time in times[times <= scenario.duration]:
         row = min(int(np.searchsorted(record.times, time)), len(record) - 1)
         # Of an event at once, the grasp that it finds.
-        least = least_at(record, scenario, float(time), int(grasps[max(row - 1, 0)]))
+        least = minimum_at(record, scenario, float(time), int(grasps[max(row - 1, 0)]))
         if least > worst:
             worst, when = least, float(time)
     return Survival(worst, when, scenario.slip_regulator.maximum)

@@ -27,7 +27,7 @@ def test_the_map_is_drawn_from_its_table(tmp_path: Path) -> None:
     names = ("paper", "pinch")
     store_rows = []
     study = robustness.study_of(names, 0)
-    for point in map(study.point, range(len(study.shares))):
+    for point in map(study.point, range(len(study.fractions))):
         came = ("reached", "missed", "lost")[point.values["rank"]]
         store_rows.append({"run": point.index, **point.values, "outcome": came})
     kept = Store(tmp_path, {"scenario": str, "error": str, "rank": int, "outcome": str}, {})

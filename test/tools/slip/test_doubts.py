@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from studies.slip.cases import EVENTS, SlipCase, sample_cases, scenario_of
+from studies.slip.study import EVENTS, SlipCase, sample_cases, scenario_of
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -11,18 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.slip import cases as study_cases
-from studies.slip import figures as study_figures
-from studies.slip import outcomes as study_outcomes
-from studies.slip import roc as slip_roc
-from studies.slip import trace as slip_trace
-from studies.slip.cases import SlipCase
-from studies.slip.outcomes import SlipOutcome
-from studies.slip.study import Study, estimate, write
-from studies.slip.survival import least_at
+from studies.slip import detector, study
+from studies.slip.minimum import minimum_at
+from studies.slip.study import SlipCase
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetectorConfig
+from tactile_hand_ros.sweep.engine import workers
 
 CASE = SlipCase(
     index=0,
@@ -40,7 +34,7 @@ CASE = SlipCase(
 @pytest.fixture(scope="module")
 def run() -> Record:
     """Return a run in which the object turns slippery."""
-    return ClosedLoop(study_cases.scenario_of(CASE)).run()
+    return ClosedLoop(study.scenario_of(CASE)).run()
 
 
 def made_up(run: Record) -> Record:
@@ -52,17 +46,17 @@ def made_up(run: Record) -> Record:
     return replace(still, grasp_force=np.full_like(run.grasp_force, 5.0))
 
 
-def measured(record: Record) -> SlipOutcome:
+def measured(record: Record) -> dict[str, float]:
     """Measure a record as a run of the case."""
-    return study_outcomes.measure(record, study_cases.scenario_of(CASE), CASE)
+    return study.measure(record, study.scenario_of(CASE))
 
 
 def test_cases_fill_their_ranges_and_repeat() -> None:
     """Every tenth of a range holds a tenth of the cases; a seed gives the same cases again."""
-    cases = study_cases.sample_cases(60, 4)
-    assert cases == study_cases.sample_cases(60, 4)
-    assert cases != study_cases.sample_cases(60, 5)
-    for event in study_cases.EVENTS:
+    cases = study.sample_cases(60, 4)
+    assert cases == study.sample_cases(60, 4)
+    assert cases != study.sample_cases(60, 5)
+    for event in study.EVENTS:
         assert sum(case.event == event for case in cases) == 20
     counts, _ = np.histogram([math.log(case.mass) for case in cases], 10, np.log([0.05, 0.5]))
     assert (counts == 6).all()
@@ -72,14 +66,14 @@ def test_cases_fill_their_ranges_and_repeat() -> None:
 def test_nothing_slides_nothing_is_measured(run: Record) -> None:
     """Without sliding there is neither an onset nor a delay."""
     outcome = measured(made_up(run))
-    assert math.isnan(outcome.onset) and math.isnan(outcome.detection)
-    assert math.isnan(outcome.reaction)
-    assert outcome.slip == 0.0 and outcome.false_alarms == 0
-    assert outcome.caught and not outcome.lost
+    assert math.isnan(outcome["onset"]) and math.isnan(outcome["detection"])
+    assert math.isnan(outcome["reaction"])
+    assert outcome["slip"] == 0.0 and outcome["false_alarms"] == 0
+    assert outcome["caught"] and not outcome["lost"]
 
 
 def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Record) -> None:
-    """Contact 1 slides from 0.15 s on; its alarm comes 7 ms later, the squeeze rises after 9 ms."""
+    """Contact 1 slides from 0.15 s on; its alarm comes 7 ms later, k_f rises after 9 ms."""
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
     record.true_slid[150:, 1] = 3e-4
@@ -87,28 +81,28 @@ def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Recor
     record.grip[157:170, 1] = ContactState.SLIP
     record.grasp_force[159:] = 6.0
     outcome = measured(record)
-    assert outcome.onset == pytest.approx(0.150)
-    assert outcome.detection == pytest.approx(0.007)
-    assert outcome.reaction == pytest.approx(0.009)
-    assert outcome.slip == pytest.approx(3e-4)
+    assert outcome["onset"] == pytest.approx(0.150)
+    assert outcome["detection"] == pytest.approx(0.007)
+    assert outcome["reaction"] == pytest.approx(0.009)
+    assert outcome["slip"] == pytest.approx(3e-4)
 
 
 def test_no_answer_is_infinitely_late(run: Record) -> None:
-    """A slip that nobody notices counts, and counts as worse than any other."""
+    """A slip without an alarm counts, and counts as worse than any other."""
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
     outcome = measured(record)
-    assert math.isinf(outcome.detection) and math.isinf(outcome.reaction)
+    assert math.isinf(outcome["detection"]) and math.isinf(outcome["reaction"])
 
 
 def test_a_contact_that_is_gone_or_has_slid_far_is_lost(run: Record) -> None:
     """Both are no grasp any more."""
     gone, far = made_up(run), made_up(run)
-    far.true_slid[-1, 0] = 2.0 * study_outcomes.LOST_SLIDE
+    far.true_slid[-1, 0] = 2.0 * study.LOST_SLIDE
     positions = gone.true_positions.copy()
     positions[-1, 2] = np.nan
-    assert measured(replace(gone, true_positions=positions)).lost
-    assert measured(far).lost
+    assert measured(replace(gone, true_positions=positions))["lost"]
+    assert measured(far)["lost"]
 
 
 def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
@@ -117,92 +111,66 @@ def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
     record.true_sliding[150:180, 1] = 0.01
     for start in (60, 160, 190):
         record.grip[start : start + 5, 1] = ContactState.SLIP
-    assert study_outcomes.false_alarms(record) == 1
+    assert study.false_alarms(record) == 1
 
 
 def test_a_slip_is_found_answered_and_stopped(run: Record) -> None:
     """Friction falls to 0.17, more than the reserve was for: the object stays in the hand."""
     outcome = measured(run)
-    assert outcome.survivable and not outcome.lost and outcome.false_alarms == 0
-    assert outcome.excess > 1.0 and outcome.early_slip < 1e-5
-    assert study_cases.EVENT_TIME <= outcome.onset < study_cases.EVENT_TIME + 0.005
-    assert 0.0 < outcome.detection < 0.010
-    assert 0.0 < outcome.reaction < 0.020
+    assert outcome["survivable"] and not outcome["lost"] and outcome["false_alarms"] == 0
+    assert outcome["excess"] > 1.0 and outcome["early_slip"] < 1e-5
+    assert study.EVENT_TIME <= outcome["onset"] < study.EVENT_TIME + 0.005
+    assert 0.0 < outcome["detection"] < 0.010
+    assert 0.0 < outcome["reaction"] < 0.020
 
 
-def test_a_run_repeats(run: Record) -> None:
-    """The same case gives the same numbers."""
-    assert study_outcomes.run_case(CASE) == measured(run)
-
-
-def test_the_least_squeeze_of_a_run_follows_load_and_friction(run: Record) -> None:
-    """With friction down to 1 / 3.5, the least sum of normal forces is 3.5 times what it was."""
-    scenario = study_cases.scenario_of(CASE)
-    before, after = (least_at(run, scenario, t, 100) for t in (0.05, 0.2))
+def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run: Record) -> None:
+    """With friction down to 1 / 3.5, the minimum sum of normal forces is 3.5 times what it was."""
+    scenario = study.scenario_of(CASE)
+    before, after = (minimum_at(run, scenario, t, 100) for t in (0.05, 0.2))
     assert before >= 9.81 * CASE.mass / CASE.friction * (1 - 1e-9)
     assert after > 3.0 * before
 
 
-def test_percentiles_know_infinity_and_leave_out_nan() -> None:
-    """The median of three known values and one that never came is a known value."""
-    e = estimate([3.0, math.inf, 1.0, 2.0, math.nan])
-    assert (e.count, e.median, e.p90) == (4, 2.0, math.inf)
-    assert e.low <= e.median <= e.high
-    assert estimate([math.nan]).count == 0
-
-
-def test_the_bootstrap_interval_holds_the_median_about_as_often_as_it_says() -> None:
-    """Of 200 samples from a known distribution, 95 % give or take hold its median."""
-    random = np.random.default_rng(0)
-    inside = 0
-    for i in range(200):
-        e = estimate(random.exponential(1.0, 60).tolist(), i, 300)
-        inside += e.low <= math.log(2.0) <= e.high
-    assert 0.88 <= inside / 200 <= 0.99
-
-
-def test_replaying_the_detector_gives_what_it_said_in_the_run(run: Record) -> None:
+def test_replaying_the_detector_gives_its_states_in_the_run(run: Record) -> None:
     """To the last tick, so that what is replayed with other thresholds is the same detector."""
-    trace = slip_trace.trace_of(run, study_cases.scenario_of(CASE))
-    states = slip_trace.replay(trace, SlipDetectorConfig())
+    trace = detector.trace_of(run, study.scenario_of(CASE))
+    states = detector.replay(trace, SlipDetectorConfig())
     assert (states == run.grip).all()
-    assert slip_trace.delay(trace, states) == pytest.approx(measured(run).detection)
+    assert detector.delay(trace, states) == pytest.approx(measured(run)["detection"])
 
 
 def test_a_higher_threshold_alarms_no_earlier(run: Record) -> None:
     """Nor more often while nothing slides."""
-    trace = slip_trace.trace_of(run, study_cases.scenario_of(CASE))
-    points = [slip_roc.point([], [trace], 0.01, h) for h in (3.0, 20.0, 5000.0)]
-    delays = [p.delay for p in points]
+    trace = detector.trace_of(run, study.scenario_of(CASE))
+    scores = [detector.score(trace, [trace], (0.01, h)) for h in (3.0, 20.0, 5000.0)]
+    delays = [score.delay for score in scores]
     assert delays == sorted(delays) and delays[0] < delays[2]
 
 
 def test_the_papers_manipulation_gives_no_false_alarm() -> None:
     """A quarter of a minute of it, with the whole skin; docs/slip_study.md has minutes."""
-    scenario = slip_roc.paper_scenario(15.0, noise=True)
+    scenario = detector.paper_scenario(15.0, noise=True)
     record = ClosedLoop(scenario).run()
-    assert not (record.true_sliding > study_outcomes.SLIDING).any()
+    assert not (record.true_sliding > study.SLIDING).any()
     assert (record.grip[100:] == ContactState.STICK).all()
-    trace = slip_trace.trace_of(record, scenario)
+    trace = detector.trace_of(record, scenario)
     # The test would not mean much if nothing could ever raise an alarm here.
-    assert slip_trace.alarms(slip_trace.replay(trace, SlipDetectorConfig(threshold=1.5))) > 0
+    assert detector.alarms(detector.replay(trace, SlipDetectorConfig(threshold=1.5))) > 0
 
 
-def test_tables_figures_and_data_are_written(run: Record, tmp_path: Path) -> None:
-    """Also of a study in which hardly anything is known."""
-    outcome = measured(run)
-    held = [
-        study_outcomes.Held(CASE, kind, ratio, 1.0, 0.0)
-        for kind, ratio in (("known", 1.5), ("unknown", 1.6))
-    ]
-    quiet = measured(made_up(run))
-    study = Study(0, [outcome, quiet], [outcome], held)
-    report, data = write(study, tmp_path)
-    assert "| detection | 1 |" in report.read_text()
-    content = json.loads(data.read_text())
-    assert content["outcomes"][1]["onset"] is None
-    assert content["outcomes"][0]["case"]["friction"] == CASE.friction
-    assert set(study_figures.figures(study)) == {"study_detection", "study_slip"}
-    points = [slip_roc.Point(0.01, h, 0, 1.0, 10, 9, 0.005) for h in (10.0, 20.0)]
-    assert slip_roc.roc_figure(points) is not None
-    assert len(slip_roc.rows(points)) == 2
+def test_a_small_study_gives_its_tables_and_figure(tmp_path: Path) -> None:
+    """Two events, one pull and one run held for each knowledge of the friction."""
+    with workers(2):
+        tally = study.run_study(2, 0, tmp_path)
+    assert (tally.done, tally.outcomes["failed"]) == (5, 0)
+    table = study.read_table(tmp_path)
+    assert [row[1] for row in study.rows(table)][-4:] == ["1", "0", "1", "1"]
+    assert study.fraction_rows(table)[0][:2] == ["slipped", "2"]
+    assert study.figure(table) is not None
+
+
+def test_the_detector_is_scored_and_drawn() -> None:
+    scores = [detector.Score(0.01, h, 0, 1.0, 10, 9, 0.005) for h in (10.0, 20.0)]
+    assert detector.rows(scores)[0][-2:] == ["90.0 %", "5 ms"]
+    assert detector.figure(scores) is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a grasp can survive: against loads whose least squeeze is known by hand."""
+"""What a grasp can survive: against loads whose minimum grasp force is known by hand."""
 
 import pytest
 from support.outcomes import run_scenario, survival
@@ -14,7 +14,7 @@ def judged(changes):
     return survival(run_scenario("gravity", changes), load_scenario("gravity", changes))
 
 
-def test_weight_needs_its_share_of_friction():
+def test_weight_needs_friction():
     """0.2 kg with mu = 0.6 on faces that stand upright: m g / mu."""
     found = judged({})
     assert found.worst == pytest.approx(0.2 * 9.81 / 0.6, rel=0.02)

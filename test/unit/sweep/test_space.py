@@ -53,14 +53,16 @@ def test_what_cannot_be_varied_is_refused_in_a_sentence(text: str, told: str) ->
 
 
 @given(st.floats(0.0, 1.0))
-def test_a_share_is_a_value_of_the_parameter(share: float) -> None:
-    assert 0.1 <= SPACE.parameters["b"].value(share) <= 10.0 * (1.0 + 1e-12)
-    assert Range(1, 6, is_whole=True).value(share) in range(1, 7)
-    assert Choice("abc").value(share) in "abc"
+def test_a_share_is_a_value_of_the_parameter(fraction: float) -> None:
+    assert 0.1 <= SPACE.parameters["b"].value(fraction) <= 10.0 * (1.0 + 1e-12)
+    assert Range(1, 6, is_whole=True).value(fraction) in range(1, 7)
+    assert Choice("abc").value(fraction) in "abc"
 
 
 def test_a_whole_range_gives_each_number_alike() -> None:
-    values = [Range(1, 4, is_whole=True).value(share) for share in np.linspace(0, 1, 400, False)]
+    values = [
+        Range(1, 4, is_whole=True).value(fraction) for fraction in np.linspace(0, 1, 400, False)
+    ]
     assert np.unique(values, return_counts=True)[1].tolist() == [100] * 4
 
 

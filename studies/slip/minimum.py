@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a grasp can survive at all, by linear programming on the true load: apart from any law."""
+"""The minimum grasp force that holds, by linear programming on the true load."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ SIDES = 64
 """Edges of the pyramid in place of a cone; the result is too large by at most 1 / cos(pi / 64)."""
 
 
-def least_squeeze(
+def minimum_grasp_force(
     contacts: Contacts, wrench: Array, friction: ArrayLike, sides: int = SIDES
 ) -> float:
-    """Return the least sum of normal forces with which contacts can carry a wrench, (12).
+    """Return the smallest sum of normal forces with which contacts can carry a wrench, (12).
 
         min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
 
-    Each force is a sum of edges (mu cos a, 1, mu sin a) of a pyramid inside its cone, with shares
-    that are not negative: a linear program in the shares.
+    Each force is a sum of edges (mu cos a, 1, mu sin a) of a pyramid inside its cone, with weights
+    that are not negative: a linear program in the weights.
 
     Args:
         contacts: Contact points and frames; those that do not touch carry nothing.
@@ -50,25 +50,25 @@ def least_squeeze(
     ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
     edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
     arms = centred(points)
-    # Torques in the length of the grasp, so that all rows weigh alike.
+    # Torques in the length of the grasp, so that all rows have the same scale.
     length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
     blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)
     rows = np.einsum("akj,ksj->aks", blocks, edges).reshape(6, -1)
     goal = np.concatenate([wrench[:3], np.asarray(wrench[3:]) / length])
     scale = max(float(np.abs(goal).max()), 1e-9)
-    linprog = optional("scipy.optimize", "The least squeeze").linprog
+    linprog = optional("scipy.optimize", "The smallest grasp force").linprog
     result = linprog(np.ones(rows.shape[1]), A_eq=rows, b_eq=goal / scale, method="highs")
     return scale * float(result.fun) if result.status == 0 else math.inf
 
 
-def least_against(contacts: Contacts, position: Array, wrench: Array, friction: float) -> float:
-    """Return the least squeeze against a wrench on the object about its centre of mass."""
+def minimum_against(contacts: Contacts, position: Array, wrench: Array, friction: float) -> float:
+    """Return the minimum grasp force against a wrench on the object about its center of mass."""
     torque = wrench[3:] + np.cross(position - contacts.centroid, wrench[:3])
-    return least_squeeze(contacts, -np.concatenate([wrench[:3], torque]), friction)
+    return minimum_grasp_force(contacts, -np.concatenate([wrench[:3], torque]), friction)
 
 
-def least_at(record: Record, scenario: Scenario, time: float, row: int) -> float:
-    """Return the least squeeze against the true load and friction of a time.
+def minimum_at(record: Record, scenario: Scenario, time: float, row: int) -> float:
+    """Return the minimum grasp force against the true load and friction of a time.
 
     Args:
         record: The run.
@@ -83,4 +83,4 @@ def least_at(record: Record, scenario: Scenario, time: float, row: int) -> float
     friction = plant.object.friction
     for change in plant.friction_changes:
         friction = change.friction if change.start <= time else friction
-    return least_against(contacts, record.object_position[row], wrench, friction)
+    return minimum_against(contacts, record.object_position[row], wrench, friction)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least squeeze: cases to compute by hand, and bounds from random forces."""
+"""The minimum grasp force: cases to compute by hand, and bounds from random forces."""
 
 import math
 
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from studies.slip.survival import SIDES, least_squeeze
+from studies.slip.minimum import SIDES, minimum_grasp_force
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.grasp import net_wrench
 
@@ -35,35 +35,35 @@ def test_a_weight_between_opposed_fingers_needs_weight_over_mu(mu: float) -> Non
     lift = np.array([0.0, 0.0, 2.0])
     # The weight hangs midway between the sides; the centroid of three contacts lies elsewhere.
     torque = np.cross(-OPPOSED.centroid, lift)
-    squeeze = least_squeeze(OPPOSED, np.concatenate([lift, torque]), mu)
-    assert 2.0 / mu * (1 - 1e-9) <= squeeze <= 2.0 / mu * EXACT
+    force = minimum_grasp_force(OPPOSED, np.concatenate([lift, torque]), mu)
+    assert 2.0 / mu * (1 - 1e-9) <= force <= 2.0 / mu * EXACT
 
 
 def test_a_push_along_the_normals_needs_no_friction() -> None:
     """One finger alone carries a push towards it."""
-    squeeze = least_squeeze(OPPOSED, np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.0)
-    assert squeeze == pytest.approx(3.0, rel=1e-9)
+    force = minimum_grasp_force(OPPOSED, np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.0)
+    assert force == pytest.approx(3.0, rel=1e-9)
 
 
 def test_without_friction_nothing_carries_a_weight() -> None:
     """The normals are horizontal."""
-    assert math.isinf(least_squeeze(OPPOSED, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0))
+    assert math.isinf(minimum_grasp_force(OPPOSED, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0))
 
 
 def test_nothing_to_carry_needs_nothing() -> None:
-    """The least sum for no wrench is zero."""
-    assert least_squeeze(OPPOSED, np.zeros(6), 0.5) == pytest.approx(0.0, abs=1e-9)
+    """The smallest sum for no wrench is zero."""
+    assert minimum_grasp_force(OPPOSED, np.zeros(6), 0.5) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_slipperier_side_sets_the_squeeze() -> None:
+def test_the_slipperier_side_sets_the_force() -> None:
     """Both sides must press alike: 2 N split as 0.2 : 0.6 of equal normal forces of 2.5 N each."""
     wrench = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
     # The torque about y would not balance; it is asked for as well: arms 0.1 m, 1.5 N and 0.5 N.
     wrench[4] = -(0.1 * 0.5 - 0.1 * 1.5)
     centroid = OPPOSED.centroid
     wrench[3:] -= np.cross(centroid, wrench[:3])
-    squeeze = least_squeeze(OPPOSED, wrench, [0.2, 0.2, 0.6])
-    assert 5.0 * (1 - 1e-6) <= squeeze <= 5.0 * EXACT
+    force = minimum_grasp_force(OPPOSED, wrench, [0.2, 0.2, 0.6])
+    assert 5.0 * (1 - 1e-6) <= force <= 5.0 * EXACT
 
 
 def test_a_lost_contact_carries_nothing() -> None:
@@ -71,20 +71,22 @@ def test_a_lost_contact_carries_nothing() -> None:
     positions = OPPOSED.positions.copy()
     positions[2] = np.nan
     lost = Contacts(positions, OPPOSED.rotations)
-    assert math.isinf(least_squeeze(lost, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.5))
+    assert math.isinf(minimum_grasp_force(lost, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.5))
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), mu=st.floats(0.1, 1.5))
 def test_no_more_than_any_forces_inside_the_cones(seed: int, mu: float) -> None:
-    """Forces inside the cones carry their own wrench, so that the least sum is not above theirs."""
+    """Forces inside the cones carry their own wrench, so the minimum is not above theirs."""
     random = np.random.default_rng(seed)
     contacts = grasp(*((random.normal(size=3).tolist(), random.normal(size=3)) for _ in range(3)))
     normal, angle = random.uniform(0.1, 5.0, 3), random.uniform(0.0, 2.0 * np.pi, 3)
     side = mu * normal * random.uniform(0.0, 1.0, 3)
     forces = np.stack([side * np.cos(angle), normal, side * np.sin(angle)], axis=1)
-    least = least_squeeze(contacts, net_wrench(contacts.positions, contacts.rotations, forces), mu)
-    assert 0.0 <= least <= normal.sum() * EXACT * (1 + 1e-9)
+    minimum = minimum_grasp_force(
+        contacts, net_wrench(contacts.positions, contacts.rotations, forces), mu
+    )
+    assert 0.0 <= minimum <= normal.sum() * EXACT * (1 + 1e-9)
 
 
 @settings(max_examples=20)
@@ -95,5 +97,5 @@ def test_the_frame_of_the_palm_does_not_matter(seed: int) -> None:
     wrench = np.array([0.5, -0.3, 2.0, 0.01, 0.0, 0.02])
     turned = Contacts(OPPOSED.positions @ turn.T, turn @ OPPOSED.rotations)
     moved = np.concatenate([turn @ wrench[:3], turn @ wrench[3:]])
-    same = least_squeeze(OPPOSED, wrench, 0.5)
-    assert least_squeeze(turned, moved, 0.5) == pytest.approx(same, rel=1e-6)
+    same = minimum_grasp_force(OPPOSED, wrench, 0.5)
+    assert minimum_grasp_force(turned, moved, 0.5) == pytest.approx(same, rel=1e-6)
