@@ -17,7 +17,7 @@ if __name__ == "__main__":
 
 import typer
 
-from tactile_hand_ros.cli.output import Progress, check_file, print_table
+from tactile_hand_ros.cli.output import Progress, check_writable, print_table
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_text
@@ -51,7 +51,7 @@ def bench(
     from bench.workload import Workload
 
     chosen, hertz = _chosen(only), parse_rates(rates)
-    check_file(out)
+    check_writable(out.parent)
     results: list[Result] = []
     with Progress("measuring", len(chosen)) as advance:
         work = Workload.prepare(ticks, repeats, seconds, hertz)

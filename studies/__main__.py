@@ -18,6 +18,7 @@ if __name__ == "__main__":
 
 import typer
 
+from tactile_hand_ros.cli.experiments import ClusterOption, progress
 from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
@@ -28,7 +29,6 @@ from tactile_hand_ros.cli.output import (
     print_files,
     print_table,
 )
-from tactile_hand_ros.cli.sweep import ClusterOption, progress
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.report.tables import markdown, rich_table
 from tactile_hand_ros.sweep.engine import workers

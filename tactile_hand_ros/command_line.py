@@ -85,7 +85,7 @@ class _Signalled(BaseException):
 
 
 def _ended(program: str, number: signal.Signals) -> int:
-    """Say which signal ended a command; return the code that a shell expects."""
+    """Report which signal ended a command; return the code that a shell expects."""
     _drop_unwritten()  # the terminal may be what has gone
     is_ctrl_c = number == signal.SIGINT
     say(program, "interrupted." if is_ctrl_c else f"ended by {number.name}.")
@@ -114,7 +114,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 class Interrupted(Exception):
-    """The user or the system asked for the end."""
+    """The user or the system ended the command."""
 
 
 class Signals:
@@ -126,7 +126,7 @@ class Signals:
     """
 
     def __init__(self) -> None:
-        """Begin without a signal."""
+        """Start without a signal."""
         self.number = 0
         self.count = 0
         # Its put may interrupt its get in the same thread, as a handler does. An event's set would
@@ -214,7 +214,7 @@ def _without(packages: Path, environment: Mapping[str, str]) -> dict[str, str]:
 
 
 class LastingOutput(io.TextIOBase):
-    """The standard output for work that must go on when nothing can be written any more.
+    """The standard output for work that must continue when nothing can be written any more.
 
     Attributes:
         problem: Why something could not be written, None as long as all could, or if the reader has

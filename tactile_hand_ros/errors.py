@@ -19,7 +19,7 @@ def nearest(wrong: str, valid: Sequence[str]) -> str:
 
 
 def shortened(text: object, limit: int = 300) -> str:
-    """Return a text in one line of at most so many characters, which no sender can make long."""
+    """Return a text in one line of at most `limit` characters."""
     line = " ".join(str(text)[:1000].split())
     return line if len(line) <= limit else f"{line[: limit - 3]}..."
 
@@ -36,11 +36,11 @@ class ConfigurationError(TactileHandError):
 
     Attributes:
         source: File or interface the value came from, empty when unknown.
-        place: Dotted key inside the source, empty when the whole source is meant.
+        place: Dotted key inside the source, empty for the source itself.
     """
 
     def __init__(self, message: str, *, source: str = "", place: str = "") -> None:
-        """Keep the place beside the sentence."""
+        """Keep the place next to the sentence."""
         super().__init__(message)
         self.source = source
         self.place = place

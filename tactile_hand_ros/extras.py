@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Libraries that are not needed to run a hand, and what to say when one is missing."""
+"""Libraries that are not needed to run a hand, and the error when one is missing."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 
 All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand. That includes the
 clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
-domain have two times, and two senders on `/clock` would make time jump to and fro.
+domain have two times, and two senders on `/clock` would make time jump back and forth.
 Remap `clock:=/clock` on the one plant whose time counts.
 
 Two topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
@@ -65,7 +65,7 @@ def wrench(finger: str) -> str:
 
 
 def optimal_force(finger: str) -> str:
-    """Return the topic of the optimal normalised force of a finger."""
+    """Return the topic of the optimal normalized force of a finger."""
     return f"optimal_force/{finger}"
 
 
@@ -85,7 +85,7 @@ def accepted_requests(node: str) -> str:
 
 
 def rejected(node: str) -> str:
-    """Return the topic on which a node says which commands of its user it has refused."""
+    """Return the topic on which a node reports the user commands that it has rejected."""
     return f"rejected/{node}"
 
 

@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, reproduce, runs, scenarios, steer, sweep
+from tactile_hand_ros.cli import bags, experiments, runs, steer
 from tactile_hand_ros.command_line import prepare_for_ros, run_command
 from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -33,11 +33,9 @@ app = typer.Typer(
 for _command in (
     orchestrator.run,
     *steer.COMMANDS,
-    *scenarios.COMMANDS,
+    *experiments.COMMANDS,
     *runs.COMMANDS,
-    *sweep.COMMANDS,
     *bags.COMMANDS,
-    reproduce.reproduce,
 ):
     app.command()(_command)
 # An unknown option may be a negative number.
@@ -76,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     prepare_for_ros()
     use_own_prefix()
-    # Other machines on the network take no part, unless asked.
+    # Stay on this machine by default.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     words = list(sys.argv[1:] if arguments is None else arguments)
     return run_command(PROGRAM, lambda: app(args=words, prog_name=PROGRAM, standalone_mode=False))

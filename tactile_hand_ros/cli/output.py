@@ -85,24 +85,13 @@ def folder_for_results(folder: Path, formats: list[str] | None) -> tuple[str, ..
     return known
 
 
-def check_file(file: Path) -> None:
-    """Make sure that a file for results can be written, before any work is done for it.
-
-    Raises:
-        TactileHandError: If that is not possible.
-    """
-    if file.is_dir():
-        raise TactileHandError(f"'{file}' is a folder, expected the name of a file in it.")
-    check_writable(file.parent)
-
-
 def console(stderr: bool = False) -> Console:
     """Return where to print; wide enough for tables in files and pipes."""
     from rich.console import Console
 
     made = Console(stderr=stderr)
     if not made.is_terminal:
-        made.width = 140  # of a file or pipe nothing is known; do not squeeze tables into 80
+        made.width = 140  # the width of a file or pipe is unknown; 80 would cut tables
     return made
 
 
@@ -117,10 +106,10 @@ def print_files(files: Sequence[Path], folder: Path) -> None:
 
 
 class Progress:
-    """A bar on the terminal while something goes on; nothing when the output is not a terminal."""
+    """A progress bar on a terminal; nothing elsewhere."""
 
     def __init__(self, title: str, total: int) -> None:
-        """Say what goes on and how many steps it has."""
+        """Set the title and the number of steps."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
         from rich.progress import TimeElapsedColumn as Elapsed
 
@@ -139,14 +128,14 @@ class Progress:
         self._task = self._bar.add_task(title, total=total, latest="")
 
     def __enter__(self) -> Progress:
-        """Show it."""
+        """Show the bar."""
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Take it away."""
+        """Remove the bar."""
         self._bar.stop()
 
     def __call__(self, latest: str) -> None:
-        """Advance by one and say what was done."""
+        """Advance by one and show what was done."""
         self._bar.update(self._task, advance=1, latest=latest)

@@ -67,13 +67,13 @@ def squeeze(
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Ask a running hand for a grasp force.
+    """Request a grasp force from a running hand.
 
     Exit code 0: the hand accepts it; 2: it refuses, or there is no hand.
     """
     with _hand(namespace, timeout) as hand:
         since, mode = hand.grasp_force(force)
-    print(f"a grasp force of {force:g} N is asked for from t = {since:.3f} s on")
+    print(f"a grasp force of {force:g} N is requested from t = {since:.3f} s")
     if mode == "auto":
         print("in mode auto the slip regulator chooses the force itself: this changes nothing")
 
@@ -108,7 +108,7 @@ def _turn(rotate: tuple[str, float] | None) -> tuple[float, ...]:
 
 @contextlib.contextmanager
 def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
-    """Take part in the graph of a hand."""
+    """Join the graph of a hand."""
     from tactile_hand_ros.compiled import run_interpreted
 
     run_interpreted()  # a few rotations do not justify loading Numba

@@ -94,7 +94,7 @@ def _checked(options: RunOptions) -> Scenario:
 
 
 def shares_process(scenario: Scenario, composed: bool | None) -> bool:
-    """Return whether the nodes share a process: as the option says, else in real time."""
+    """Return whether the nodes share a process: by the option, otherwise in real time."""
     return scenario.plant.pacing == "realtime" if composed is None else composed
 
 
@@ -104,24 +104,24 @@ def _run(session: Session, joining: AbstractContextManager[Node], options: RunOp
     output = LastingOutput()
     console = Console(file=cast(IO[str], output), width=None if output.isatty() else _WIDTH)
 
-    def tell(line: str) -> None:
+    def show(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    tell(f"{plan.scenario.name}: {plan.scenario.description}")
+    show(f"{plan.scenario.name}: {plan.scenario.description}")
     if plan.composed and options.composed is None:
-        tell("real time: the nodes share one process; --processes gives each node its own")
-    tell(f"the nodes start; their logs are in {directory.path / 'logs'}")
+        show("real time: the nodes share one process; --processes gives each node its own")
+    show(f"starting nodes; logs: {directory.path / 'logs'}")
     if plan.interactive:
         hint = how_to_steer(plan.namespace, plan.scenario.targets)
-        tell(f"Ctrl-C ends the run. To move the hand: {hint}")
+        show(f"Ctrl-C ends the run. To move the hand: {hint}")
     duration = None if plan.interactive else plan.scenario.duration
     outcome = session.run(joining, View(console, duration, quiet=options.quiet))
-    # Not before: reading bags takes a tenth of a second to load, and the hand would wait for it.
+    # Imported late: it takes a tenth of a second, for which the hand would wait.
     from tactile_hand_ros.orchestrator import results
 
     start = time.monotonic()
     if plan.record and not options.quiet:
-        tell("reading the bag")
+        show("reading the bag")
     found = results.read_results(plan, directory, finished=outcome.is_complete)
     verdict = results.judge(plan, outcome, found, session.signals.exit_code)
     results.write_summary(plan, directory, outcome, found, verdict)
@@ -130,11 +130,11 @@ def _run(session: Session, joining: AbstractContextManager[Node], options: RunOp
         if options.report:
             if not options.quiet:
                 took = time.monotonic() - start  # of a long run, the report takes about as long
-                tell("writing the report" + (f", about {took:.0f} s" if took > 10.0 else ""))
-            tell(results.report_line(found.run))
+                show("writing the report" + (f", about {took:.0f} s" if took > 10.0 else ""))
+            show(results.report_line(found.run))
     if options.open_report:
-        tell(results.open_report(directory))
-    tell(f"{results.in_words(verdict, found)}; everything is in {directory.path}")
+        show(results.open_report(directory))
+    show(f"{results.in_words(verdict, found)}; results: {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone
         print(*verdict.reasons, sep="\n", end="\n" * bool(verdict.reasons), file=sys.stderr)
     if output.problem is not None and not outcome.interrupted:

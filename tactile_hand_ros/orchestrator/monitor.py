@@ -59,8 +59,8 @@ class Monitor:
     """Subscriptions that hold the newest messages and decode them only on demand.
 
     A subscription to a topic of the tick costs its publisher a packet a tick: a tenth of what a
-    tick takes in one process. So a recorded run is followed by its diagnostics alone, which come
-    once a second, and from the plant also at the first answer and the last.
+    tick takes in one process. A recorded run is therefore followed by its diagnostics alone, which
+    come once a second, and from the plant also at the first answer and the last.
     """
 
     def __init__(self, node: Node, targets: Sequence[TargetConfig], *, closely: bool) -> None:
@@ -144,10 +144,10 @@ class Monitor:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the plant stands still and its last tick was answered."""
+        """Whether the plant is paused or finished and its last tick was answered."""
         plant = self.plant_facts()
-        stands = plant.get("mode") in ("paused", "finished")
-        return stands and self.answered() >= int(plant["tick_ns"])
+        is_still = plant.get("mode") in ("paused", "finished")
+        return is_still and self.answered() >= int(plant["tick_ns"])
 
 
 class View:
@@ -215,7 +215,7 @@ def facts(progress: Progress, rate: float) -> str:
 
 
 def _pose(progress: Progress) -> str:
-    if progress.mode not in ("", "drive"):  # dropped, say: the last error says nothing any more
+    if progress.mode not in ("", "drive"):  # after a drop, for example, the last error is stale
         return f"not driving: {progress.mode}"
     error = progress.position_error
     if math.isnan(error):

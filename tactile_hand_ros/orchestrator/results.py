@@ -111,8 +111,8 @@ def deadlines_of(plan: Plan, outcome: RunOutcome) -> RealTimeCounts | None:
     if _is_lockstep(plan) or outcome.last_tick < 0:
         return None
     reached = 1e-9 * outcome.last_tick
-    asked = reached if plan.interactive else plan.scenario.duration
-    return real_time_counts(outcome.plant, plan.scenario.plant.rate, asked, reached)
+    wanted = reached if plan.interactive else plan.scenario.duration
+    return real_time_counts(outcome.plant, plan.scenario.plant.rate, wanted, reached)
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def write_summary(
     results: RunResults,
     verdict: RunVerdict,
 ) -> None:
-    """Write ``summary.json`` whole or not at all."""
+    """Write ``summary.json`` completely or not at all."""
     scenario, run, deadlines = plan.scenario, results.run, deadlines_of(plan, outcome)
     content = {
         "scenario": scenario.name,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The directory of one run: what was asked for, what the nodes got, and what came out."""
+"""The directory of one run: scenario, parameters, logs and results."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class RunDirectory:
         return run
 
     def log(self, node: str) -> Path:
-        """Return the file for what a node says."""
+        """Return the file for the output of a node."""
         return self.path / "logs" / f"{node}.log"
 
     def write_scenario(self, scenario: Scenario) -> str:

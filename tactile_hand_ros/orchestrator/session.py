@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run from the first process to the last: start, match, command, watch, stop."""
+"""One run: start the nodes, wait until the graph is complete, command, watch, stop."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario
 
-# After the recorder, which is soon there: what takes longest to load comes first.
+# After the recorder, which loads fast, what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
@@ -50,7 +50,7 @@ _LOOK = 0.02  # s between two looks at the nodes' messages
 _FIRST_LOOK = 0.002  # s, while the first one is awaited
 _GRAPH_LOOK = 0.03  # s between two looks at the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
-_LAST_HEARTBEATS = 0.3  # s, three of them: the recorder asks for what got lost on the way to it
+_LAST_HEARTBEATS = 0.3  # s, three of them: the recorder requests what it missed
 
 
 class StartupError(TactileHandError):
@@ -69,7 +69,7 @@ class Plan:
         scenario: The scenario.
         namespace: Namespace of all nodes, ``/`` for none.
         record: Whether to record a bag.
-        interactive: Whether to go on until a signal.
+        interactive: Whether to continue until a signal.
         composed: Whether the nodes share one process.
         separate_recorder: Whether the recorder has a process of its own also then.
         startup_timeout: Longest wait for the graph [s].
@@ -98,7 +98,7 @@ class Plan:
 
 @dataclass
 class RunOutcome:
-    """What became of a run, as far as the orchestrator itself saw it.
+    """How a run ended, as far as the orchestrator observed it.
 
     Attributes:
         failure: Why it ended early, empty if it did not.
@@ -178,7 +178,7 @@ class Session:
                 outcome.interrupted = True
             except TactileHandError as error:
                 outcome.failure = str(error)
-            except OSError as error:  # a full disk, say
+            except OSError as error:  # a full disk, for example
                 outcome.failure = os_sentence(error)
             outcome.complaints = self._processes.stop(STOP_ORDER)
         return outcome
@@ -249,7 +249,7 @@ class Session:
         """Wait until all nodes exist and have matched each other.
 
         Raises:
-            StartupError: With the names of those who are missing and their last lines.
+            StartupError: With what is missing and the last lines of the logs.
             NodeDiedError: If a process ended.
             DuplicateNodeError: If a node of the run exists twice.
         """
@@ -266,8 +266,8 @@ class Session:
                 yield MissingEndpoint(PLANT, "the service of the plant does not answer yet")
 
         end = time.monotonic() + plan.startup_timeout
-        # One thing that is missing is reason enough to wait: looking for all of them costs a
-        # twentieth of a processor while the nodes load.
+        # The first missing endpoint is reason enough to wait: a search for all of them costs 5 %
+        # of a processor while the nodes load.
         while next(missing(), None) is not None:
             self._processes.check()
             if time.monotonic() > end:
@@ -347,7 +347,7 @@ def _recorded(namespace: str) -> list[str]:
 
 
 def _not_recorded(namespace: str) -> list[str]:
-    """Return the run's commands of users: accepted/... and rejected/... say what became of them."""
+    """Return the commands of users; the run has accepted/... and rejected/... instead."""
     return [f"{namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS]
 
 

@@ -66,7 +66,7 @@ class Steering:
         """
         self._check = check
         # A queue of one is full with each message, and only with a full queue does Fast DDS ask
-        # for the acknowledgment immediately; otherwise it asks every 3 s.
+        # for the acknowledgment immediately; otherwise every 3 s.
         profile = QoSProfile(depth=1)
         self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, profile)
         self._forces = node.create_publisher(Float64, names.USER_GRASP_FORCE, profile)
@@ -98,7 +98,7 @@ class Steering:
             self._deliver(self._poses, f"the desired pose for t = {target.time} s", timeout)
 
     def grasp_force(self, request: UserForceConfig, timeout: float = 5.0) -> None:
-        """Send a grasp force that the user asks for and wait for its arrival.
+        """Send a grasp force that the user requests and wait for its arrival.
 
         Raises:
             SteeringError: If a subscriber does not acknowledge it.
@@ -253,9 +253,9 @@ class HandClient:
         return self._call(SetBool, f"{names.CONTROLLER}/grasp", SetBool.Request(data=close))
 
     def reset(self) -> str:
-        """Start again: a simulation at its start, a real hand with its present grasp.
+        """Start again: a simulation from its start, a real hand with its present grasp.
 
-        Whose joint states the hand follows decides which of the two it is.
+        Who publishes joint_states decides which of the two it is.
 
         Raises:
             SteeringError: If there is no hand, or it refuses.
@@ -322,8 +322,8 @@ class HandClient:
         due = time.monotonic()
 
         def answered() -> bool:
-            # Only the hand knows whether it has found our subscriptions: they may have missed the
-            # answer to the first message.
+            # Whether the hand has matched our subscriptions is unknown here; they may have missed
+            # the answer to the first message.
             nonlocal due
             if time.monotonic() >= due:
                 publisher.publish(message)
@@ -394,4 +394,4 @@ def _modes(event: ParameterEvent) -> list[str]:
 def _reason(refused: list[DiagnosticArray], topic: str) -> str:
     """Return why a command on a topic was refused."""
     found = [p.value for m in refused for s in m.status for p in s.values if p.key == topic]
-    return found[0] if found else "it does not say why"
+    return found[0] if found else "without a reason"

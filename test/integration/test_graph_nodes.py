@@ -150,37 +150,7 @@ def test_who_has_fallen_behind_answers_the_newest_tick(meet: Callable[..., Peer]
     assert left_out == {"38"}
 
 
-def test_the_optimizer_says_nan_and_why_and_recovers(meet: Callable[..., Peer]) -> None:
-    peer = meet(ForceOptimizerNode)
-    topics = [names.optimal_force(name) for name in FINGERS]
-    peer.listen(WrenchStamped, *topics)
-    peer.speak(PoseArray, names.CONTACTS)
-
-    def forces(stamp: int) -> Array:
-        answers = [peer.answer(topic, stamp).wrench.force for topic in topics]
-        return np.array([[f.x, f.y, f.z] for f in answers])
-
-    on_a_line = TOUCH.positions[0] + np.outer([0.0, 0.1, 0.2], [1.0, 0.0, 0.0])
-    with spinning(peer.under_test, peer.node):
-        peer.connect()
-        for stamp, positions, reason in (
-            (0, without(1), "no contact at finger 2"),
-            (TICK, on_a_line, "one line"),
-        ):
-            peer.send(names.CONTACTS, contacts(stamp, positions))
-            assert np.isnan(forces(stamp)).all()
-            peer.says(ERROR, reason)
-        peer.send(names.CONTACTS, contacts(2 * TICK))
-        assert forces(2 * TICK)[:, 1].sum() == pytest.approx(1.0)
-        peer.health.clear()
-        peer.says(OK)
-        assert peer.answer(topics[0], 2 * TICK).header.frame_id == "finger_1_contact"
-        peer.send(names.CONTACTS, contacts(2 * TICK))  # asked again: the same answer again
-        wait_until(lambda: len(peer.heard[topics[0]]) == 4)
-        assert peer.heard[topics[0]][-1] == peer.heard[topics[0]][-2]
-
-
-def test_an_optimizer_refuses_a_least_share_of_more_than_the_whole(
+def test_an_optimizer_rejects_minimum_normal_forces_that_exceed_the_grasp_force(
     meet: Callable[..., Peer],
 ) -> None:
     """What is refused changes nothing, so that the next change is taken as ever."""
@@ -243,8 +213,8 @@ class ControllersWorld:
         peer.speak(WrenchStamped, names.GRASP_FORCE, *self._optimal)
         peer.speak(JointState, names.JOINT_STATES)
 
-    def tick(self, stamp: int, share: float) -> JointState:
-        """Let a tick pass, with a normal share f* at each finger, and return the command."""
+    def tick(self, stamp: int, fraction: float) -> JointState:
+        """Let a tick pass, with a normal f* at each finger, and return the command."""
         peer = self.peer
         peer.heard[names.JOINT_COMMAND].clear()
         peer.send(names.JOINT_STATES, self._codec.encode(stamp, *self._joints))
@@ -252,7 +222,7 @@ class ControllersWorld:
         peer.send(names.GRASP_FORCE, force_message((0.0, 10.0, 0.0), stamp, "palm"))
         for topic, name in zip(self._optimal, FINGERS, strict=True):
             frame = names.contact_frame(name)
-            peer.send(topic, force_message((0.0, share, 0.0), stamp, frame))
+            peer.send(topic, force_message((0.0, fraction, 0.0), stamp, frame))
         return peer.answer(names.JOINT_COMMAND, stamp)
 
 
@@ -266,7 +236,7 @@ def test_only_the_optimal_law_needs_an_optimal_force(
         peer.connect()
         command = world.tick(0, np.nan)
         assert command.name == PLANT.hand.joint_names
-        assert bool(np.any(command.effort)) == drives  # no squeeze yet that could be held
+        assert bool(np.any(command.effort)) == drives  # no grasp force yet that could be held
         if not drives:
             peer.says(ERROR, "no optimal force")
 
@@ -355,18 +325,3 @@ def test_who_comes_late_still_gets_the_description_of_the_hand(meet: Callable[..
         )
         wait_until(lambda: heard, message="robot_description")
     assert heard == [PLANT.hand.description]
-
-
-def test_time_begins_with_the_first_command(meet: Callable[..., Peer]) -> None:
-    """Before it the hand has no squeeze: the object would fall while other nodes still start."""
-    peer = meet(PlantNode, **{"pacing": "realtime", "rate": 500.0, "resend_after": 0.02})
-    peer.listen(JointState, names.JOINT_STATES)
-    peer.speak(JointState, names.JOINT_COMMAND)
-    ticks = peer.heard[names.JOINT_STATES]
-    with spinning(peer.under_test, peer.node):
-        peer.connect()
-        wait_until(lambda: len(ticks) > 5, message="the first tick, again and again")
-        assert {stamp_to_ns(tick.header.stamp) for tick in ticks} == {0}
-        command = JointState(name=PLANT.hand.joint_names, effort=[0.0] * PLANT.hand.joints)
-        peer.send(names.JOINT_COMMAND, command)
-        peer.answer(names.JOINT_STATES, TICK)

@@ -130,17 +130,6 @@ def test_wrong_desired_poses_are_counted_and_the_old_one_is_kept(graph: Graph) -
     assert_held(graph)
 
 
-def test_wrong_commands_are_counted_beside_good_ones(graph: Graph) -> None:
-    before = graph.rejected("plant", "joint_command")
-    publisher = stranger(graph, JointState, names.JOINT_COMMAND)
-    for message in wrong_commands(graph):
-        publisher.publish(message)
-    graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 4, "four rejections")
-    graph.node.destroy_publisher(publisher)
-    pass_time(graph, 0.2)
-    assert_held(graph)
-
-
 def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
     nodes = ("force_optimizer", "slip_regulator", "manipulation_controller")
     force = names.wrench("finger_1")

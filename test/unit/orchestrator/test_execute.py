@@ -25,7 +25,6 @@ from tactile_hand_ros.orchestrator.execute import (
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
 from tactile_hand_ros.ros.middleware import (
-    check_environment,
     full_namespace,
     graph_node,
     isolated_domain,
@@ -175,31 +174,6 @@ def test_a_namespace_is_an_option_or_a_ros_argument(
 def test_a_bad_namespace_is_refused(given: str) -> None:
     with pytest.raises(ConfigurationError, match=f"'{given}'"):
         full_namespace(given)
-
-
-@pytest.mark.parametrize("domain", ["", "0", "232"])
-def test_domains_that_exist_are_accepted(domain: str) -> None:
-    check_environment({"ROS_DOMAIN_ID": domain})
-    check_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
-    check_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "complaint"),
-    [
-        *(
-            ("ROS_DOMAIN_ID", wrong, "expected a whole number from 0 to 232")
-            for wrong in ("233", "-1", "x", "1.0", "²")
-        ),
-        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "off", "set it to LOCALHOST or SUBNET"),
-        ("RMW_IMPLEMENTATION", "rmw_none_cpp", "'rmw_none_cpp', which is not installed here"),
-    ],
-)
-def test_settings_with_which_nodes_never_meet_are_refused(
-    name: str, value: str, complaint: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=re.escape(complaint)):
-        check_environment({name: value})
 
 
 def test_a_node_takes_part_without_parameter_services() -> None:

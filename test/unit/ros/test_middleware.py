@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -59,3 +60,28 @@ def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(middleware, "config_directory", fail)
     assert socket_settings({}) == {}
+
+
+@pytest.mark.parametrize("domain", ["", "0", "232"])
+def test_domains_that_exist_are_accepted(domain: str) -> None:
+    middleware.check_environment({"ROS_DOMAIN_ID": domain})
+    middleware.check_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    middleware.check_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "complaint"),
+    [
+        *(
+            ("ROS_DOMAIN_ID", wrong, "expected a whole number from 0 to 232")
+            for wrong in ("233", "-1", "x", "1.0", "²")
+        ),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "off", "set it to LOCALHOST or SUBNET"),
+        ("RMW_IMPLEMENTATION", "rmw_none_cpp", "'rmw_none_cpp', which is not installed here"),
+    ],
+)
+def test_settings_with_which_nodes_never_meet_are_refused(
+    name: str, value: str, complaint: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(complaint)):
+        middleware.check_environment({name: value})

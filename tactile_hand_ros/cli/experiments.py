@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand sweep`: a scenario over any of its parameters, on one machine or on a cluster."""
+"""`tactile-hand scenarios`, `show`, `sweep` and `reproduce`: what can be run, and studies of it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ import typer
 from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
+    Progress,
     SeedOption,
     check_writable,
     console,
     figure_formats,
+    folder_for_results,
+    print_files,
     print_table,
 )
 from tactile_hand_ros.command_options import with_options
@@ -30,6 +33,29 @@ from tactile_hand_ros.errors import TactileHandError
 if TYPE_CHECKING:
     from tactile_hand_ros.sweep.sweep import Sweep
     from tactile_hand_ros.sweep.table import Tally
+
+
+def scenarios() -> None:
+    """List the scenarios of the package."""
+    from tactile_hand_ros.config.paths import scenario_names
+    from tactile_hand_ros.report import tables
+    from tactile_hand_ros.scenario.scenario import load_scenario
+
+    rows = []
+    for name in scenario_names():
+        scenario = load_scenario(name)
+        rows.append([name, f"{scenario.duration:g} s", scenario.description])
+    print_table(tables.rich_table("scenarios", ("name", "duration", "description"), rows))
+
+
+def show(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
+) -> None:
+    """Print a scenario as YAML with every value resolved."""
+    from tactile_hand_ros.scenario.scenario import load_scenario, resolved
+
+    print(resolved(load_scenario(scenario)), end="")
+
 
 ClusterOption = Annotated[
     str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
@@ -78,15 +104,15 @@ class SweepOptions:
     @property
     def folder(self) -> Path:
         """Where the results are: the folder of a study where one is given."""
-        return Path(self.targets[0]) if self.goes_on else self.out
+        return Path(self.targets[0]) if self.is_study else self.out
 
     @property
-    def goes_on(self) -> bool:
-        """Whether the target is the folder of a study that is there already."""
+    def is_study(self) -> bool:
+        """Whether the target is the folder of a study that already exists."""
         return len(self.targets) == 1 and (Path(self.targets[0]) / "study.json").is_file()
 
-    def asked(self) -> Sweep:
-        """Return what is asked for.
+    def requested(self) -> Sweep:
+        """Return the requested sweep.
 
         Raises:
             TactileHandError: If the options do not go together, or a value is refused.
@@ -95,10 +121,10 @@ class SweepOptions:
         from tactile_hand_ros.sweep.metrics import METRICS
         from tactile_hand_ros.sweep.sweep import make_sweep, read_sweep
 
-        if self.goes_on:
+        if self.is_study:
             if self.over or self.changes or self.metric:
                 raise TactileHandError(
-                    f"{self.folder} is the folder of a study, which says what it varies; leave "
+                    f"{self.folder} is the folder of a study, which defines what it varies; leave "
                     "--over, --set and --metric away."
                 )
             return read_sweep(self.folder)
@@ -119,23 +145,23 @@ class SweepOptions:
 def sweep(options: SweepOptions) -> None:
     """Run scenarios over ranges of their parameters; table, summary and figures.
 
-    Give the folder of a study alone to go on with it, with --rerun to replay one of its runs.
+    Give the folder of a study alone to continue it, with --rerun to replay one of its runs.
     """
     formats = figure_formats(options.formats)
-    asked, folder = options.asked(), options.folder
+    wanted, folder = options.requested(), options.folder
     if options.rerun is not None:
-        raise typer.Exit(_rerun(asked, folder, options.rerun))
+        raise typer.Exit(_rerun(wanted, folder, options.rerun))
     check_writable(folder)
-    _run(asked, folder, options.jobs, options.cluster)
-    _show(asked, folder, formats)
+    _run(wanted, folder, options.jobs, options.cluster)
+    _show(wanted, folder, formats)
 
 
-def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
+def _run(wanted: Sweep, out: Path, jobs: int, cluster: str) -> None:
     from tactile_hand_ros.sweep.engine import workers
 
-    with workers(jobs, cluster), progress(", ".join(asked.scenarios)) as watch:
+    with workers(jobs, cluster), progress(", ".join(wanted.scenarios)) as watch:
         try:
-            tally = asked.carry_out(out, watch)
+            tally = wanted.carry_out(out, watch)
         except KeyboardInterrupt:
             print(f"interrupted; {_again(out)}", file=sys.stderr)
             raise
@@ -146,7 +172,7 @@ def _run(asked: Sweep, out: Path, jobs: int, cluster: str) -> None:
 
 
 def _again(out: Path) -> str:
-    return f"What is done is in {out}; `tactile-hand sweep {out}` goes on."
+    return f"What is done is in {out}; `tactile-hand sweep {out}` continues."
 
 
 @contextlib.contextmanager
@@ -188,14 +214,14 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
+def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.sweep import tables
     from tactile_hand_ros.sweep.figures import figures
     from tactile_hand_ros.sweep.results import each_scenario
 
-    results = each_scenario(asked, out)
+    results = each_scenario(wanted, out)
     pictures = []
     for each in results:
         for name, figure in figures(each).items():
@@ -208,20 +234,20 @@ def _show(asked: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     print(f"{page}, runs.parquet, runs.csv and {len(pictures)} figures")
 
 
-def _rerun(asked: Sweep, folder: Path, index: int) -> int:
+def _rerun(wanted: Sweep, folder: Path, index: int) -> int:
     """Replay one run through the nodes, recorded, with the values that it had."""
     from tactile_hand_ros import files
     from tactile_hand_ros.scenario.scenario import resolved
     from tactile_hand_ros.sweep.engine import build
     from tactile_hand_ros.sweep.table import read_description
 
-    point = asked.study.point(index)
-    scenario = asked.trial.scenario(point)
+    point = wanted.study.point(index)
+    scenario = wanted.trial.scenario(point)
     before = read_description(folder)["build"]
     if before != build():
         text = f"note: the study was made by {before}, this is {build()}: results may differ."
         print(text, file=sys.stderr)
-    values: dict[str, Any] = asked.trial.changes(point)[1]
+    values: dict[str, Any] = wanted.trial.changes(point)[1]
     listed = " ".join(f"{path}={json.dumps(value)}" for path, value in values.items())
     print(f"run {index}: {listed}", flush=True)
     file = folder / f"run_{index}.yaml"
@@ -232,4 +258,42 @@ def _rerun(asked: Sweep, folder: Path, index: int) -> int:
     return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode
 
 
-COMMANDS = (sweep,)
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for figures and tables.")] = Path(
+        "reproduction"
+    ),
+    layout: Annotated[
+        list[str] | None, typer.Option(help="Layout of the fingers; may be repeated.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
+    ] = None,
+    jobs: JobsOption = -1,
+    formats: FormatOption = None,
+) -> None:
+    """Draw the paper's figures and print its claims next to what was measured."""
+    from tactile_hand_ros.report.tables import rich_table
+    from tactile_hand_ros.reproduce import tables
+    from tactile_hand_ros.reproduce.experiments import EXPERIMENTS, LAYOUTS
+    from tactile_hand_ros.reproduce.reproduce import draw, write
+    from tactile_hand_ros.reproduce.reproduce import reproduce as run
+    from tactile_hand_ros.sweep.engine import workers
+
+    layouts = list(dict.fromkeys(layout or LAYOUTS))
+    kinds = folder_for_results(out, formats)
+    with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
+        results = run(layouts, duration, advance)
+    with Progress("drawing", len(results)) as advance:
+        files = []
+        for result in results:
+            files += draw(result, out, kinds)
+            advance(result.layout)
+    files += write(results, out, kinds[0])
+    for result in results:
+        print_table(tables.claim_table(f"layout {result.layout}", result.claims))
+        title = f"what the laws do, layout {result.layout}"
+        print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
+    print_files(files, out)
+
+
+COMMANDS = (scenarios, show, sweep, reproduce)
