@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,10 +65,9 @@ def report(
     """Write a run as one page, report.html: 3D playback, plots, metrics, assumptions."""
     from tactile_hand_ros.report.page import write_report
 
-    start = time.perf_counter()
     if out is not None:
         check_writable(out)
-    _print_page(write_report(_open(run, namespace), out), start)
+    _print_page(write_report(_open(run, namespace), out))
 
 
 def compare(
@@ -82,7 +80,6 @@ def compare(
     from tactile_hand_ros.report.facts import differing, labels
     from tactile_hand_ros.report.page import COMPARISON, write_comparison
 
-    start = time.perf_counter()
     if len(runs) < 2:
         raise TactileHandError(f"{len(runs)} run was given, expected two or more to compare.")
     check_writable(out)
@@ -94,7 +91,7 @@ def compare(
     rows = [["", *(each.headline for each in opened)]]
     rows += tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
     print_table(tables.rich_table("runs", ("", *names), rows))
-    _print_page(file, start)
+    _print_page(file)
 
 
 def summary(
@@ -135,16 +132,9 @@ def _open(path: Path, namespace: str | None) -> Run:
     return opened
 
 
-def _print_page(file: Path, start: float) -> None:
-    """Say where a page is, how large, and how long it took since `start`."""
-    size, took = 1e-6 * file.stat().st_size, time.perf_counter() - start
-    console().print(f"[bold]{_escaped(file)}[/bold]  {size:.1f} MB in {took:.1f} s", soft_wrap=True)
-
-
-def _escaped(text: object) -> str:
-    from rich.markup import escape
-
-    return escape(str(text))
+def _print_page(file: Path) -> None:
+    """Print where a page is, and its size."""
+    console().print(f"{file}  {1e-6 * file.stat().st_size:.1f} MB", soft_wrap=True, markup=False)
 
 
 COMMANDS = (figures, report, compare, summary)

@@ -252,7 +252,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     """
     states = series[topics.full(names.JOINT_STATES)]
     ticks, logged = first_ticks(states)
-    begin = _first_log_time(logged)
+    start = int(logged[0]) - EARLY
     joints, fingers = states.joint_names, topics.fingers
     record = Record.empty(len(ticks), list(fingers), joints)
     record.stamps[:] = ticks
@@ -260,7 +260,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     def of(name: str, rows: Callable[..., Array], *what: Any) -> Array:
         """Return numbers of a topic at the ticks."""
         one = series[topics.full(name)]
-        return _at_ticks(one, rows(one, *what), ticks, begin)
+        return _at_ticks(one, rows(one, *what), ticks, start)
 
     for array, (name, values, owners) in _BY_NAME.items():
         order = joints if owners == "joints" else fingers
@@ -304,11 +304,11 @@ _CONTACTS = {"contact": names.CONTACTS, "true": names.TRUE_CONTACTS}
 _POSES = {"auxiliary": names.AUXILIARY_POSE, "object": names.OBJECT_POSE}
 
 
-def _at_ticks(series: Series, values: Array, ticks: Times, begin: int) -> Array:
+def _at_ticks(series: Series, values: Array, ticks: Times, start: int) -> Array:
     """Return one row a tick, NaN where there is no message; of several the last one counts."""
     out = np.full((len(ticks), values.shape[1]), np.nan)
     place = np.searchsorted(ticks, series.stamps)
-    inside = (place < len(ticks)) & series.since(begin)
+    inside = (place < len(ticks)) & series.since(start)
     inside[inside] = ticks[place[inside]] == series.stamps[inside]
     out[place[inside]] = values[inside]
     return out
@@ -343,10 +343,5 @@ def in_last_run(series: Series, states: Series) -> NDArray[np.bool_]:
         series: The topic; it need not have a message at every tick.
         states: The topic `joint_states`.
     """
-    begin = _first_log_time(first_ticks(states)[1])
-    return series.since(begin) & (np.arange(len(series)) >= last_reset(series.stamps))
-
-
-def _first_log_time(logged: Times) -> int:
-    """Return from when on messages belong to a run whose ticks were logged at some times, ns."""
-    return int(logged[0]) - EARLY if len(logged) else 0
+    start = int(first_ticks(states)[1][0]) - EARLY
+    return series.since(start) & (np.arange(len(series)) >= last_reset(series.stamps))

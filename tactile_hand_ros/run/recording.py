@@ -83,7 +83,7 @@ def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int)
     truth = topics.full("ground_truth/")
     free = {topics.full(name) for name in _NOT_EVERY_TICK}
     absent = [t for t in series if t not in counts and t not in free and not t.startswith(truth)]
-    wall = 1e-9 * float(logged[-1] - logged[0]) if len(logged) else 0.0
+    wall = 1e-9 * float(logged[-1] - logged[0])
     latency = latencies(series, topics)
     latency = latency[~np.isnan(latency)]
     median, p99, longest = np.percentile(latency, [50, 99, 100]) if len(latency) else [np.nan] * 3
@@ -119,7 +119,7 @@ def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.fl
     """
     ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
     command = series[topics.full(names.JOINT_COMMAND)]
-    after = command.since(int(logged[0]) if len(logged) else 0)
+    after = command.since(int(logged[0]))
     stamps, first = np.unique(command.stamps[after], return_index=True)
     _, at_tick, at_command = np.intersect1d(ticks, stamps, return_indices=True)
     out = np.full(len(ticks), np.nan)

@@ -104,7 +104,7 @@ class TestCommands:
         assert cli.main(["report", str(tmp_path)]) == 0
         assert (tmp_path / "report.html").is_file()
         out = capsys.readouterr().out
-        assert str(tmp_path / "report.html") in out.replace("\n", "") and " MB in " in out
+        assert str(tmp_path / "report.html") in out.replace("\n", "") and " MB" in out
 
     def test_compare_prints_metrics_side_by_side(
         self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -68,16 +68,6 @@ def test_new_poses(record: Record) -> None:
     assert [time for time, _ in told(record, "command")] == pytest.approx([0.1, 0.7])
 
 
-def test_disturbances_come_from_the_scenario(record: Record) -> None:
-    pushes = [{"kind": "step", "start": 2.0, "force": [0.0, 3.0, 4.0]}]
-    changes = [{"start": 1.0, "friction": 0.2}]
-    scenario = load_scenario(
-        "pull", {"plant.disturbances": pushes, "plant.friction_changes": changes}
-    )
-    found = [(e.time, e.text) for e in events(record, scenario) if e.kind == "disturbance"]
-    assert found == [(1.0, "friction becomes 0.2"), (2.0, "step of 5 N")]
-
-
 def test_slip_is_faster_than_a_millimetre_a_second(record: Record) -> None:
     record.true_sliding[30:40, 0] = 1e-3
     assert told(record, "slip") == [] and slip_count(record) == 0
@@ -154,13 +144,18 @@ def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
         {"kind": "step", "start": 4.0, "force": [0.0, 0.0, 0.0]},
         {"kind": "step", "start": 4.5, "force": [1.0, 0.0, 0.0]},
     ]
-    changed = {"plant.disturbances": pushes, "plant.friction_changes": [], "duration": 4.0}
+    changed = {
+        "plant.disturbances": pushes,
+        "plant.friction_changes": [{"start": 3.0, "friction": 0.2}],
+        "duration": 4.0,
+    }
     found = events(record, load_scenario("pull", changed), dropped=0.75)
     assert [(each.time, each.text) for each in found] == [
         (0.0, "a new pose is commanded"),
         (0.25, "step of 2 N and 0.5 N m"),
         (0.5, "step of 1 N m"),
         (0.75, "the object is dropped"),
+        (3.0, "friction becomes 0.2"),
         (4.0, "step of 0 N"),
     ]
 

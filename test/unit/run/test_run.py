@@ -62,15 +62,6 @@ class TestRecord:
         with pytest.raises(BagError, match="left, right"):
             Run(tmp_path / "bag")
 
-    def test_lost_contacts_are_nan(self, tmp_path: Path) -> None:
-        record = random_record()
-        record.contact_positions[3:5, 1] = np.nan
-        record.contact_quaternions[3:5, 1] = np.nan
-        record.forces[3:5, 1] = 0.0
-        run = Run(write_record(tmp_path / "bag", record))
-        assert_same(run.record, record)
-        assert run.metrics.contacts_lost_ticks == 2
-
     def test_missing_messages_are_nan(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             for tick in range(3):
@@ -189,28 +180,29 @@ class TestRecord:
 class TestDesiredPose:
     """Ticks are 0, 10, 20, 30 and 40 ns, logged at 100, 200, 300, 400 and 500 ns."""
 
-    def in_force(self, folder: Path, *poses: tuple[int, float]) -> list[float]:
-        """Return x of the desired pose at each tick, given (tick at which it took effect, x)."""
-        with RunWriter(folder) as bag:
+    @pytest.mark.parametrize(
+        ("poses", "in_force"),
+        [
+            ([(0, 1.0)], [1.0] * 5),
+            ([(20, 1.0)], [-1.0, -1.0, 1.0, 1.0, 1.0]),
+            ([(10, 2.0), (30, 3.0)], [-1.0, 2.0, 2.0, 3.0, 3.0]),
+            ([(10, 1.0), (10, 2.0)], [-1.0, 2.0, 2.0, 2.0, 2.0]),  # the last one holds
+            ([(25, 1.0)], [-1.0, -1.0, -1.0, 1.0, 1.0]),  # its tick is not in the bag
+            ([(50, 1.0)], [-1.0] * 5),
+        ],
+    )
+    def test_holds_from_its_tick_on(
+        self, poses: list[tuple[int, float]], in_force: list[float], tmp_path: Path
+    ) -> None:
+        """Each pose is given by the tick at which it took effect and its x."""
+        with RunWriter(tmp_path / "bag") as bag:
             for row in range(5):
                 tick_only(bag, 10 * row, 100 + 100 * row)
             for stamp, x in poses:
                 accepted = pose_stamped(stamp, (x, 0.0, 0.0), STRAIGHT)
                 bag.write("/accepted/desired_pose", accepted, 105 + 10 * stamp)
-        return np.nan_to_num(Run(folder).record.desired_position[:, 0], nan=-1.0).tolist()
-
-    def test_holds_from_its_tick_on(self, tmp_path: Path) -> None:
-        assert self.in_force(tmp_path / "a", (0, 1.0)) == [1.0] * 5
-        assert self.in_force(tmp_path / "b", (20, 1.0)) == [-1.0, -1.0, 1.0, 1.0, 1.0]
-        assert self.in_force(tmp_path / "c", (10, 2.0), (30, 3.0)) == [-1.0, 2.0, 2.0, 3.0, 3.0]
-
-    def test_of_several_at_one_tick_the_last_holds(self, tmp_path: Path) -> None:
-        assert self.in_force(tmp_path / "a", (10, 1.0), (10, 2.0)) == [-1.0, 2.0, 2.0, 2.0, 2.0]
-
-    def test_tick_that_is_not_in_the_bag(self, tmp_path: Path) -> None:
-        """The next one shows it; there is none after the end."""
-        assert self.in_force(tmp_path / "a", (25, 1.0)) == [-1.0, -1.0, -1.0, 1.0, 1.0]
-        assert self.in_force(tmp_path / "b", (50, 1.0)) == [-1.0] * 5
+        found = Run(tmp_path / "bag").record.desired_position[:, 0]
+        assert np.nan_to_num(found, nan=-1.0).tolist() == in_force
 
     def test_a_bag_without_the_ticks_of_its_commands_is_refused(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
