@@ -10,7 +10,8 @@ frames (x, n, z), and p the impulses on the object. Every contact obeys
 The cone is the exact circular one and sticking means w_t = 0 to rounding. Where no gap is negative
 (c >= 0) and velocities before the step exist that make b, there always is a solution, whatever mu
 and however singular W; see docs/physics.md. A penetration (c < 0) cannot always be left: fingers
-may jam the object. Then it may not grow, which is c = 0, and the answer says so.
+may jam the object. Then it may not grow, which is c = 0. One in a hundred arbitrary problems with a
+singular W or a huge mu is not solved; the outcome says so.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from tactile_hand_ros.simulation.alart_curnier import (
     newton,
     residual,
 )
-from tactile_hand_ros.simulation.central_path import follow_path
 
 Array = NDArray[np.float64]
 
@@ -42,8 +42,7 @@ UNSOLVED = 2
 """Outcome: no impulses were found that obey the laws; those applied take energy and add none."""
 
 _STIFFNESSES = (1.0, 0.1, 10.0)
-_PATHS = ((0.1, 0.01), (3.0, 0.001), (0.3, 0.01), (0.01, 0.001))  # their rounding and padding
-_MOST_SYSTEMS = 1000  # of a path with six contacts or fewer; more contacts have fewer
+_FRICTION_PARTS = (4, 16, 64)  # steps in which friction grows to its value
 
 
 class ContactImpulses(NamedTuple):
@@ -109,7 +108,7 @@ def solve_contacts(
 
 @compiled
 def _search(laws: Laws, best: Array, left: float) -> tuple[Array, float]:
-    """Start Newton's method from zero and from the points of central paths.
+    """Start Newton's method from zero: with other factors of r, then with friction that grows.
 
     Args:
         laws: The laws.
@@ -117,7 +116,7 @@ def _search(laws: Laws, best: Array, left: float) -> tuple[Array, float]:
         left: Their residual.
 
     Returns:
-        The impulses with the least residual that were found, shape (3c,), N s, and the residual.
+        The impulses with the smallest residual that were found, shape (3c,), N s, and the residual.
     """
     n = len(laws.offset)
     for stiffness in _STIFFNESSES:
@@ -127,12 +126,16 @@ def _search(laws: Laws, best: Array, left: float) -> tuple[Array, float]:
             best, left = p, found
         if left < TOLERANCE:
             return best, left
-    most = int(_MOST_SYSTEMS * min(1.0, (18.0 / n) ** 2))
-    for rounding, padding in _PATHS:
-        p, found, jammed = follow_path(laws, rounding, padding, most)
+    for parts in _FRICTION_PARTS:
+        p = np.zeros(n)
+        for part in range(1, parts + 1):
+            friction = laws.friction * (part / parts)
+            weaker = Laws(laws.delassus, laws.offset, friction, laws.mobility, laws.size)
+            p, _ = newton(weaker, p, 1.0)
+        found = into_cones(laws, p)
         if found < left:
             best, left = p, found
-        if left < TOLERANCE or jammed:
+        if left < TOLERANCE:
             break
     return best, left
 
@@ -143,8 +146,8 @@ def _without_gain(laws: Laws, p: Array) -> Array:
     work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
     if not work < 0.0:
         return np.zeros(len(p))
-    share: float = min(1.0, -2.0 * work / max(stopping, 1e-300))
-    return share * p
+    fraction: float = min(1.0, -2.0 * work / max(stopping, 1e-300))
+    return fraction * p
 
 
 @compiled

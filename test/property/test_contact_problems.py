@@ -6,14 +6,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 from support.exact import contact_law_violation
 
-from tactile_hand_ros.simulation.alart_curnier import TOLERANCE, contact_laws, residual
-from tactile_hand_ros.simulation.central_path import _jams, follow_path
-from tactile_hand_ros.simulation.coulomb import EXACT, RELAXED, solve_contacts
+from tactile_hand_ros.simulation.coulomb import EXACT, RELAXED, UNSOLVED, solve_contacts
 
 Array = NDArray[np.float64]
 
@@ -31,7 +27,6 @@ class Problem(NamedTuple):
         free: b, shape (3k,), m/s.
         closing: gap / h, shape (k,), m/s; negative in one problem of eight.
         friction: mu, shape (k,).
-        rows: A M^-1/2, shape (3k, n).
     """
 
     kind: str
@@ -39,7 +34,6 @@ class Problem(NamedTuple):
     free: Array
     closing: Array
     friction: Array
-    rows: Array
 
 
 def random_problem(seed: int) -> Problem:
@@ -60,7 +54,7 @@ def random_problem(seed: int) -> Problem:
     closing = random.choice(signs, k) * random.uniform(0.0, 0.5, k) * np.abs(free).max()
     alike = random.random() < 0.5
     friction = np.full(k, random.choice(FRICTION)) if alike else random.choice(FRICTION, k)
-    return Problem(kind, rows @ rows.T, free, closing, friction, rows)
+    return Problem(kind, rows @ rows.T, free, closing, friction)
 
 
 def _degenerate(rows: Array, random: np.random.Generator) -> None:
@@ -74,114 +68,45 @@ def _degenerate(rows: Array, random: np.random.Generator) -> None:
         rows[3 * j : 3 * j + 3] = rows[3 * i : 3 * i + 3] * signs
 
 
-def is_jammed(problem: Problem, sides: int = 64) -> bool:
-    """Return whether fingers can press on a penetration without limit and in balance.
-
-    Such impulses d lie in their cones, with A^T d = 0 and c . d_n < 0. Looked for are those in
-    pyramids inside the cones: what is found is a proof.
-    """
-    k = len(problem.friction)
-    angles = 2.0 * np.pi * np.arange(sides) / sides
-    rays = np.zeros((3 * k, k * sides))
-    for i, mu in enumerate(problem.friction):
-        edges = np.array([mu * np.cos(angles), np.ones(sides), mu * np.sin(angles)])
-        rays[3 * i : 3 * i + 3, sides * i : sides * (i + 1)] = edges / max(1.0, mu)
-    size = float(np.abs(problem.closing).max())
-    pressing = problem.closing @ rays[1::3] / size
-    balance = problem.rows.T @ rays
-    found = linprog(
-        pressing,
-        A_eq=balance / np.abs(balance).max(),
-        b_eq=np.zeros(len(balance)),
-        A_ub=np.ones((1, k * sides)),
-        b_ub=[1.0],
-    )
-    return bool(found.status == 0 and found.fun < -1e-6)
-
-
 def failure(problem: Problem) -> str:
     """Solve a problem and return what is wrong with the answer, empty if nothing is."""
-    _, delassus, free, closing, friction, _ = problem
+    _, delassus, free, closing, friction = problem
     solved = solve_contacts(delassus, free, closing, friction, np.zeros((len(friction), 3)))
-    broken = contact_law_violation(delassus, free, closing, friction, solved.impulses)
-    if solved.outcome == EXACT:
-        return f"claims to be exact and breaks the laws by {broken:.1e}" if broken > 1e-8 else ""
-    if solved.outcome != RELAXED:
-        return f"not solved, residual {solved.residual:.1e}"
-    if not solved.residual > 1e-8:
-        return "relaxed although the laws hold"
-    kept = np.maximum(closing, 0.0)
-    broken = contact_law_violation(delassus, free, kept, friction, solved.impulses)
-    if broken > 1e-8:
-        return f"breaks the relaxed laws by {broken:.1e}"
-    return "" if is_jammed(problem) else "relaxed although nothing is jammed"
+    p, kept = solved.impulses, closing
+    if solved.outcome == RELAXED:
+        kept = np.maximum(closing, 0.0)
+        if not solved.residual > 1e-8:
+            return "relaxed although the laws hold"
+    if solved.outcome in (EXACT, RELAXED):
+        broken = contact_law_violation(delassus, free, kept, friction, p)
+        return f"solved, but breaks the laws by {broken:.1e}" if broken > 1e-8 else ""
+    offset = free.copy()
+    offset[1::3] += closing
+    work = p.ravel() @ offset + 0.5 * p.ravel() @ delassus @ p.ravel()
+    return f"adds the energy {work:.1e}" if work > 1e-12 * np.abs(p.ravel() * offset).max() else ""
 
 
-def failures(seeds):
-    """Return what is wrong with the answers to problems, by seed."""
-    found = ((seed, failure(random_problem(seed))) for seed in seeds)
-    return {seed: reason for seed, reason in found if reason}
+def test_what_is_called_solved_obeys_the_laws_and_what_is_not_adds_no_energy():
+    wrong = {seed: failure(random_problem(seed)) for seed in range(1000)}
+    assert not {seed: reason for seed, reason in wrong.items() if reason}
 
 
-def test_laws_hold_in_every_problem():
-    assert not failures(range(500))
+def test_nearly_all_problems_are_solved():
+    """But for a few whose W is singular or whose friction is that of no material."""
+    unsolved = []
+    for seed in range(1000):
+        problem = random_problem(seed)
+        guess = np.zeros((len(problem.friction), 3))
+        outcome = solve_contacts(*problem[1:], guess).outcome
+        unsolved += [problem] if outcome == UNSOLVED else []
+    assert len(unsolved) < 20
+    assert all(each.kind != "regular" or each.friction.max() > 2.0 for each in unsolved)
 
 
-@pytest.mark.parametrize("seed", [1972, 2348, 2659, 4515, 5052, 5717, 6826, 7160, 18006])
-def test_laws_hold_in_the_hardest_problems(seed):
-    """Few starts of Newton's method lead to a solution of these; the curve to it turns back."""
-    assert not failures([seed])
-
-
-@pytest.mark.parametrize("seed", [88, 112, 265, 2411])
-def test_a_path_sees_that_an_object_is_jammed(seed):
-    problem = random_problem(seed)
-    assert is_jammed(problem)
-    _, left, jammed = path(problem, 1000)
-    assert jammed and left > TOLERANCE
-    assert not path(random_problem(5717), 1000)[2]
-
-
-def test_a_path_ends_where_it_has_taken_too_long():
-    assert path(random_problem(5717), 1000)[1] < TOLERANCE < path(random_problem(5717), 50)[1]
-
-
-def path(problem, most):
-    """Return what the first path of a problem finds with so many linear systems."""
-    return follow_path(laws_of(problem), 0.1, 0.01, most)
-
-
-def laws_of(problem):
-    """Return the laws of a problem."""
-    offset = problem.free.copy()
-    offset[1::3] += problem.closing
-    return contact_laws(problem.delassus, offset, problem.friction)
-
-
-def test_impulses_jam_that_balance_and_press_on_a_penetration():
-    """Two fingers on opposite sides of an object that is too wide."""
+def test_a_penetration_between_two_fingers_that_jam_does_not_grow():
+    """On opposite sides of an object that is too wide: neither can leave it, nor goes deeper."""
     facing = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 2.0, 1.0]))
-    both, power = np.tile([0.0, 1.0, 0.0], 2), np.array([0.0, -0.3, 0.0, 0.0, 0.0, 1.0])
-    jammed = contact_laws(facing, power, np.ones(2))
-    assert _jams(jammed, 7.0 * both) and not _jams(jammed, -7.0 * both)
-    for share, jams in ((4.9e-5, True), (5.1e-5, False)):
-        moved = both + np.array([0.0, -share, 0.0, 0.0, 0.0, 0.0])
-        assert _jams(jammed, moved) == jams
-    for press, jams in ((0.99e-4, False), (1.01e-4, True)):
-        pressing = contact_laws(facing, np.array([0, -press, 0, 0, 0, 1.0]), np.ones(2))
-        assert _jams(pressing, both) == jams
-
-
-# Linear systems that the first path takes until the laws hold or the object proves to be jammed.
-TAKEN = {5717: 202, 2659: 133, 112: 150, 265: 69}
-
-
-@pytest.mark.parametrize("seed", TAKEN)
-def test_a_path_takes_as_many_systems_as_it_always_has(seed):
-    """One less, and it has not arrived."""
-    laws, jams = laws_of(random_problem(seed)), seed in (112, 265)
-    p, left, jammed = follow_path(laws, 0.1, 0.01, TAKEN[seed])
-    assert jammed == jams and (left < TOLERANCE) != jams
-    assert residual(laws, p) == pytest.approx(left, abs=1e-14)
-    _, left, jammed = follow_path(laws, 0.1, 0.01, TAKEN[seed] - 1)
-    assert not jammed and not left < TOLERANCE
+    free, closing = np.zeros(6), np.array([-0.3, -0.3])
+    solved = solve_contacts(facing, free, closing, np.ones(2), np.zeros((2, 3)))
+    assert solved.outcome == RELAXED
+    np.testing.assert_allclose(solved.velocities, 0.0, atol=1e-10)

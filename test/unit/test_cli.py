@@ -51,17 +51,6 @@ def test_help_loads_nothing_heavy(words: list[str]) -> None:
     assert not loaded & {"numpy", "matplotlib", "pinocchio", "rclpy", "joblib", "rosbags"}
 
 
-@pytest.mark.parametrize(
-    ("words", "word", "offered"),
-    [("tactile-hand ru", 1, "run"), ("tactile-hand run wayp", 2, "waypoints")],
-)
-def test_shell_completion(words: str, word: int, offered: str) -> None:
-    asked = {"_TACTILE_HAND_COMPLETE": "complete_bash", "COMP_WORDS": words}
-    environment = {**os.environ, **asked, "COMP_CWORD": str(word)}
-    done = subprocess.run(COMMAND, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.stdout.split() == [offered]
-
-
 def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     code = (
         "from tactile_hand_ros.config.paths import use_own_prefix as u; u(); u();"
@@ -74,22 +63,6 @@ def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     )
     found = done.stdout
     assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
-
-
-@pytest.mark.parametrize(
-    ("redirection", "code", "sentence"),
-    [
-        (">/dev/full", 2, "No space left on device; free some space or write elsewhere."),
-        (">&-", 2, "the standard output is closed; redirect it to a file or to /dev/null."),
-        ("| head -c 1", 0, ""),
-    ],
-)
-def test_output_that_cannot_be_written(redirection: str, code: int, sentence: str) -> None:
-    command = f'"$0" -m tactile_hand_ros.cli show paper {redirection}'
-    shell = ["bash", "-c", f"set -o pipefail; {command}", sys.executable]
-    done = subprocess.run(shell, capture_output=True, text=True, timeout=60)
-    assert done.returncode == code and "Traceback" not in done.stderr
-    assert done.stderr.count("\n") == bool(sentence) and sentence in done.stderr
 
 
 def test_any_character_is_shown_in_any_locale(tmp_path: Path) -> None:
@@ -123,13 +96,6 @@ def test_summary(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     for text in ("paper", "20 ticks", "f_n of finger_2", "not reached", "complete"):
         assert text in printed
-
-
-def test_figures(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["figures", str(run), "--format", "png"]) == 0
-    printed = [Path(line) for line in capsys.readouterr().out.splitlines()]
-    assert printed == [run / "figures" / f"fig{n}.png" for n in (2, 3, 4)]
-    assert all(file.is_file() for file in printed)
 
 
 def test_figures_of_a_bare_bag(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -136,16 +136,6 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")
 
 
-def test_a_promise_that_is_not_kept_is_found() -> None:
-    text = (
-        "```yaml\n# my/a.yaml\nextends: paper\nduration: 0.01\ntargets: []\n```\n"
-        "```console\n$ tactile-hand run my/a.yaml\ngoal not reached\n$ other\nstays\n```\n"
-    )
-    after = tool.redrawn(text)
-    assert "goal reached" in after and "goal not reached" not in after
-    assert after.endswith("$ other\nstays\n```\n")
-
-
 @pytest.mark.parametrize("page", TEXTS, ids=lambda path: path.name)
 def test_the_files_that_a_page_names_exist(page: Path) -> None:
     there = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py")]

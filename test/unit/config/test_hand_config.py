@@ -26,13 +26,6 @@ def hand(names: list[str], **more: Any) -> HandConfig:
     return validate(HandConfig, {"urdf": "hand.urdf", "fingers": fingers, **more})
 
 
-def test_names_and_radii_come_in_the_order_of_the_fingers() -> None:
-    config = hand(["b", "_a1", "C"])
-    assert config.finger_names == ["b", "_a1", "C"]
-    assert config.radii == [0.01, 0.02, 0.03]
-    assert not config.any_inertia and config.palm == "palm" and config.default_layout == ""
-
-
 @pytest.mark.parametrize("count", [2, 3, 32, 33])
 def test_a_hand_has_three_to_32_fingers(count: int) -> None:
     names = [f"f{i}" for i in range(count)]
@@ -87,14 +80,6 @@ def test_layouts_are_chosen_by_name_or_by_default() -> None:
         hand(["a", "b", "c"], layouts=layouts, default_layout="tall")
     with pytest.raises(ConfigurationError, match=r"'tall' is not one of the layouts \(none\)"):
         hand(["a", "b", "c"], default_layout="tall")
-
-
-def test_a_tip_has_a_name_and_a_radius() -> None:
-    for changed in ({"tip": ""}, {"radius": 0.0}, {"radius": -0.01}):
-        finger = {"name": "a", "tip": "t", "radius": 0.01}
-        others = [finger | {"name": name} for name in "bc"]
-        with pytest.raises(ConfigurationError, match=next(iter(changed))):
-            validate(HandConfig, {"urdf": "x", "fingers": [finger | changed, *others]})
 
 
 def test_a_hand_is_a_file_or_one_of_those_that_come_with_the_package(

@@ -34,11 +34,6 @@ def make_share(prefix: Path) -> Path:
     return directory
 
 
-def test_installed_package_has_hands_and_scenarios() -> None:
-    assert (paths.config_directory() / "hands").is_dir()
-    assert (paths.config_directory() / "scenarios").is_dir()
-
-
 def test_environment_comes_first(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_share(Path(sys.prefix))
     monkeypatch.setenv("TACTILE_HAND_CONFIG", str(elsewhere))
@@ -50,12 +45,6 @@ def test_source_tree_before_installations(elsewhere: Path) -> None:
     (elsewhere / "site" / "config").mkdir(parents=True)
     (elsewhere / "site" / "package.xml").touch()
     assert paths.config_directory() == (elsewhere / "site" / "config").resolve()
-
-
-def test_unrelated_config_beside_the_package_is_ignored(elsewhere: Path) -> None:
-    expected = make_share(Path(sys.prefix))
-    (elsewhere / "site" / "config").mkdir(parents=True)
-    assert paths.config_directory() == expected.resolve()
 
 
 def test_first_ament_prefix_wins(elsewhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:

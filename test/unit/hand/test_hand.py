@@ -119,19 +119,13 @@ def edited(tmp_path, old, new, file="hand.urdf"):
     [
         ("hand.yaml", "tip: f2_tip", "tip: f2_nail", r"'f2'.*'f2_nail'.*f2_tip"),
         ("hand.yaml", "tip: f2_tip", "tip: f2_base", r"'f2_base'.*not moved by any joint"),
-        ("hand.yaml", "urdf: hand.urdf", "urdf: gone.urdf", r"gone.urdf.*No such file"),
         ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: f1_tip", r"'f1_tip'.*root"),
-        ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: wrist", r"'wrist'.*root"),
-        ("hand.urdf", "</robot>", "", r"not valid XML"),
-        ("hand.urdf", '<link name="f1_base"/>', "", r"hand.urdf.*its child is 'f1_base'"),
         ("hand.urdf", 'type="revolute"', 'type="continuous"', r"revolute or prismatic"),
-        ("hand.urdf", 'type="revolute"', 'type="floating"', r"revolute or prismatic"),
         ("hand.yaml", "urdf: hand.urdf", "urdf: /dev/zero", r"/dev/zero.*a device.*correct 'urdf'"),
         ("hand.yaml", "urdf: hand.urdf", 'urdf: "a\\0b"', r"cannot use.*correct 'urdf'"),
         ("hand.urdf", "<robot", "<!DOCTYPE a><robot", r"declares a DOCTYPE"),
         ("hand.urdf", "</robot>", "<a>" * 9999 + "</a>" * 9999 + "</robot>", r"nested too deeply"),
         ("hand.urdf", "</robot>", '<link name="x"/>' * 500 + "</robot>", r"links; at most 500"),
-        ("hand.urdf", "<mass value=", '<mass value="nan" x=', r"'f1_.*mass value has 'nan'"),
         (
             "hand.urdf",
             "<mass value=",
@@ -145,7 +139,6 @@ def edited(tmp_path, old, new, file="hand.urdf"):
             ' ixx="1" x=',
             r"f1_.*moments 0.002, 0.0025, 1, .*sum.*any_in",
         ),
-        ("hand.urdf", "<axis xyz=", '<axis xyz="inf 0 0" x=', r"'f1_joint_1'.*axis xyz has 'inf'"),
         (
             "hand.urdf",
             '<joint name="f1_joint_2" type="revolute">',

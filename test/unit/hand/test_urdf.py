@@ -52,7 +52,6 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
     ("old", "new", "message"),
     [
         ('effort="2"', 'effort="0"', "joint 'a': limit effort is 0, expected a torque or force"),
-        ('effort="2" ', "", "joint 'a': <limit> lacks effort, expected"),
         (LIMIT.format(0.0), "", "joint 'a': <limit> lacks effort and velocity"),
         ('<parent link="l0"/>', "", "joint 'a': its parent is '', expected a link"),
         ('<child link="l1"/>', '<child link="x"/>', "joint 'a': its child is 'x', expected a link"),
@@ -63,11 +62,6 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
         ('<link name="l0"/>', '<link name="l0"/><link name="x"/>', "has the root links l0, x"),
         (TREE, "", "has the root links none"),
         ("<link", '<xacro:include filename="x"/><link', "has xacro elements; expand it with"),
-        (
-            "<link",
-            '<include xmlns="http://www.ros.org/wiki/xacro" filename="x"/><link',
-            "has xacro elements; expand it with `xacro hand.urdf > ",
-        ),
     ],
 )
 def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, message):
@@ -81,13 +75,8 @@ def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, mess
     ("inside", "place"),
     [
         (link(inertial='<origin xyz="0 0 x"/>'), "link 'one': inertial/origin xyz has 'x'"),
-        (link(inertial='<origin rpy="0 nan 0"/>'), "link 'one': inertial/origin rpy has 'nan'"),
         (link({**MOMENTS, "iyz": "?"}), "link 'one': inertial/inertia iyz"),
-        ('<joint name="j"><origin rpy="0 a 0"/></joint>', "joint 'j': origin rpy has 'a'"),
         ('<joint name="j"><axis xyz="1 b 0"/></joint>', "joint 'j': axis xyz has 'b'"),
-        ('<joint name="j"><limit velocity="c"/></joint>', "joint 'j': limit velocity has 'c'"),
-        ('<joint name="j"><limit effort="d"/></joint>', "joint 'j': limit effort has 'd'"),
-        ('<joint name="j"><limit upper="e"/></joint>', "joint 'j': limit upper has 'e'"),
     ],
 )
 def test_a_word_that_is_no_number_is_named_with_its_place(tmp_path, inside, place):

@@ -119,34 +119,25 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
     ("text", "message"),
     [
         ("plant: {objet: {}}", r"mine.yaml: unknown key 'objet' in plant, did you mean 'object'"),
-        ("lay_out: pinch", r"unknown key 'lay_out', did you mean 'layout'"),
         ("plant: {object: {mass: -1}}", r"plant.object.mass is -1, expected.*> 0.* kg"),
-        ("plant: {object: {mass: .nan}}", r"plant.object.mass is nan, expected a finite number"),
-        ("plant: {rate: fast}", r"plant.rate is 'fast', expected a finite number"),
-        ("plant: {rate: }", r"plant.rate is None, expected a finite number"),
         (
             "plant: {object: {vertices: [[0, 0, 0], [1, 0, 0]]}}",
             r"plant.object.vertices\[0\] is \[0, 0, 0\], expected a finite number m.$",
         ),
-        ("plant: {object: {vertices: 3}}", r"vertices is 3, expected a list with at most 1500"),
         (
             "plant: {object: {mass: 0.1, inertia: [1, 1, 1]}}",
             r"no body of 0.1 kg that reaches 0.23 m from its center has more than 0.0051 kg m\^2",
         ),
-        ("plant: {pacing: slow}", r"plant.pacing is 'slow', expected one of lockstep, realtime"),
         (
             "manipulation_controller: {law: {name: pid}}",
             r"law.name is refused: 'pid' is not a law. Expected one of optimal, contact, kawamura",
         ),
-        ("law: kawamuro", r"did you mean 'kawamura'"),
-        ("law: [1]", r"manipulation_controller.law is \[1\], expected a mapping"),
         ("law: a\nmanipulation_controller: {law: b}", r"'law' is given twice"),
         (
             "targets: [{position: [0, 0, 0], rotation: [0, 0, 45]}]",
             r"\[0, 0, 0.7854\] if .*degrees",
         ),
         ("targets: [{position: [0, 0, 0], rotation: held}]", r"'held' is neither .* nor keep"),
-        ("plant: {initial_joints: [60, 0, 90]}", r"in rad: \[1.047, 0, 1.571\] if .*degrees"),
         ("plant: {object: {rotation: [0, 0, 30]}}", r"half a turn; angles are in rad"),
         ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
         ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
@@ -165,7 +156,6 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
             "duration: 1\ntargets: [{time: 1, position: [0, 0, 0]}]",
             r"last target comes at 1.0 s, but the run ends at 1.0 s",
         ),
-        ("plant: {rate: 300}", r"expected a whole number"),
         ("slip_regulator: {grasp_force: 99}", r"grasp_force = 99.0 N is outside"),
     ],
 )

@@ -50,25 +50,6 @@ def test_a_perfect_skin_reports_the_truth_to_the_bit():
         same(reading, truth(1e-9 * i * TICK))
 
 
-def test_location_noise_moves_the_contact_over_the_tip_only():
-    """Whatever the noise, point and normal stay those of a sphere around the true centre (A2)."""
-    normals = truth().contacts.normals
-    errors = []
-    for i, reading in enumerate(readings(sensor(location_noise=0.002), 1000)):
-        centres = truth(0.002 * i).positions - RADII[:, None] * normals
-        arms = reading.positions - centres
-        np.testing.assert_allclose(np.linalg.norm(arms, axis=1), RADII, atol=1e-12)
-        seen = reading.contacts.rotations
-        np.testing.assert_allclose(seen[:, :, 1], arms / RADII[:, None], atol=1e-9)
-        np.testing.assert_allclose(np.linalg.det(seen), 1.0)
-        along = (arms * normals).sum(axis=1)[:, None] * normals
-        errors.append(arms - along)
-    for finger, tangential in enumerate(([1, 2], [1, 2], [0, 2])):
-        spread = np.array(errors)[:, finger, tangential]
-        assert spread.std() == pytest.approx(0.002, rel=0.1)
-    np.testing.assert_array_equal(reading.forces, truth(0.002 * 999).forces)
-
-
 def test_one_seed_gives_the_same_noise_and_another_gives_other():
     noisy = {"force_noise": 0.1, "location_noise": 0.001, "dropout": 0.3, "bias_drift": 0.1}
     first, again, other = (readings(sensor(**noisy, seed=seed), 50) for seed in (5, 5, 6))
@@ -96,20 +77,6 @@ def test_no_contact_is_nan_without_force_however_noisy():
         assert np.isnan(reading.quaternions[[0, 2]]).all()
         assert not reading.forces[[0, 2]].any()
         np.testing.assert_array_equal(reading.contacts.touching, [False, True, False])
-
-
-def test_locations_come_in_steps_no_farther_than_a_taxel():
-    skin = sensor(location_resolution=0.004)
-    seen = set()
-    for i in range(200):
-        angle = 1e-3 * i
-        normal = np.array([-np.cos(angle), -np.sin(angle), 0.0])
-        positions = RADII[:, None] * normal
-        quaternions = np.tile(quaternion_from_rotation(contact_frame(normal)), (3, 1))
-        reading = skin.step(i * TICK, TactileReading(positions, quaternions, np.zeros((3, 3))))
-        assert np.linalg.norm(reading.positions - positions, axis=1).max() < 0.004
-        seen.add(tuple(reading.positions[0].round(9)))
-    assert 3 <= len(seen) <= 12
 
 
 def test_a_reading_is_as_old_as_the_latency():
@@ -188,25 +155,6 @@ def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once()
     assert np.abs(back[0] - old[0]).max() > 0.1  # the others go on settling
     skin.reset()
     is_at(shows([0], turned)[0], there)
-
-
-def vibration(speed, ticks=4000, period=1_000_000, rate=1000.0, **values):
-    skin = sensor(rate=rate, vibration={"gain": 10.0, "limit": 0.2}, **values)
-    return forces_of(skin, ticks, constant, np.array([speed, 0.0, 0.0]), period) - constant(0)
-
-
-def test_vibration_is_that_of_the_skin_however_seldom_it_is_read():
-    """One at 10 kHz, read every 2 ms, against the autocorrelation of band-limited noise.
-
-    White noise through first-order passes at a and b rad/s is correlated after t as
-    a exp(-a t) - b exp(-b t), so that its second difference has 6 - 8 r(t) + 2 r(2 t) of its power.
-    """
-    felt = vibration(1e3, 4000, TICK, rate=10e3)[:, 0]
-    a, b = 2.0 * np.pi * 400.0, 2.0 * np.pi * 60.0
-    once, twice = ((a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b) for t in (0.002, 0.004))
-    assert felt.std() == pytest.approx(0.2, rel=0.03)
-    ratio = np.diff(felt, n=2, axis=0).var() / felt.var()
-    assert ratio == pytest.approx(6.0 - 8.0 * once + 2.0 * twice, rel=0.05)
 
 
 def band(white, low, high, rate):

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The object's shape: faces, edges, corners, and what spans no solid."""
+"""The object's shape: faces, edges, corners, what spans no solid, and random polyhedra."""
 
 import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.exact import nearest_point
+from support.grasps import normals
 
 from tactile_hand_ros.errors import ConfigurationError, ObjectModelError
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
@@ -30,25 +34,6 @@ def dodecahedron(decimals=None):
             corners += [[a * GOLDEN, 0, b / GOLDEN]]
     points = 0.06 * np.array(corners)
     return points if decimals is None else points.round(decimals)
-
-
-@pytest.mark.parametrize(
-    ("point", "normal", "distance", "on_face"),
-    [
-        ([0.15, 0.05, -0.2], [1.0, 0, 0], 0.05, True),
-        ([0.0, -0.5, 0.0], [0, -1.0, 0], 0.3, True),
-        ([0.13, 0.24, 0.1], [0.6, 0.8, 0], 0.05, False),
-        ([-0.12, -0.22, -0.31], [-2 / 3, -2 / 3, -1 / 3], 0.03, False),
-        ([0.1, 0.0, 0.0], [1.0, 0, 0], 0.0, True),
-        ([0.09, 0.1, 0.1], [1.0, 0, 0], -0.01, True),
-        ([0.1, 0.2, 0.4], [0, 0, 1.0], 0.1, None),
-    ],
-)
-def test_nearest_feature_of_a_box(point, normal, distance, on_face):
-    found, how_far, face = nearest(BOX, point)
-    np.testing.assert_allclose(found, normal, atol=1e-12)
-    assert how_far == pytest.approx(distance, abs=1e-12)
-    assert on_face is None or face == on_face
 
 
 def test_a_box_is_the_hull_of_its_corners():
@@ -135,3 +120,50 @@ def test_the_object_is_a_box_unless_corners_are_given():
 def test_what_is_no_body_is_refused(values, message):
     with pytest.raises(ConfigurationError, match=message):
         ObjectConfig().changed(values)
+
+
+random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+@settings(max_examples=100)
+@given(random_numbers, st.integers(4, 30), normals, st.floats(0.15, 1.0))
+def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how_far):
+    solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
+    inside = solid.vertices.mean(axis=0)
+    point = inside + how_far * direction + 0.02 * random.standard_normal(3)
+    if (solid.normals @ point < solid.offsets).all():
+        return
+    expected = nearest_point(solid.vertices, point)
+    normal = np.empty(3)
+    distance, on_face = closest_point(solid.shape, point, normal)
+    assert distance == pytest.approx(np.linalg.norm(point - expected), abs=1e-9)
+    np.testing.assert_allclose(point - distance * normal, expected, atol=1e-6)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    if on_face:
+        assert np.abs(solid.normals - normal).max(axis=1).min() < 1e-12
+
+
+@settings(max_examples=100)
+@given(random_numbers, normals)
+def test_box_against_clipping(random, direction):
+    """The nearest point of a box is the point, clipped to it."""
+    half = random.uniform(0.02, 0.3, 3)
+    point = direction * random.uniform(0.1, 1.0) + half * random.uniform(-1.0, 1.0, 3)
+    clipped = np.clip(point, -half, half)
+    if (clipped == point).all():
+        return
+    normal = np.empty(3)
+    distance, _ = closest_point(ConvexPolyhedron.box(2.0 * half).shape, point, normal)
+    assert distance == pytest.approx(np.linalg.norm(point - clipped), abs=1e-12)
+    np.testing.assert_allclose(normal, (point - clipped) / distance, atol=1e-9)
+
+
+@settings(max_examples=50)
+@given(random_numbers, st.integers(4, 30))
+def test_inside_the_nearest_face_counts(random, corners):
+    solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
+    shares = random.dirichlet(np.ones(len(solid.vertices)))
+    point = shares @ solid.vertices
+    normal = np.empty(3)
+    depth, on_face = closest_point(solid.shape, point, normal)
+    assert on_face and depth == pytest.approx((solid.normals @ point - solid.offsets).max())
