@@ -68,7 +68,10 @@ def open_bag(path: Path | str) -> Iterator[AnyReader]:
     """
     path = Path(path)
     _check_present(path)
-    reader = _open(path)
+    with _damage_refused(path):
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+        _check_values(reader)
     try:
         yield reader
     finally:
@@ -107,12 +110,9 @@ def read_messages(
     Raises:
         BagError: If the bag cannot be read.
     """
-    with open_bag(path) as reader:
+    with open_bag(path) as reader, _damage_refused(path):
         for connection, log_time, data in _messages(reader, topics):
-            try:
-                message = reader.deserialize(data, connection.msgtype)
-            except Exception as error:  # damaged data can fail anywhere in the parsers
-                raise _broken(path, error) from error
+            message = reader.deserialize(data, connection.msgtype)
             yield RecordedMessage(connection.topic, log_time, message)
 
 
@@ -146,13 +146,10 @@ def read_topics(
         BagError: If the bag cannot be read.
     """
     found = {topic: TopicMessages([], []) for topic in topics}
-    with open_bag(path) as reader:
+    with open_bag(path) as reader, _damage_refused(path):
         files = _mcap_files(Path(path))
-        try:
-            for file in files:
-                _take_messages(file, found, progress)
-        except Exception as error:  # as above
-            raise _broken(path, error) from error
+        for file in files:
+            _take_messages(file, found, progress)
         for connection, log_time, data in () if files else _messages(reader, topics):
             found[connection.topic].log_times.append(log_time)
             found[connection.topic].data.append(bytes(data))
@@ -211,7 +208,7 @@ def decode(type_name: str, data: bytes) -> Any:
     """
     try:
         return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, type_name)
-    except Exception as error:  # as above
+    except Exception as error:  # damaged data can fail anywhere in the parsers
         raise BagError(
             f"A message is not a valid {type_name}: {error}; record it again."
         ) from error
@@ -241,31 +238,33 @@ def iterate(
     Raises:
         BagError: If the bag is damaged.
     """
-    if not connections:  # of which rosbags would yield all
-        return
-    messages = iter(reader.messages(connections, start=start, stop=stop))
-    while True:
-        try:
-            item = next(messages, None)
-        except Exception as error:  # as above
-            raise _broken(reader.paths[0], error) from error
-        if item is None:
-            return
-        yield item
+    if connections:  # without any, rosbags would yield all
+        with _damage_refused(str(reader.paths[0])):
+            yield from reader.messages(connections, start=start, stop=stop)
 
 
-def _open(path: Path) -> AnyReader:
+@contextlib.contextmanager
+def _damage_refused(path: Path | str) -> Iterator[None]:
+    """Turn errors of the parsers into a `BagError`: damaged data can fail anywhere in them."""
     try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-        reader.open()
-        _check_values(reader)
+        yield
+    except BagError:
+        raise
     except PermissionError as error:
         raise BagError(
             f"The bag {path} cannot be read: {error.strerror}; check its mode."
         ) from None
-    except Exception as error:  # damaged data can fail anywhere in the parsers
-        raise _broken(path, error) from error
-    return reader
+    except Exception as error:
+        reason = str(error).rstrip(".") or type(error).__name__
+        if Path(path).is_file() and Path(path).suffix not in _BAGS:
+            raise BagError(
+                f"{path} is not a bag; give the folder of a run, a bag folder, or a file that ends "
+                f"in {' or '.join(_BAGS)}."
+            ) from error
+        raise BagError(
+            f"The bag {path} is empty, cut off or damaged ({reason[:200]}); "
+            f"run `tactile-hand recover {path}`."
+        ) from error
 
 
 def _check_present(path: Path) -> None:
@@ -321,33 +320,12 @@ def _check_values(reader: AnyReader) -> None:
         raise ValueError(f"{FILE_NAME} has a name, type or custom text that is not a text")
 
 
-def _broken(path: object, error: Exception) -> BagError:
-    reason = str(error).rstrip(".") or type(error).__name__
-    file = Path(str(path))
-    if file.is_file() and file.suffix not in _BAGS:
-        return BagError(
-            f"{path} is not a bag; give the folder of a run, a bag folder, or a file that ends in "
-            f"{' or '.join(_BAGS)}."
-        )
-    return BagError(
-        f"The bag {path} is empty, cut off or damaged ({reason[:200]}); "
-        f"run `tactile-hand recover {path}`."
-    )
-
-
 def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
+    """Return what a bag says of its origin; a single file has no metadata.yaml next to it."""
     parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
     found = next((part.metadata.custom for part in parts if part.metadata.custom), {})
-    return found or _provenance_inside(path)
-
-
-def _provenance_inside(path: Path) -> dict[str, str]:
-    """Return what a single file says of its origin; it has no metadata.yaml beside it."""
-    if path.is_dir() or path.suffix != ".mcap":
-        return {}
-    try:
-        with path.open("rb") as file:
-            records = make_reader(file).iter_metadata()
-            return next((dict(each.metadata) for each in records if each.name == RECORD_NAME), {})
-    except Exception as error:  # damaged data can fail anywhere in the parsers
-        raise _broken(path, error) from error
+    if found or path.is_dir() or path.suffix != ".mcap":
+        return found
+    with _damage_refused(path), path.open("rb") as file:
+        inside = make_reader(file).iter_metadata()
+        return next((dict(each.metadata) for each in inside if each.name == RECORD_NAME), {})

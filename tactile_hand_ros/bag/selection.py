@@ -22,29 +22,16 @@ class TopicSelection:
         Raises:
             ConfigurationError: If one is not valid.
         """
-        self._include = compile_patterns(include)
-        self._exclude = compile_patterns(exclude)
+        try:
+            self._include = [re.compile(pattern) for pattern in include]
+            self._exclude = [re.compile(pattern) for pattern in exclude]
+        except re.error as error:
+            text = f"'{error.pattern!s}' is not a valid regular expression: {error}."
+            raise ConfigurationError(text) from None
 
     def __contains__(self, topic: str) -> bool:
-        """Return whether a topic, given by its full name, is chosen."""
-        if is_hidden(topic) or any(pattern.fullmatch(topic) for pattern in self._exclude):
+        """Return whether a topic, given by its full name, is chosen; hidden ones never are."""
+        is_hidden = any(part.startswith("_") for part in topic.split("/"))
+        if is_hidden or any(pattern.fullmatch(topic) for pattern in self._exclude):
             return False
         return any(pattern.fullmatch(topic) for pattern in self._include)
-
-
-def is_hidden(topic: str) -> bool:
-    """Return whether ROS hides a topic: a part of its name starts with an underscore."""
-    return any(part.startswith("_") for part in topic.split("/"))
-
-
-def compile_patterns(patterns: Sequence[str]) -> list[re.Pattern[str]]:
-    """Compile regular expressions.
-
-    Raises:
-        ConfigurationError: If one is not valid.
-    """
-    try:
-        return [re.compile(pattern) for pattern in patterns]
-    except re.error as error:
-        text = f"'{error.pattern!s}' is not a valid regular expression: {error}."
-        raise ConfigurationError(text) from None

@@ -46,7 +46,7 @@ class Replay:
     Attributes:
         node: Node that owns publishers and service; it must be spun elsewhere.
         reader: An open bag.
-        rate: Seconds of the bag per second on the wall.
+        rate: Seconds of the bag per second of wall time.
         start_offset: Where to start, s after the first message.
         loop: Start again at the end; a round takes at least 0.1 s.
         topics: Regular expressions, one of which matches the whole name of a chosen topic.
@@ -93,7 +93,7 @@ class Replay:
         self.node.create_service(SetBool, "~/pause", self._on_pause)
 
     def run(self, watch: Callable[[Replay], None] = lambda _: None) -> None:
-        """Publish until the end, or for ever; `watch` is called ten times a second."""
+        """Publish until the end, or forever; `watch` is called ten times a second."""
         while True:
             self._publish_latched()
             self.position, self._wall = self.start_offset, time.monotonic()
@@ -104,8 +104,7 @@ class Replay:
                 self.messages += 1
             if not self.loop:
                 break
-            # What lasts no time must not be repeated as fast as the machine can.
-            with self._changed:
+            with self._changed:  # a round that takes no time must not be repeated without a pause
                 self._changed.wait(max(0.0, began + _LOOK - time.monotonic()))
         for publisher in self.publishers.values():
             publisher.wait_for_all_acked(_LAST_CALL)
@@ -143,14 +142,12 @@ class Replay:
             raise BagError(f"No topic of the bag {self.reader.paths[0]} can be published: {why}")
 
     def _messages(
-        self, start: float, stop: float | None = None
+        self, start: float, stop: float = float("inf")
     ) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, log time and bytes between two times in s after the first message."""
-        begin = self.reader.start_time
         connections = [c for c in self.reader.connections if c.topic in self.publishers]
         first, last = (
-            begin + round(1e9 * start),
-            None if stop is None else begin + round(1e9 * stop),
+            self.reader.start_time + round(1e9 * min(t, self.duration + 1.0)) for t in (start, stop)
         )
         for connection, log_time, data in iterate(self.reader, connections, start=first, stop=last):
             yield connection.topic, log_time, bytes(data)
@@ -235,7 +232,12 @@ def replaying(bag: Path, **options: Any) -> Iterator[Replay]:
     node = Node("replay", context=context, start_parameter_services=False, enable_rosout=False)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    thread = threading.Thread(target=_spin, args=(executor,), daemon=True)
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException, ShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin, daemon=True)
     thread.start()
     try:
         with open_bag(bag) as reader:
@@ -245,8 +247,3 @@ def replaying(bag: Path, **options: Any) -> Iterator[Replay]:
         thread.join()
         node.destroy_node()
         context.try_shutdown()
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    with suppress(ExternalShutdownException, ShutdownException):
-        executor.spin()

@@ -162,10 +162,3 @@ def test_the_hand_goes_on_when_its_bag_cannot_be_written(domain: int, tmp_path: 
         assert graph.newest(names.JOINT_STATES).header.stamp.sec >= 0
         assert graph.end(signal.SIGINT) == {"composed": 1}
     assert payloads(recover(graph.bag).target)["/joint_states"]
-
-
-def test_an_output_that_exists_is_refused(domain: int, tmp_path: Path) -> None:
-    flags = ("--record", "--ros-args", "-p", f"recorder:output:={tmp_path}")
-    with start_executable("composed", *flags) as composed:
-        assert composed.wait() == 2
-        assert "exists already" in composed.stderr and "Traceback" not in composed.stderr

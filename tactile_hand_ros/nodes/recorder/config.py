@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import field_validator
 
-from tactile_hand_ros.bag.selection import compile_patterns
+from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
 
@@ -65,7 +65,7 @@ class RecorderConfig(Config):
     def _compile(cls, patterns: list[str]) -> list[str]:
         """Refuse a pattern that is not a valid regular expression."""
         try:
-            compile_patterns(patterns)
+            TopicSelection(patterns)
         except ConfigurationError as error:
             raise ValueError(str(error)) from None
         return patterns

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.provenance import RECORD_NAME
-from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.bag.reader import read_messages, read_raw, read_topics, summarize
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 
@@ -93,21 +93,15 @@ def test_custom_data_of_the_folder_count_before_those_inside(tmp_path: Path) -> 
     assert summarize(tmp_path / "run").custom_data == {"lost_messages": "3"}
 
 
-def test_single_file_without_metadata_can_be_read(bag: Path) -> None:
-    """An .mcap file that left its folder still has everything."""
-    assert summarize(bag / "run_0.mcap").counts == {"/even": 10, "/odd": 10}
-
-
-def test_missing_bag(tmp_path: Path) -> None:
-    """The sentence names the path."""
-    with pytest.raises(BagError, match="nowhere does not exist"):
-        summarize(tmp_path / "nowhere")
-
-
-def test_folder_that_is_no_bag(tmp_path: Path) -> None:
-    """No metadata and no data: recovering would not help."""
-    with pytest.raises(BagError, match="is not a bag"):
-        summarize(tmp_path)
+def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    for path, text in (
+        (tmp_path / "nowhere", "nowhere does not exist"),
+        (tmp_path, "is not a bag"),
+        (tmp_path / "notes.txt", "notes.txt is not a bag; give the folder of a run"),
+    ):
+        with pytest.raises(BagError, match=text):
+            summarize(path)
 
 
 def test_folder_without_metadata(bag: Path) -> None:
@@ -126,21 +120,6 @@ def test_truncated_file(bag: Path, size: int) -> None:
         list(read_messages(bag))
 
 
-@pytest.mark.parametrize("text", ["", "no: metadata", "[", "rosbag2_bagfile_information: 3"])
-def test_damaged_metadata(bag: Path, text: str) -> None:
-    """Metadata that is no metadata."""
-    (bag / "metadata.yaml").write_text(text)
-    with pytest.raises(BagError, match="damaged"):
-        summarize(bag)
-
-
-def test_unknown_kind_of_file(tmp_path: Path) -> None:
-    """A file of another format."""
-    (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(BagError, match=r"notes.txt is not a bag; give the folder of a run"):
-        summarize(tmp_path / "notes.txt")
-
-
 def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
     """The index is whole, a message is not: the checksum tells."""
     path = bag / "run_0.mcap"
@@ -150,6 +129,8 @@ def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(BagError, match="checksum"):
         list(read_messages(bag))
+    with pytest.raises(BagError, match="checksum"):
+        read_topics(bag, ["/even"])
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
@@ -176,6 +157,7 @@ def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
         ("- run_0.mcap", "- {a: b}"),
         ("custom_data: {}", "custom_data: {a: [b]}"),
         ("custom_data: {}", "custom_data: [a]"),
+        ("rosbag2_bagfile_information:", "other:"),
         ("rosbag2_bagfile_information:", f"rosbag2_bagfile_information: {50_000 * '['}"),
     ],
 )

@@ -68,19 +68,6 @@ def test_text_means_the_same_type_as_in_rosbags(type_name: str) -> None:
     assert own.generate_msgdef(type_name) == jazzy.generate_msgdef(type_name)
 
 
-@pytest.mark.parametrize("type_name", TYPES)
-def test_same_types_under_the_same_headings_as_rosbags(type_name: str) -> None:
-    """No type is missing, none is there twice."""
-    generated, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
-    assert sorted(headings(message_definition(type_name).text)) == sorted(headings(generated))
-
-
-def headings(text: str) -> list[str]:
-    """Return the headings of a definition text."""
-    lines = text.splitlines()
-    return [line for before, line in zip(lines, lines[1:], strict=False) if before == "=" * 80]
-
-
 def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
     """Install a message package `my_msgs` with the given files below `root`."""
     (root / "share/ament_index/resource_index/packages").mkdir(parents=True)

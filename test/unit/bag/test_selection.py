@@ -40,9 +40,3 @@ def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
     """The text names the key and the pattern."""
     with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})
-
-
-def test_output_is_required() -> None:
-    """A recorder never invents where to write."""
-    with pytest.raises(ConfigurationError, match="output is missing"):
-        from_flat(RecorderConfig, {})

@@ -173,6 +173,7 @@ class EnoughError(Exception):
 
 
 def test_a_loop_starts_again_after_a_tenth_of_a_second(play: Callable[..., Player]) -> None:
+    """Also where a round takes no time."""
     player = play(loop=True, topics=("/number",), rate=100.0)
 
     def watch(replay: Replay) -> None:
