@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper claims, beside what was measured, with a verdict that numbers decide."""
+"""What the paper claims, next to what was measured, with a verdict that numbers decide."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Claim:
 
     Attributes:
         source: Where the paper makes it.
-        statement: What it says.
+        statement: The claim in words.
         measured: What was found, in words.
         verdict: Whether it holds.
         numbers: What the verdict rests on, with units in the names; NaN where unknown.
@@ -71,7 +71,7 @@ def _orientation(outcomes: Outcomes) -> Claim:
     return Claim(
         "Fig. 3c, (15)",
         "The orientation error r_d converges to zero.",
-        f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
+        f"|r_d| = {error:.1e} rad at the end, maximum {peak:.3f} rad on the way",
         _verdict(error < 1e-3, error < 1e-1),
         {"final_rotation_error_rad": error, "peak_rotation_error_rad": peak},
     )

@@ -34,7 +34,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "optimal": Experiment("paper", "law (14), the paper's experiment"),
     "nominal": Experiment("paper_nominal_weights", "law (14) with W = I"),
     "firm": Experiment(
-        "paper", "law (14) with twice the squeeze", {"slip_regulator.grasp_force": 20.0}
+        "paper", "law (14) with twice the grasp force", {"slip_regulator.grasp_force": 20.0}
     ),
     "contact": Experiment("contact_law", "law (10) on the same task"),
     "kawamura": Experiment("kawamura", "law (8) on the same task"),
@@ -64,7 +64,7 @@ class ExperimentResult:
 
 
 def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentResult:
-    """Run one experiment by function calls.
+    """Run one experiment in-process.
 
     Args:
         key: Which of `EXPERIMENTS`.

@@ -115,7 +115,7 @@ def write(results: Sequence[Reproduction], folder: Path, picture: str = "png") -
 
     Args:
         results: All layouts.
-        folder: Where to, beside the figures.
+        folder: Where to, next to the figures.
         picture: Suffix of the figures that the report shows.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -131,12 +131,12 @@ def write(results: Sequence[Reproduction], folder: Path, picture: str = "png") -
 _HEAD = """# The paper's results, reproduced
 
 Object manipulation with tactile sensing for prosthetic hands (Shaw-Cortez, Oetomo, Manzie, Choong),
-Table I, by function calls (`tactile-hand reproduce`). The paper does not print where the fingers
+Table I, in-process (`tactile-hand reproduce`). The paper does not print where the fingers
 stand: `three_faces` and `pinch` are two readings of it.
 """
 
 _LAWS = """What the laws do on the same task. Under (8) and (10) k_f multiplies lengths, so that
-the same number does not squeeze as it does under (14). Rolling is how far a contact moved over the
+the same number does not grasp as firmly as it does under (14). Rolling is how far a contact moved over the
 object, stiffness how hard the contacts are pulled per metre of position error.
 """
 

@@ -25,7 +25,7 @@ _PATIENCE = 10.0  # s, longest wait for a scheduler, and for its first worker
 
 
 class StudyError(TactileHandError):
-    """A study that cannot go on; what was finished is kept."""
+    """A study that cannot continue; what was finished is kept."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,9 +69,9 @@ def _map(axes: Axes, results: Results, x: str, y: str, reached: Array) -> Any:
         fraction = np.ma.masked_invalid(good / count).T
     mesh = axes.pcolormesh(*edges, fraction, cmap="cividis", vmin=0.0, vmax=1.0)
     _scale(axes, results, x, y)
-    centres = [_centres(results, p, e) for p, e in zip((x, y), edges, strict=True)]
+    centers = [_centers(results, p, e) for p, e in zip((x, y), edges, strict=True)]
     if min(fraction.shape) > 1 and np.ma.min(fraction) < 0.9:
-        lines = axes.contour(*centres, fraction, levels=[0.5, 0.9], colors=["white", "white"])
+        lines = axes.contour(*centers, fraction, levels=[0.5, 0.9], colors=["white", "white"])
         axes.clabel(lines, fmt=lambda level: f"{100 * level:.0f} %", fontsize=6.0)
     axes.grid(False)
     return mesh
@@ -90,7 +90,7 @@ def _edges(results: Results, path: str, values: Array, bins: int) -> Array:
     return np.linspace(few[0], few[-1], bins + 1)
 
 
-def _centres(results: Results, path: str, edges: Array) -> Array:
+def _centers(results: Results, path: str, edges: Array) -> Array:
     if _is_log(results, path) and edges[0] > 0.0:
         return np.asarray(np.sqrt(edges[1:] * edges[:-1]))
     return np.asarray(0.5 * (edges[1:] + edges[:-1]))
@@ -117,7 +117,7 @@ def _against(axes: Axes, results: Results, path: str, name: str) -> None:
     edges = _edges(results, path, x, max(2, min(_MOST_BINS, len(x) // _PER_BIN)))
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     points = []
-    for i, centre in enumerate(_centres(results, path, edges)):
+    for i, center in enumerate(_centers(results, path, edges)):
         inside = y[bins == i]
         found = (
             fraction_of(int(inside.sum()), len(inside))
@@ -125,7 +125,7 @@ def _against(axes: Axes, results: Results, path: str, name: str) -> None:
             else median_interval(inside)
         )
         if not math.isnan(found[0]):
-            points.append((centre, found[0], found[0] - found[1], found[2] - found[0]))
+            points.append((center, found[0], found[0] - found[1], found[2] - found[0]))
     if name != REACHED:
         step = max(1, len(x) // _MOST_DOTS)
         axes.plot(x[::step], y[::step], ".", color=FAINT, markersize=1.5, alpha=0.5)

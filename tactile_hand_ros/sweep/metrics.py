@@ -37,7 +37,7 @@ def true_position_error(record: Record, scenario: Scenario, metrics: Metrics) ->
 
 
 def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> float:
-    """Return the least 1 - beta / mu of any contact after the start, with the true forces and mu.
+    """Return the minimum 1 - beta / mu of any contact after the start, with the true forces and mu.
 
     It is 1 without tangential force and 0 for a contact that is about to slip.
     """
@@ -50,8 +50,8 @@ def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> flo
     beta = np.where(touching, required_friction(record.true_forces), np.nan)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # where nothing touches at all
-        least = float(np.nanmin(1.0 - beta / friction[:, None]))
-    return least if math.isfinite(least) else math.nan
+        minimum = float(np.nanmin(1.0 - beta / friction[:, None]))
+    return minimum if math.isfinite(minimum) else math.nan
 
 
 def _of(name: str) -> Measure:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of a study on disk: one row a run, kept as they come, in the end Parquet and CSV.
 
-Rows are appended to a file of JSON lines, so that a study that is killed goes on where it was.
+Rows are appended to a file of JSON lines, so that a study that is killed continues where it was.
 From it the tables are made, the same bytes for any number of workers and any order of runs.
 """
 
@@ -105,7 +105,7 @@ class Store:
         self._written = time.monotonic()
 
     def begin(self, description: Mapping[str, Any]) -> set[int]:
-        """Create the folder, or go on with the study in it; return the runs that are done.
+        """Create the folder, or continue the study in it; return the runs that are done.
 
         Raises:
             StudyError: If the folder holds another study, or cannot be written.
