@@ -71,7 +71,7 @@ def _orientation(outcomes: Outcomes) -> Claim:
     return Claim(
         "Fig. 3c, (15)",
         "The orientation error r_d converges to zero.",
-        f"|r_d| = {error:.1e} rad at the end, maximum {peak:.3f} rad on the way",
+        f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
         _verdict(error < 1e-3, error < 1e-1),
         {"final_rotation_error_rad": error, "peak_rotation_error_rad": peak},
     )
