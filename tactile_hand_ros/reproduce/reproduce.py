@@ -136,7 +136,7 @@ stand: `three_faces` and `pinch` are two readings of it.
 """
 
 _LAWS = """What the laws do on the same task. Under (8) and (10) k_f multiplies lengths, so that
-the same number does not grasp as firmly as it does under (14). Rolling is how far a contact moved over the
+the same number is another force than under (14). Rolling is how far a contact moved over the
 object, stiffness how hard the contacts are pulled per metre of position error.
 """
 
