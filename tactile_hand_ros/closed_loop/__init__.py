@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios, and the whole loop of one by function calls."""
+"""Scenarios, and the closed loop of one, in-process."""

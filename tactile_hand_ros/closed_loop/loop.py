@@ -84,7 +84,7 @@ class Chain:
         return Answer(grasp_force, optimal, command)
 
     def pass_on_rejection(self) -> None:
-        """Let regulator and optimizer know whether the controller rejects touch."""
+        """Pass on to regulator and optimizer whether the controller rejects touch."""
         rejected = self.controller.touch_rejected
         self.regulator.reject_touch(rejected)
         self.optimizer.reject_touch(rejected)
@@ -127,7 +127,7 @@ class SensingChain(Chain):
 
 
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
-    """Build the blocks of a scenario for a hand as its controllers know it."""
+    """Build the blocks of a scenario for the nominal hand of its controllers."""
     c = scenario.tactile_sensor
     miscalibration = None if c.calibration.is_right else Miscalibration(c.calibration, hand)
     return SensingChain(
@@ -202,7 +202,7 @@ class ClosedLoop:
             progress: Called with the number of finished ticks, a hundred times in a run.
 
         Returns:
-            The record. It ends early, with the object dropped, where the simulation diverges.
+            The record. It stops early, with the object dropped, where the simulation diverges.
         """
         ticks = self.scenario.ticks if ticks is None else ticks
         hand = self.plant.hand

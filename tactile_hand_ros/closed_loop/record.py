@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run, tick by tick, as arrays: the same from function calls as from a bag."""
+"""What happened in a run, tick by tick, as arrays: the same in-process as from a bag."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Record:
     contact_quaternions: Array = _ticks("k4", "contact frames by touch")
     forces: Array = _ticks("k3", "contact forces by touch, N")
     optimal_forces: Array = _ticks("k3", "f* of (13), 1")
-    grasp_force: Array = _ticks("", "squeeze k_f, N")
-    auxiliary_position: Array = _ticks("3", "contact centroid as the hand believes it, m")
-    auxiliary_quaternion: Array = _ticks("4", "virtual frame as the hand believes it")
+    grasp_force: Array = _ticks("", "grasp force k_f, N")
+    auxiliary_position: Array = _ticks("3", "estimated contact centroid, m")
+    auxiliary_quaternion: Array = _ticks("4", "estimated virtual frame")
     desired_position: Array = _ticks("3", "p_d, m; NaN before the first command")
     desired_quaternion: Array = _ticks("4", "R_pod; NaN before the first command")
     object_position: Array = _ticks("3", "true position of the object, m")

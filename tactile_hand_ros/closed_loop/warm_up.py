@@ -26,8 +26,8 @@ def run_every_block() -> None:
         loop = ClosedLoop(load_scenario(name))
         loop.run(3)
     contacts, forces = example_touch(4)
-    knows = np.ones(4), np.ones(4, dtype=np.int64), np.zeros(4)  # friction, grip, evidence
-    SlipMonitor().note(0, contacts, forces, *knows)
+    estimates = np.ones(4), np.ones(4, dtype=np.int64), np.zeros(4)  # friction, grip, evidence
+    SlipMonitor().note(0, contacts, forces, *estimates)
     state = loop.plant.state
     GraspMonitor(loop.plant.hand).margins(state.theta, state.contacts)
     VirtualFrame().orientation(contacts.positions)  # of more than three contacts

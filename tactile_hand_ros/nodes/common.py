@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several nodes share: a log of modes, publishers of touch."""
+"""What several nodes use: a log of modes, publishers of touch."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tactile_hand_ros.ros.node import TactileNode
 
 Array = NDArray[np.float64]
 
-_MOST = 5
+_MAXIMUM = 5
 """Lines in a second; of more changes only the number is logged."""
 
 
 class ModeLog:
-    """Logs changes of mode at once, but no flood of them."""
+    """Logs changes of mode immediately, but no flood of them."""
 
     def __init__(
         self, log: Callable[[str], Any], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Begin without a mode.
+        """Start without a mode.
 
         Args:
             log: Takes a line.
@@ -50,7 +50,7 @@ class ModeLog:
         if now - self._second >= 1.0:
             self._second, self._lines = now, 0
         self._lines += 1
-        if self._lines > _MOST:
+        if self._lines > _MAXIMUM:
             self._unlogged += 1
             return
         others = f" ({self._unlogged} changes before it not logged)" if self._unlogged else ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several nodes in one process, wired by function calls.
+"""Several nodes in one process, wired by direct calls.
 
 `composed` runs plant, sensor, regulator, optimizer and controller, for computers with few cores;
 with ``--record`` the recorder too. `controllers` runs regulator, optimizer and controller for a
@@ -8,7 +8,7 @@ real hand.
 Topics, parameters, services and results are those of separate processes, to the bit. The nodes
 stand around the blocks of a chain from `closed_loop`: each computes with its block and publishes
 the answer, and a message is encoded only if a subscriber or the recorder wants it. What is lost is
-isolation: they all die together, and the drivers of a real hand must then hold the joints.
+isolation: they all crash together, and the drivers of a real hand must then hold the joints.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class TouchedHand:
 
 
 def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
-    """Make all nodes and let them begin.
+    """Make all nodes and start them.
 
     Args:
         record: Whether there is a recorder, too.

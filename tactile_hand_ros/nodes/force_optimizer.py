@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force optimizer: how the fingers share the squeeze, (13).
+"""The force optimizer: how the grasp force is distributed over the fingers, (13).
 
 Safe state: where (13) has no answer (a contact is missing, the contacts lie on a line, the normals
-cannot balance) it publishes NaN, never an old answer, and says why; the controller then holds the
+cannot balance) it publishes NaN, never an old answer, and the reason; the controller then holds the
 hand. With `cones` it answers only ticks at which the forces of all fingers and the state of their
 grip have come too; where no f* lies inside the learned friction cones it publishes the one that
 leaves them least, and warns. Input that cannot be used is counted and dropped. When it is silent or
-dies, the controller holds the hand after its `input_timeout`.
+crashes, the controller holds the hand after its `input_timeout`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _OUTSIDE = -1e-5
 
 _SLIPS = (
     "f* under the load is outside the friction cones learned so far (margin {:.3g} per unit of "
-    "squeeze): a contact may slip; raise the squeeze or take load off"
+    "grasp force): a contact may slip; raise the grasp force or take load off"
 )
 
 
@@ -105,8 +105,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
     `accepted/force_optimizer/parameters` (rcl_interfaces/ParameterEvent: the configuration in
     force, stamped with its first tick). Once a second: `/diagnostics` with status, residual,
-    iterations and time of the solver, and with `cones` the margin that certifies f* (the least
-    mu f_n - |f_t| per unit of squeeze) and whether the cones have shaped it.
+    iterations and time of the solver, and with `cones` the margin that certifies f* (the minimum
+    mu f_n - |f_t| per unit of grasp force) and whether the cones have shaped it.
 
     Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and `cone_share` are
     live. When the stamps jump back, the solver forgets its last answer and the load.
@@ -121,7 +121,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            TactileHandError: If a parameter is refused or there is no such hand.
+            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("force_optimizer", ForceOptimizerConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
@@ -150,12 +150,12 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
-        """Refuse weights and a least share that do not fit the hand."""
+        """Reject weights and a minimum fraction that do not fit the hand."""
         config.weight_vector(self._fingers)
         config.check_minimum(self._fingers)
 
     def on_config(self, config: ForceOptimizerConfig) -> None:
-        """Take other weights or another least share."""
+        """Take other weights or another minimum fraction."""
         self._optimizer.configure(config)
         self._changes.configuration(config)
 

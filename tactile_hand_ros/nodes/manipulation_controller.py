@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manipulation controller: joint torques that hold and move the object.
 
-Safe state: posture and last good squeeze are held when a contact, f*, k_f or, where the load is
+Safe state: posture and last good grasp force are held when a contact, f*, k_f or, where the load is
 observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
-when joint states come without them for `input_timeout`. The hold ends by itself when all inputs of
+when joint states come without them for `input_timeout`. The hold stops by itself when all inputs of
 a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
-dropped, and the old one stays. Without joint states it says nothing; then, and when it dies, the
+dropped, and the old one stays. Without joint states it is silent; then, and when it crashes, the
 plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
 A tick at which anything else fails, or that would give a torque which is not finite, is answered
 with the hold too. No torque exceeds the effort limits of the URDF.
@@ -46,7 +46,7 @@ from tactile_hand_ros.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
 
-_AT_LIMIT = "a joint is at the effort limit of the URDF; squeeze less or lower the gains"
+_AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
 
 class ControllerReport:
@@ -62,7 +62,7 @@ class ControllerReport:
         self._contacts: Contacts | None = None
 
     def reset(self) -> None:
-        """Begin with a new grasp."""
+        """Start with a new grasp."""
         self._watch.reset()
 
     def note(
@@ -113,7 +113,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
     without unit), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all of one stamp; `desired_pose`
-    (geometry_msgs/PoseStamped, frame `palm`, m; holds from the tick in its stamp on, at once when
+    (geometry_msgs/PoseStamped, frame `palm`, m; from the tick in its stamp on, immediately when
     that is past or 0).
 
     Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
@@ -126,7 +126,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     A2 (tips' rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
-    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is refused, at the
+    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is rejected, at the
     latest when the first of them comes.
 
     Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, while open or
@@ -135,7 +135,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     that, or open them.
 
     Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
-    was started with `law.observer.time` 0 refuses another value: it does not subscribe to forces.
+    was started with `law.observer.time` 0 rejects another value: it does not subscribe to forces.
     """
 
     def __init__(self, *, composed: bool = False, time_waits: bool = False, **kwargs: Any) -> None:
@@ -149,7 +149,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            TactileHandError: If a parameter is refused or the hand cannot be built.
+            TactileHandError: If a parameter is rejected or the hand cannot be built.
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
         take_law(self.config.law)  # named by a parameter, so by the user
@@ -173,7 +173,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
         self._rejection.publish(Bool(data=False))
         self._was_rejected = False
-        self._feels = composed or self.config.law.observer.time > 0.0
+        self._takes_forces = composed or self.config.law.observer.time > 0.0
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.ENABLE, self._on_enable)
         self.create_service(SetBool, names.GRASP, self._on_grasp)
@@ -189,7 +189,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             streams.contacts(hand.fingers),
             streams.grasp_force(),
             streams.optimal_forces(hand.finger_names),
-            streams.forces(hand.finger_names, wanted=self._feels),
+            streams.forces(hand.finger_names, wanted=self._takes_forces),
         )
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
 
@@ -205,7 +205,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     @property
     def hand(self) -> Hand:
-        """The hand as the controller knows it."""
+        """The nominal hand of the controller."""
         return self._controller.hand
 
     @property
@@ -225,11 +225,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._changes.request(names.JOINT_HOLD, held)
 
     def check_config(self, config: ControllerConfig) -> None:
-        """Refuse to observe a load without forces."""
-        if config.law.observer.time > 0.0 and not self._feels:
+        """Reject observing a load without forces."""
+        if config.law.observer.time > 0.0 and not self._takes_forces:
             raise ConfigurationError(
                 f"law.observer.time = {config.law.observer.time}: the controller was started with "
-                "0 and does not listen to forces; restart it with this value",
+                "0 and does not subscribe to forces; restart it with this value",
                 place="law.observer.time",
             )
 
@@ -239,7 +239,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._changes.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Publish why a command was refused."""
+        """Publish why a command was rejected."""
         self._changes.rejected(source, reason)
 
     def on_report(self) -> None:

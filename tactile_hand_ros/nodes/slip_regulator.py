@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The slip regulator: how hard the hand squeezes.
+"""The slip regulator: the grasp force k_f.
 
 Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
-every mode; a finger that is silent or says NaN leaves the tick without k_f, and the controller
-holds the hand. Where a finger has lost contact the need is not known, and the reflex doubles
-its squeeze once. No squeeze exceeds `maximum`; that it is at this limit, or that squeezing cannot
-help, is a warning in `/diagnostics`. A request of the user outside the limits is counted and
-dropped, and the squeeze stays. When it dies, the controller holds the last squeeze; a new one
-starts at the configured k_f and has to learn the friction again.
+every mode; a finger that is silent or sends NaN leaves the tick without k_f, and the controller
+holds the hand. Where a finger has lost contact the required grasp force is not known, and the slip
+response doubles k_f once. k_f never exceeds `maximum`; that it is at this limit, or that no grasp
+force can hold, is a warning in `/diagnostics`. A request of the user outside the limits is counted
+and dropped, and k_f stays. When the node crashes, the controller holds the last grasp force; a new
+node starts at the configured k_f and has to learn the friction again.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 HAPTIC_PERIOD_NS = 20_000_000
-"""Simulated time between two messages to the user's hand [ns]: no one feels more than 50 Hz."""
+"""Simulated time between two messages to the user's hand [ns]: actuators take 50 Hz."""
 
 Array = NDArray[np.float64]
 
 
 class GripState(NamedTuple):
-    """What the regulator knows of each contact, arrays of shape (k,)."""
+    """What the regulator has estimated of each contact, arrays of shape (k,)."""
 
     friction: NDArray[np.float64]
     evidence: NDArray[np.float64]
@@ -61,7 +61,7 @@ class GripState(NamedTuple):
 
 
 class RegulatorReport:
-    """Counts slips and notices when squeezing is at its end.
+    """Counts slips and notices when no permitted grasp force can hold.
 
     What the object needs is a matter of the modes `shared` and `auto`; in `user` the user decides.
     """
@@ -76,7 +76,7 @@ class RegulatorReport:
         """Start counting at zero."""
         self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
         self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
-        self._limited, self._hopeless, self._most_needed = Mostly(), Mostly(), 0.0
+        self._limited, self._unholdable, self._maximum_needed = Mostly(), Mostly(), 0.0
         self._watch = SlipMonitor()
 
     def note(
@@ -87,20 +87,20 @@ class RegulatorReport:
         forces: NDArray[np.float64],
         state: GripState,
     ) -> None:
-        """Note a tick: what was felt, in contact frames, and what the regulator made of it."""
+        """Note a tick: what was measured, in contact frames, and what the regulator made of it."""
         grip = state.grip
         self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
         before, self._grip = self._grip, grip
         self._slips += (grip == ContactState.SLIP) & (before != ContactState.SLIP)
-        reflex_is_on = regulator.config.mode != "user"
+        is_automatic = regulator.config.mode != "user"
         # At the limit because of a slip that is over, nothing is missing.
-        self._limited.note(reflex_is_on and regulator.config.maximum < regulator.needed < math.inf)
-        self._hopeless.note(reflex_is_on and math.isinf(regulator.needed))
+        self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
+        self._unholdable.note(is_automatic and math.isinf(regulator.needed))
         if math.isfinite(regulator.needed):
-            self._most_needed = max(self._most_needed, regulator.needed)
+            self._maximum_needed = max(self._maximum_needed, regulator.needed)
 
     def report(self, regulator: SlipRegulator) -> None:
-        """Put mode, squeezes and the grip of each finger into the diagnostics."""
+        """Put mode, grasp forces and the grip of each finger into the diagnostics."""
         put = self._diagnostics.value
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
@@ -128,26 +128,26 @@ class RegulatorReport:
         self._warn(regulator)
 
     def _warn(self, regulator: SlipRegulator) -> None:
-        needed, maximum = self._most_needed, regulator.config.maximum
-        self._most_needed = 0.0
+        needed, maximum = self._maximum_needed, regulator.config.maximum
+        self._maximum_needed = 0.0
         self._diagnostics.judge(
             "limit",
             self._limited(),
-            f"the object needs a squeeze of {needed:.3g} N, but the limit is {maximum:g} N; raise "
-            "'maximum' if the object can bear it, or take load off",
+            f"the object needs a grasp force of {needed:.3g} N, but the limit is {maximum:g} N; "
+            "raise 'maximum' if the object can bear it, or take load off",
             WARN,
         )
         self._diagnostics.judge(
             "shape",
-            self._hopeless(),
-            "no squeeze of this shape can hold: a contact leaves its friction cone however large "
-            "k_f is; let the force_optimizer reshape it ('cones') or take load off",
+            self._unholdable(),
+            "no grasp force of this distribution can hold: a contact leaves its friction cone "
+            "however large k_f is; let the force_optimizer reshape it ('cones') or take load off",
             WARN,
         )
 
 
 class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
-    """Publishes the squeeze k_f, and how well each finger grips, at each tick.
+    """Publishes the grasp force k_f, and how well each finger grips, at each tick.
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
@@ -164,15 +164,15 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f, the one that the
     object needs, friction, grip and number of slips of each finger, and the worst margins of that
     second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time
-    left to end a slip).
+    left to stop a slip).
 
-    A node that is late answers the newest ticks only, but feels all of them.
+    A node that is late answers the newest ticks only, but uses all of them.
 
     Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
     learned, as a jump back of the stamps does.
 
     Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live. The
-    mode may change at any time: the squeeze moves on from where it is.
+    mode may change at any time: k_f continues from where it is.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
@@ -184,7 +184,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            TactileHandError: If a parameter is refused or there is no such hand.
+            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
@@ -202,7 +202,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._haptic_publisher = self.create_publisher(
             JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
         )
-        self._felt, self._strongest = -1, 0.0
+        self._haptic_period, self._strongest = -1, 0.0
         self._force_publisher = self.create_publisher(
             WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
         )
@@ -235,11 +235,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._changes.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Publish why a command was refused."""
+        """Publish why a command was rejected."""
         self._changes.rejected(source, reason)
 
     def on_report(self) -> None:
-        """Report the squeeze and what was learned of the contacts."""
+        """Report k_f and what was learned of the contacts."""
         self._report.report(self._regulator)
 
     def on_restart(self) -> None:
@@ -287,16 +287,17 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._publisher.publish(self._encode, (0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)
-            self._tell_user(stamp, grasp_force / self.config.maximum, float(state.evidence.max()))
+            level = grasp_force / self.config.maximum
+            self._publish_haptics(stamp, level, float(state.evidence.max()))
         return grasp_force
 
     def observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
-        """Feel a tick that is too late to be answered: a slip shows in the samples in a row."""
+        """Use a tick that is too late to be answered: a slip shows in the samples in a row."""
         self._regulator.step(stamp, contacts, forces)
         self._changes.take_effect(stamp)
 
     def _checked(self, grasp_force: float) -> float:
-        """Let a squeeze pass that may be published.
+        """Return a grasp force that may be published.
 
         Raises:
             UnsafeOutputError: If it is not from 0 to the limit; the tick stays without k_f.
@@ -313,10 +314,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._grip_publisher.repeat()
         self._publisher.repeat()
 
-    def _tell_user(self, stamp: int, grip: float, slip: float) -> None:
+    def _publish_haptics(self, stamp: int, grip: float, slip: float) -> None:
         self._strongest = max(self._strongest, slip)
-        if stamp // HAPTIC_PERIOD_NS != self._felt:
-            self._felt = stamp // HAPTIC_PERIOD_NS
+        if stamp // HAPTIC_PERIOD_NS != self._haptic_period:
+            self._haptic_period = stamp // HAPTIC_PERIOD_NS
             levels = (grip, self._strongest)
             self._haptic_publisher.publish(feedback_message(levels))
             self._strongest = 0.0

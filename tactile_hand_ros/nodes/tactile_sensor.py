@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tactile sensor: what a skin would say of the true contacts.
+"""The tactile sensor: what a skin would measure of the true contacts.
 
-Safe state: without true contacts, forces and sliding it says nothing, and the controller holds the
+Safe state: without true contacts, forces and sliding it is silent, and the controller holds the
 hand. Input that cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its
 tick stays without an answer. Nothing that it publishes states slip: it shows in the vibration
-of the forces only. When it dies, nodes that wait for touch notice the silence.
+of the forces only. When it crashes, nodes that wait for touch notice the silence.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            TactileHandError: If a parameter is refused or there is no such hand.
+            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("tactile_sensor", TactileSensorConfig, **kwargs)
         hand = load_hand_config(self.config.hand)

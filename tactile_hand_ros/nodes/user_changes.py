@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What users send, and what became of it, published with the tick that it changes.
 
-A command, a service call or a parameter arrives between two ticks, and no clock says between which
-ones: only the node knows. It therefore publishes each of them once more, stamped with the first
+A command, a service call or a parameter arrives between two ticks, and only the node can
+say between which. It therefore publishes each of them once more, stamped with the first
 tick whose answer it can change. A recording of these topics is enough to repeat what the node did.
-A command that it refuses is answered with the reason and the last tick that was answered before.
+A command that it rejects is answered with the reason and the last tick that was answered before.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
-_MOST_REFUSALS = 10
-"""Refusals published between two ticks: a flood of bad commands must not become one of answers."""
+_REJECTION_LIMIT = 10
+"""Maximum number of rejections published between two ticks."""
 
 MessageAt = Callable[[int], Any]
 """Makes a message, or its bytes, for a tick [ns]."""
@@ -48,11 +48,11 @@ class AppliedChanges:
     """Publishes accepted changes at the first tick that they can change.
 
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
-    configuration in force; at the first tick, when ticks begin again and after each change;
+    configuration in force; at the first tick, when ticks start again and after each change;
     transient local); where services or latched topics change the node, `accepted/<node>/requests`
     (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with `true`, `false` or
     nothing); where users command it, `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic
-    of a refused command and why).
+    of a rejected command and why).
     """
 
     def __init__(
@@ -84,10 +84,10 @@ class AppliedChanges:
             self._rejected = node.create_publisher(
                 DiagnosticArray, names.rejected(name), qos.user_qos()
             )
-        self._answered, self._refusals = 0, 0
+        self._answered, self._rejections = 0, 0
 
     def begin(self, config: Config) -> None:
-        """Begin with the ticks: forget what has not taken effect, and publish the configuration."""
+        """Start with the ticks: forget what has not taken effect, and publish the configuration."""
         self._waiting.clear()
         self.configuration(config)
 
@@ -102,7 +102,7 @@ class AppliedChanges:
         self.add(self._parameters, message_at)
 
     def request(self, service: str, value: bool | None = None) -> None:
-        """Note that a service was called, or what a latched topic says, with its value."""
+        """Note that a service was called, or a latched topic has changed, with its value."""
         pair = KeyValue(key=service, value="" if value is None else str(value).lower())
         status = DiagnosticStatus(name=self._name, message=service, values=[pair])
 
@@ -114,14 +114,14 @@ class AppliedChanges:
         self.add(self._requests, message_at)
 
     def rejected(self, topic: str, reason: str) -> None:
-        """Publish at once that a command of the user was refused.
+        """Publish immediately that a command of the user was rejected.
 
         Args:
             topic: The command, a relative topic.
             reason: Why, in one line.
         """
-        self._refusals += 1
-        if topic in names.USER_COMMANDS and self._refusals <= _MOST_REFUSALS:
+        self._rejections += 1
+        if topic in names.USER_COMMANDS and self._rejections <= _REJECTION_LIMIT:
             pair = KeyValue(key=topic, value=reason)
             status = DiagnosticStatus(
                 level=DiagnosticStatus.WARN, name=self._name, message=reason, values=[pair]
@@ -140,7 +140,7 @@ class AppliedChanges:
         Args:
             stamp_ns: The tick that was answered [ns].
         """
-        self._answered, self._refusals = stamp_ns, 0
+        self._answered, self._rejections = stamp_ns, 0
         if self._waiting:
             waiting, self._waiting = self._waiting, []
             for publisher, message_at in waiting:
@@ -154,7 +154,7 @@ def far_ahead(stamp: int, tick: int) -> str:
     """Return what is wrong with a stamp that is more than a day ahead of a tick [ns]."""
     return (
         f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
-        f"{1e-9 * tick:.3f} s; use their time, or 0 for at once."
+        f"{1e-9 * tick:.3f} s; use their time, or 0 for immediately."
     )
 
 
@@ -209,7 +209,7 @@ class DesiredPoses:
             self._node.diagnostics.value("dropped_poses", self._controller.dropped)
 
     def before(self, tick: int) -> None:
-        """Refuse poses of another clock that came when the time of the ticks was not known yet."""
+        """Reject poses of another clock that came when the time of the ticks was not known yet."""
         if not self._fresh:
             return
         for stamp in self._controller.forget_after(tick + DAY_NS):

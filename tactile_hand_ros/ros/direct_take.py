@@ -23,11 +23,11 @@ class DirectTakeGroup(CallbackGroup):
     """Keeps its subscriptions out of every executor."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Refuse, so that no executor waits for the entity."""
+        """Return False, so that no executor waits for the entity."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Refuse."""
+        """Return False."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
@@ -67,10 +67,10 @@ def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, 
 
     Args:
         subscription: Which no executor serves at the same time.
-        limit: Most messages to take: a flood must not starve other topics.
+        limit: Maximum number of messages to take: a flood must not starve other topics.
 
     Yields:
-        A message and what the middleware knows about it.
+        A message and what the middleware reports about it.
     """
     handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
     with handle:

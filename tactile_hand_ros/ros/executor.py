@@ -68,7 +68,7 @@ WAIT_LIMIT_NS = 1_000_000_000
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
     """Serve one or several nodes of one context until it is shut down.
 
-    Returns normally after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception of a callback ends
+    Returns normally after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception of a callback stops
     the loop and is passed on.
 
     Args:
@@ -156,7 +156,7 @@ class WaitedEntities:
                 return ready
         native = self._full.wait(limit_ns)
         is_rare = self._is_rare(native)
-        # The public executor serves one thing at a time: look again at once until all is served.
+        # The public executor serves one thing at a time: look again until all is served.
         self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
         return self._found(native, has_rare=is_rare)
 
@@ -220,7 +220,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     Not for use from several threads, except `create_task`, `wake` and `shutdown`.
     """
 
-    # The base class looks for it at the end, also when a signal cut its construction short.
+    # The base class looks for it at shutdown, also when a signal cut its construction short.
     _sigint_gc = None
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -265,7 +265,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     def _step(self, entities: WaitedEntities, limit_ns: int) -> None:
         """Wait once, at most for a time [ns], and serve what is ready."""
         if self._tasks and self._has_open_tasks():
-            # A suspended coroutine may block its callback group; the public executor knows how.
+            # A suspended coroutine may block its callback group; the public executor handles that.
             self.spin_once(timeout_sec=1e-9 * limit_ns)
             self._stale = True
             return

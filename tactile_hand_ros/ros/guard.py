@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No callback ends a node: what one throws is counted, reported and answered with the safe state.
+"""No callback stops a node: what one throws is counted, reported and answered with the safe state.
 
-A message or request that is refused (`TactileHandError`) costs nothing but itself. Anything else,
+A message or request that is rejected (`TactileHandError`) costs nothing but itself. Anything else,
 and a result that must not be published (`UnsafeOutputError`), was not foreseen: it is reported with
 the line of this package that failed, and the node goes to its safe state.
 """
@@ -38,7 +38,7 @@ class Guarded(Protocol):
         """Do what is safe after an error that was not foreseen."""
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Do what is to be done about a message that was refused."""
+        """Do what is to be done about a message that was rejected."""
 
 
 class TickFailedError(TactileHandError):
@@ -74,7 +74,7 @@ class CallbackGuard:
         return guarded
 
     def wrap_service(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a service callback that answers a refusal where the given one raises."""
+        """Return a service callback that answers a rejection where the given one raises."""
         if inspect.iscoroutinefunction(callback):
             return callback
 
@@ -92,7 +92,7 @@ class CallbackGuard:
         """Count and report what a callback threw, and make the node safe if it was not foreseen.
 
         Raises:
-            Exception: The error itself if it ends this node, or if the context is being shut down.
+            Exception: The error itself if it stops this node, or if the context is being shut down.
         """
         node = self._node
         if isinstance(error, node.fatal) or not node.context.ok():
@@ -122,7 +122,7 @@ class CallbackGuard:
 class Answering:
     """Counts and times the answers to ticks, for use in `with`.
 
-    An error inside is the node's own: it is reported, and ends the tick with `TickFailedError`.
+    An error inside is the node's own: it is reported, and stops the tick with `TickFailedError`.
     """
 
     def __init__(self, guard: CallbackGuard, diagnostics: Diagnostics) -> None:
@@ -131,7 +131,7 @@ class Answering:
         self._began = 0.0
 
     def __enter__(self) -> None:
-        """Begin an answer."""
+        """Start an answer."""
         self._began = time.perf_counter()
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
@@ -163,7 +163,7 @@ def location(error: BaseException) -> str:
 
 
 def refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill a response so that it says no, as far as its type has words for it."""
+    """Fill a response with a rejection, as far as its type has fields for it."""
     no = SetParametersResult(successful=False, reason=reason)
     if hasattr(response, "success"):
         response.success, response.message = False, reason

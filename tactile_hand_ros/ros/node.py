@@ -44,19 +44,19 @@ SUBSCRIPTIONS = "subscriptions"
 
 
 class TactileNode(Node, Generic[C]):
-    """A node whose parameters are one configuration and that no callback ends.
+    """A node whose parameters are one configuration and that survives every callback.
 
     What a callback of a subscription, service or timer throws is counted and reported; see
     `CallbackGuard`.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
-    come or gone: that both ends of a topic exist does not mean that they know of each other yet.
+    come or gone: that both ends of a topic exist does not mean that they have matched.
 
     Attributes:
         diagnostics: Counters and facts to report.
         answering: Put around the answer to a tick, see `Answering`.
         tick_publishers: Its publishers of what carries a tick.
-        fatal: Errors after which the node has nothing left to do: they end it.
+        fatal: Errors after which the node has nothing left to do: they stop it.
     """
 
     fatal: tuple[type[Exception], ...] = ()
@@ -70,7 +70,7 @@ class TactileNode(Node, Generic[C]):
             **kwargs: Passed to `rclpy.node.Node`.
 
         Raises:
-            ConfigurationError: If a parameter that was given is unknown or refused.
+            ConfigurationError: If a parameter that was given is unknown or rejected.
         """
         self._guard = CallbackGuard(self)  # first: rclpy creates services of its own
         super().__init__(name, **kwargs)
@@ -99,7 +99,7 @@ class TactileNode(Node, Generic[C]):
         return self._config_parameters.config
 
     def check_config(self, config: C) -> None:
-        """Refuse a change of parameters that the model alone cannot judge, before it is made.
+        """Reject a change of parameters that the model alone cannot judge, before it is made.
 
         Raises:
             TactileHandError: Its text is the reason that the user sees.
@@ -119,7 +119,7 @@ class TactileNode(Node, Generic[C]):
         """
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Answer a message or request that was refused; by default it is only counted.
+        """Answer a message or request that was rejected; by default it is only counted.
 
         Args:
             source: The topic or service, as it was named when the node was built.
@@ -153,7 +153,7 @@ class TactileNode(Node, Generic[C]):
         return self._guard.wrap(source, callback)
 
     def after_reading(self, guarded: Callable[[], None]) -> None:
-        """Call back once when all that has arrived is read; at once where that is not known.
+        """Call back once when all that has arrived is read; immediately where that is not known.
 
         Args:
             guarded: The callback, made once by `guarded`.
@@ -184,8 +184,8 @@ class TactileNode(Node, Generic[C]):
         Args:
             message_type: Message class.
             topic: Relative topic name.
-            callback: Takes the message, bytes if raw, and on wish what the middleware says about
-                it; may raise TactileHandError to reject it.
+            callback: Takes the message, bytes if raw, and optionally what the middleware reports
+                about it; may raise TactileHandError to reject it.
             profile: Quality of service, by default that of ticks.
             sensor: Let the user override history, depth and reliability by parameters
                 ``qos_overrides.<full topic>.subscription.reliability`` and so on.
@@ -232,7 +232,7 @@ class TactileNode(Node, Generic[C]):
         self.survive(topic, TactileHandError(error) if isinstance(error, str) else error)
 
     def survive(self, source: str, error: Exception) -> None:
-        """Go on after an error, reported and in the safe state where it was not foreseen.
+        """Continue after an error, reported and in the safe state where it was not foreseen.
 
         Raises:
             Exception: The error itself if it is `fatal`, or if the context is being shut down.
@@ -240,7 +240,7 @@ class TactileNode(Node, Generic[C]):
         self._guard.caught(source, error)
 
     def _look_for_peers(self) -> None:
-        """Say at once when a peer has come or gone."""
+        """Report immediately when a peer has come or gone."""
         peers = {**dict.fromkeys(self._peers, 0), **self.peers()}
         if peers != self._peers:
             self._peers = peers

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of what carries a tick: encoded once, and only if somebody wants it."""
+"""Publishers of what carries a tick: encoded once, and only if it has a subscriber or a tap."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TickPublisher:
         return count
 
     def publish(self, encode: Callable[..., bytes], *values: Any) -> None:
-        """Publish what `encode(*values)` returns; it is not called if nobody wants it."""
+        """Publish what `encode(*values)` returns; it is not called without a subscriber or tap."""
         self._last = encode, values
         if self.wanted:
             self._send(encode(*values))

@@ -52,7 +52,7 @@ def run_nodes(
 
     Returns:
         0 after a normal stop, 1 when a node failed while running, 2 when the configuration
-        was refused; the reason is one sentence on stderr.
+        was rejected; the reason is one sentence on stderr.
     """
     line = list(sys.argv if args is None else args)
     _let_signals_shut_down()

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 
 class InProcessHand(Protocol):
-    """The blocks that answer the plant's ticks where they share its process."""
+    """The blocks that answer the plant's ticks where they run in its process."""
 
     def answer(
         self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
@@ -60,7 +60,7 @@ NO_INFO: Mapping[str, Any] = MappingProxyType({})
 _TURN = 0.005
 """Time for which ticks follow each other before messages and services get their turn [s]."""
 
-_TELL_PERIOD = 0.1
+_ANNOUNCE_PERIOD = 0.1
 """Shortest time between two announcements of what the guard does [s]."""
 
 
@@ -152,7 +152,7 @@ class PlantDriver:
         self._resent = self._too_old = 0
         self._newest_answer = -1
         self._senders = SenderCheck()
-        self._told, self._told_at = "", -math.inf
+        self._announced, self._announced_at = "", -math.inf
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand)
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
@@ -181,9 +181,9 @@ class PlantDriver:
         return self._is_lockstep or not self._run.commanded
 
     def begin(self) -> None:
-        """Publish the present tick and wait for its command; in real time go on if there was one.
+        """Publish the present tick and wait for its command; in real time, continue after one.
 
-        A change of mode is reported at once, not when the next diagnostics are due.
+        A change of mode is reported immediately, not when the next diagnostics are due.
         """
         self._run.release()
         self._publish_hold()
@@ -197,7 +197,7 @@ class PlantDriver:
         self._node.publish_diagnostics()
 
     def switch(self, is_on: bool) -> bool:
-        """Go on or pause; return whether that was possible."""
+        """Continue or pause; return whether that was possible."""
         if is_on != self._is_on:
             self._is_on = is_on
             if not self._is_finished:
@@ -219,7 +219,7 @@ class PlantDriver:
         Args:
             stamp: The tick [ns].
             torque: Torques of the joints, shape (m,), N m.
-            info: What the middleware says about the message, if there was one.
+            info: What the middleware reports about the message, if there was one.
         """
         run = self._run
         self._note_answer(stamp)
@@ -254,7 +254,7 @@ class PlantDriver:
             self._advance(1)
 
     def _note_answer(self, stamp: int) -> None:
-        """Say at once that the first tick has been answered, or the last before time stood still.
+        """Report immediately that the first tick is answered, or the last before time stopped.
 
         The orchestrator waits for both. Commands themselves would cost it a packet a tick.
         """
@@ -266,7 +266,7 @@ class PlantDriver:
                 self._node.publish_diagnostics()
 
     def _is_too_old(self, stamp: int) -> bool:
-        """Return whether the guard would refuse a command by its age; in lockstep time waits."""
+        """Return whether the guard would reject a command by its age; in lockstep time waits."""
         c = self._config
         return not self._is_lockstep and self._run.stamp - stamp > c.guard.age_limit * c.tick
 
@@ -304,17 +304,17 @@ class PlantDriver:
                 self._stop(str(error))
                 return
         self._publish()
-        self._tell_hold()
+        self._announce_hold()
 
-    def _tell_hold(self) -> None:
-        """Publish at once when the joints begin or cease to be held; in diagnostics less often."""
+    def _announce_hold(self) -> None:
+        """Publish each start and stop of a hold; in diagnostics at most ten times a second."""
         self._publish_hold()
         reason = self._run.guard.reason
-        if reason == self._told:
+        if reason == self._announced:
             return
         now = time.monotonic()
-        if now - self._told_at >= _TELL_PERIOD:
-            self._told, self._told_at = reason, now
+        if now - self._announced_at >= _ANNOUNCE_PERIOD:
+            self._announced, self._announced_at = reason, now
             self._diagnostics.judge("hold", bool(reason), f"{reason}; the joints are held")
             self._node.publish_diagnostics()
 
@@ -350,7 +350,7 @@ class PlantDriver:
         return self._torque is not None
 
     def _stop(self, reason: str) -> None:
-        """Let time stand still: there is no state to go on from, or to publish."""
+        """Stop time: there is no state to continue from, or to publish."""
         self._is_on = False
         self._let_time_pass(False)
         self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
@@ -361,7 +361,7 @@ class PlantDriver:
         self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
-        """Publish at once."""
+        """Publish immediately."""
         self._diagnostics.fault("state", text, level)
         self._node.publish_diagnostics()
 
@@ -374,7 +374,7 @@ class PlantDriver:
         """Send a tick again after a short silence, hold the joints after a long one."""
         run, c = self._run, self._config
         if not self._is_on or self._is_finished:
-            self._watcher.cancel()  # until it begins again
+            self._watcher.cancel()  # until it starts again
             return
         now = time.monotonic()
         if run.refusing:

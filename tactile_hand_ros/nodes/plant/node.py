@@ -48,14 +48,14 @@ class PlantNode(TactileNode[PlantConfig]):
     Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; the stamp is
     the tick that it answers).
 
-    Services: `~/run` (std_srvs/SetBool) goes on and pauses, `~/reset` (std_srvs/Trigger) goes back
-    to the start at stamp 0.
+    Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/reset` (std_srvs/Trigger) goes
+    back to the start at stamp 0.
 
     Parameters: the fields of `PlantConfig`; `object.friction` is live.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Build hand and object, and begin unless `autostart` is false.
+        """Build hand and object, and start unless `autostart` is false.
 
         Args:
             composed: Whether a hand in this process answers the ticks: it is given to `begin`, and
@@ -63,7 +63,7 @@ class PlantNode(TactileNode[PlantConfig]):
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            TactileHandError: If a parameter is refused or hand or object cannot be built.
+            TactileHandError: If a parameter is rejected or hand or object cannot be built.
         """
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
@@ -78,7 +78,7 @@ class PlantNode(TactileNode[PlantConfig]):
             self._driver.begin()
 
     def begin(self, hand: InProcessHand) -> None:
-        """Begin with a hand in this process that answers the ticks."""
+        """Start with a hand in this process that answers the ticks."""
         self._driver.connect(hand)
         self._driver.begin()
 

@@ -29,7 +29,7 @@ class Pace:
 
         Args:
             tick_ns: Length of a tick [ns].
-            busy_wait_ns: How long before a tick `due` begins to watch the clock [ns].
+            busy_wait_ns: How long before a tick `due` starts to watch the clock [ns].
             clock: Time [ns].
         """
         self._tick = tick_ns

@@ -375,7 +375,7 @@ def test_forces_are_not_observed_where_the_controller_does_not_receive_them(
 ) -> None:
     node = here.make(ManipulationControllerNode, composed=False, **{"law.observer.time": 0.0})
     (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
-    assert not result.successful and "does not listen to forces" in result.reason
+    assert not result.successful and "does not subscribe to forces" in result.reason
     assert (
         here.make(ManipulationControllerNode)
         .set_parameters([Parameter("law.observer.time", value=0.25)])[0]

@@ -143,7 +143,9 @@ def test_slips_are_counted_by_finger_and_facts_are_those_of_the_last_tick() -> N
         ("user", math.inf, False, False),
     ],
 )
-def test_a_squeeze_at_its_end_is_told(mode: Any, needed: float, limit: bool, shape: bool) -> None:
+def test_a_grasp_force_that_cannot_hold_is_a_warning(
+    mode: Any, needed: float, limit: bool, shape: bool
+) -> None:
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode=mode, maximum=30.0), needed)
@@ -153,14 +155,14 @@ def test_a_squeeze_at_its_end_is_told(mode: Any, needed: float, limit: bool, sha
     assert ("fault limit" in shown, "fault shape" in shown) == (limit, shape)
     assert diagnostics.status().level == (WARN if limit or shape else OK)
     if limit:
-        assert "needs a squeeze of 30.5 N, but the limit is 30 N" in shown["fault limit"]
+        assert "needs a grasp force of 30.5 N, but the limit is 30 N" in shown["fault limit"]
     regulator.needed = 5.0
     noted(report, regulator, STUCK)
     report.report(regulator)  # type: ignore[arg-type]
     assert diagnostics.status().level == OK
 
 
-def test_the_largest_squeeze_that_was_needed_is_told_once() -> None:
+def test_the_largest_required_grasp_force_is_reported_once() -> None:
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode="auto", maximum=30.0))
@@ -168,7 +170,7 @@ def test_the_largest_squeeze_that_was_needed_is_told_once() -> None:
         for regulator.needed in squeezes:
             noted(report, regulator, STUCK)
         report.report(regulator)  # type: ignore[arg-type]
-        assert f"needs a squeeze of {told}" in values(diagnostics)["fault limit"]
+        assert f"needs a grasp force of {told}" in values(diagnostics)["fault limit"]
 
 
 class ControllerNode:
