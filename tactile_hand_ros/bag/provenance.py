@@ -35,10 +35,10 @@ def versions() -> dict[str, str]:
 
 
 def provenance(scenario: str) -> dict[str, str]:
-    """Return what a bag says about its origin.
+    """Return the origin of a bag as texts.
 
     Args:
         scenario: The scenario as YAML text with every value resolved; empty if there was none.
     """
-    told = {SCENARIO_KEY: scenario} if scenario else {}
-    return told | {f"version_{name}": text for name, text in versions().items()}
+    found = {SCENARIO_KEY: scenario} if scenario else {}
+    return found | {f"version_{name}": text for name, text in versions().items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading of bags: thin functions on top of rosbags, with errors that say what to do."""
+"""Reading of bags: thin functions on top of rosbags, with errors that state the remedy."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def read_topics(
     topics: Collection[str],
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, TopicMessages]:
-    """Read topics as a whole, several times as fast as `read_raw`.
+    """Read all messages of topics, several times as fast as `read_raw`.
 
     Args:
         path: Bag folder or file.
@@ -311,7 +311,7 @@ def _check_values(reader: AnyReader) -> None:
     counts = [connection.msgcount for connection in reader.connections]
     numbers = [reader.message_count, reader.start_time, reader.end_time, *counts]
     if any(type(number) is not int or not 0 <= number <= 2**64 for number in numbers):
-        raise ValueError(f"{FILE_NAME} has a number that is not a whole one of at most 64 bits")
+        raise ValueError(f"{FILE_NAME} has a number that is not an integer of 64 bits")
     texts = [text for each in reader.connections for text in (each.topic, each.msgtype)]
     for part in reader.readers:
         custom = part.storage.metadata.custom if isinstance(part, Reader) else None
@@ -321,7 +321,7 @@ def _check_values(reader: AnyReader) -> None:
 
 
 def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
-    """Return what a bag says of its origin; a single file has no metadata.yaml next to it."""
+    """Return the texts on the origin of a bag; a single file has no metadata.yaml next to it."""
     parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
     found = next((part.metadata.custom for part in parts if part.metadata.custom), {})
     if found or path.is_dir() or path.suffix != ".mcap":

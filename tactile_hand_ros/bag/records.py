@@ -2,7 +2,7 @@
 """The records of an MCAP file, which may be cut off or damaged.
 
 mcap's `StreamReader` builds an object of each entry of each index; for bags of millions of
-messages that takes most of the time.
+messages that takes longer than everything else.
 
 Source: MCAP specification, records.
 """
@@ -69,7 +69,7 @@ def unpacked(data: bytes) -> bytes:
     if chunk.uncompressed_size > LARGEST:
         raise ValueError(f"a chunk announces {chunk.uncompressed_size} bytes")
     stream: Any = io.BytesIO(chunk.data)
-    if chunk.compression == "zstd":  # reads no more than it is asked for, whatever the frame says
+    if chunk.compression == "zstd":  # reads no more than it is asked for, whatever the frame states
         stream = zstandard.ZstdDecompressor().stream_reader(stream)
     elif chunk.compression == "lz4":
         stream = lz4.frame.open(stream)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of bags that were cut off: every whole chunk, written to a new bag."""
+"""Recovery of bags that were cut off: every complete chunk, written to a new bag."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class RecoveredBag:
 
 
 def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
-    """Write all whole chunks of a bag, of any recorder, to a new bag.
+    """Write all complete chunks of a bag, of any recorder, to a new bag.
 
     Args:
         bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
@@ -181,7 +181,7 @@ class _Copy:
         return self._writer.close()
 
     def _keep(self, record: Metadata) -> None:
-        """Copy a metadata record; of rosbag2's own, what messages do not tell."""
+        """Copy a metadata record; of rosbag2's own, what the messages do not contain."""
         if record.name != RECORD_NAME:
             self._writer.add_metadata(record.name, record.metadata)
             return

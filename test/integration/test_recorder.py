@@ -83,7 +83,7 @@ def end_well(recorder: CapturedProcess, number: int = signal.SIGINT) -> None:
 
 
 def refusal(recorder: CapturedProcess) -> str:
-    """Insist on a failing exit code without a traceback and return what was said."""
+    """Insist on a failing exit code without a traceback and return its message."""
     assert recorder.wait() != 0
     assert "Traceback" not in recorder.stderr
     return recorder.stderr
@@ -94,26 +94,26 @@ def wait_for_recorder(*publishers: Publisher) -> None:
     wait_until(lambda: all(p.get_subscription_count() for p in publishers))
 
 
-def wait_until_heard(node: Node, publishers: dict[str, int]) -> None:
-    """Wait until the recorder says that it knows of so many publishers of each topic.
+def wait_until_matched(node: Node, publishers: dict[str, int]) -> None:
+    """Wait until the recorder reports so many publishers of each topic.
 
     That a publisher knows of the recorder is not enough where nothing is sent again.
     """
-    heard: dict[str, str] = {}
+    reported: dict[str, str] = {}
 
     def note(message: DiagnosticArray) -> None:
         for values in _recorder_values(message):
-            heard.update(values)
+            reported.update(values)
 
     subscription = node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
 
-    def all_heard() -> bool:
+    def all_matched() -> bool:
         executor.spin_once(timeout_sec=0.1)
-        return all(peer_count(heard, SUBSCRIPTIONS, t) >= n for t, n in publishers.items())
+        return all(peer_count(reported, SUBSCRIPTIONS, t) >= n for t, n in publishers.items())
 
-    wait_until(all_heard, 60.0, f"the recorder to hear {publishers}")
+    wait_until(all_matched, 60.0, f"the recorder to match {publishers}")
     executor.shutdown()
     node.destroy_subscription(subscription)
 
@@ -148,7 +148,7 @@ def test_everything_sent_before_the_end_is_in_the_bag(
     how: signal.Signals,
     compression: str,
 ) -> None:
-    """The signal follows the last message at once; count, order and bytes are complete."""
+    """The signal follows the last message immediately; count, order and bytes are complete."""
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
     wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
     clock = node.create_publisher(Clock, "/clock", DEEP)
@@ -192,7 +192,7 @@ def test_offers_hash_and_times_are_recorded(
     before = time.time_ns()
     recorder = start(tmp_path / "bag")
     wait_for_recorder(latched, sensor, *mixed)
-    wait_until_heard(node, {"/sensor": 1, "/mixed": 2, "/robot_description": 1})
+    wait_until_matched(node, {"/sensor": 1, "/mixed": 2, "/robot_description": 1})
     for publisher in (sensor, *mixed):
         publisher.publish(Float64(data=1.5))
     end_well(recorder)
@@ -275,7 +275,7 @@ def test_full_disk_ends_with_a_sentence_and_what_was_recorded_can_be_recovered(
 def test_bad_parameter_is_refused(
     start: Callable[..., CapturedProcess], tmp_path: Path, parameter: str, complaint: str
 ) -> None:
-    """The sentence says what is allowed, and nothing is created."""
+    """The message says what is allowed, and nothing is created."""
     assert complaint in refusal(start(tmp_path / "bag", parameter))
     assert not (tmp_path / "bag").exists()
 
@@ -289,10 +289,10 @@ def test_bag_tells_its_scenario_and_versions(domain: int, tmp_path: Path) -> Non
     with start_executable("recorder", "--ros-args", "--params-file", str(parameters)) as recorder:
         wait_until((tmp_path / "bag" / "bag_0.mcap").exists)
         end_well(recorder)
-    told = summarize(tmp_path / "bag").custom_data
-    assert told["scenario"] == scenario
-    assert told["version_tactile_hand_ros"] == tactile_hand_ros.__version__
+    found = summarize(tmp_path / "bag").custom_data
+    assert found["scenario"] == scenario
+    assert found["version_tactile_hand_ros"] == tactile_hand_ros.__version__
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
-    assert records["tactile_hand_ros"].items() <= told.items()
+    assert records["tactile_hand_ros"].items() <= found.items()
     assert records["tactile_hand_ros"]["scenario"] == scenario

@@ -33,19 +33,19 @@ SPACING = 5_000_000  # ns
 
 
 class Listener:
-    """Hears everything, with the time at which it came."""
+    """Receives everything, with the time."""
 
     def __init__(self, node: Node) -> None:
         self.node = node
         self.executor = SingleThreadedExecutor(context=node.context)
         self.executor.add_node(node)
-        self.heard: dict[str, list[tuple[float, bytes]]] = {}
+        self.received: dict[str, list[tuple[float, bytes]]] = {}
 
     def listen(self, topic: str, type_: Any, qos: QoSProfile) -> None:
-        """Begin to hear a topic."""
-        heard = self.heard[topic] = []
+        """Subscribe to a topic."""
+        received = self.received[topic] = []
         self.node.create_subscription(
-            type_, topic, lambda data: heard.append((time.monotonic(), data)), qos, raw=True
+            type_, topic, lambda data: received.append((time.monotonic(), data)), qos, raw=True
         )
 
     def until(self, condition: Callable[[], Any]) -> None:
@@ -53,11 +53,11 @@ class Listener:
         wait_until(lambda: self.executor.spin_once(timeout_sec=0.01) or condition(), 30.0)
 
     def numbers(self, topic: str) -> list[float]:
-        """Return what was heard on a topic of numbers."""
-        return [deserialize_message(data, Float64).data for _, data in self.heard[topic]]
+        """Return what was received on a topic of numbers."""
+        return [deserialize_message(data, Float64).data for _, data in self.received[topic]]
 
     def call(self, paused: bool) -> SetBool.Response:
-        """Pause or go on."""
+        """Pause or continue."""
         client = self.node.create_client(SetBool, "/replay/pause")
         self.until(client.service_is_ready)
         future = client.call_async(SetBool.Request(data=paused))
@@ -106,7 +106,7 @@ def replay(bag: Path) -> Iterator[Callable[..., CapturedProcess]]:
         yield start
 
 
-def heard_of(listener: Listener, *topics: str) -> Callable[[], bool]:
+def publishers_of(listener: Listener, *topics: str) -> Callable[[], bool]:
     """Return whether all topics have a publisher that the listener has met."""
     return lambda: all(listener.node.count_publishers(topic) for topic in topics)
 
@@ -118,19 +118,19 @@ def test_all_messages_come_in_order_and_not_before_their_time(
     listener.listen("/value", Float64, DEEP)
     listener.listen("/robot_description", String, LATCHED)
     process = replay("--rate", "2")
-    listener.until(heard_of(listener, "/value", "/robot_description", "/sensor"))
+    listener.until(publishers_of(listener, "/value", "/robot_description", "/sensor"))
     [offer] = listener.node.get_publishers_info_by_topic("/sensor")
     assert offer.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     [offer] = listener.node.get_publishers_info_by_topic("/robot_description")
     assert offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     before = time.monotonic()
     assert listener.call(paused=False).success
-    listener.until(lambda: len(listener.heard["/value"]) == COUNT)
+    listener.until(lambda: len(listener.received["/value"]) == COUNT)
     assert listener.numbers("/value") == [float(i) for i in range(COUNT)]
-    at, last = listener.heard["/value"][-1]
+    at, last = listener.received["/value"][-1]
     assert last == serialize_message(Float64(data=COUNT - 1.0))
     assert at - before >= 1e-9 * (COUNT - 1) * SPACING / 2.0
-    assert len(listener.heard["/robot_description"]) == 1
+    assert len(listener.received["/robot_description"]) == 1
     assert process.wait() == 0
     assert f"published {2 * COUNT + 1} messages" in process.stderr
 
@@ -138,23 +138,23 @@ def test_all_messages_come_in_order_and_not_before_their_time(
 def test_pause_loop_clock_and_interrupt(
     replay: Callable[..., CapturedProcess], listener: Listener
 ) -> None:
-    """Time stands still while paused; the loop begins again; Ctrl-C ends without a traceback."""
+    """Time stands still while paused; the loop starts again; Ctrl-C ends without a traceback."""
     listener.listen("/value", Float64, DEEP)
     listener.listen("/clock", Clock, DEEP)
     process = replay("--loop", "--clock", "--topics=/value", "--rate=4")
-    listener.until(heard_of(listener, "/value"))
+    listener.until(publishers_of(listener, "/value"))
     listener.call(paused=False)
-    listener.until(lambda: len(listener.heard["/value"]) > 20)
+    listener.until(lambda: len(listener.received["/value"]) > 20)
     listener.call(paused=True)
-    clocks = len(listener.heard["/clock"])
-    listener.until(lambda: len(listener.heard["/clock"]) > clocks + 20)
-    times = [deserialize_message(data, Clock).clock for _, data in listener.heard["/clock"]]
+    clocks = len(listener.received["/clock"])
+    listener.until(lambda: len(listener.received["/clock"]) > clocks + 20)
+    times = [deserialize_message(data, Clock).clock for _, data in listener.received["/clock"]]
     stamps = [time.sec * 10**9 + time.nanosec for time in times]
     assert len(set(stamps[-10:])) == 1 and 10**18 < stamps[-1] < 10**18 + COUNT * SPACING
-    paused_at = len(listener.heard["/value"])
+    paused_at = len(listener.received["/value"])
     assert paused_at < COUNT
     listener.call(paused=False)
-    listener.until(lambda: len(listener.heard["/value"]) > 2 * COUNT)
+    listener.until(lambda: len(listener.received["/value"]) > 2 * COUNT)
     numbers = listener.numbers("/value")
     assert numbers == [float(i % COUNT) for i in range(len(numbers))]
     process.send(signal.SIGINT)
@@ -177,5 +177,5 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
 ) -> None:
     with isolated_domain():
         assert main(["replay", str(bag), "--start-paused", "--loop", argument]) == 2
-    said = capsys.readouterr().err
-    assert text in said and said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert text in printed and printed.count("\n") == 1

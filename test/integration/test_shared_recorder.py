@@ -27,7 +27,7 @@ from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wa
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
-"""Topics of which something may be said before a recorder is there, or by many publishers."""
+"""Topics of which something may be published before a recorder is there, or by many publishers."""
 
 
 class RecordedGraph(Graph):
@@ -86,14 +86,14 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
     return found
 
 
-def said(found: dict[str, list[bytes]]) -> set[str]:
+def logged_by_nodes(found: dict[str, list[bytes]]) -> set[str]:
     """Return what the nodes of the hand have logged; over DDS the gaps in the bytes are dirty."""
     logged = [deserialize_message(data, Log) for data in found["/rosout"]]
     return {str(each) for each in logged if each.name in NODES}
 
 
 def announced(bag: Path) -> dict[str, Any]:
-    """Return what the metadata of a bag says about each topic: type, hash and offers."""
+    """Return what the metadata of a bag contain for each topic: type, hash and offers."""
     tree = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     topics = [entry["topic_metadata"] for entry in tree["topics_with_message_count"]]
     return {topic["name"]: topic for topic in topics}
@@ -117,7 +117,7 @@ def test_it_writes_what_a_recorder_outside_writes(domain: int, tmp_path: Path) -
     ticks = graph.scenario.ticks
     assert len(inside["/joint_states"]) == len(inside["/joint_command"]) == ticks
     assert inside["/note"] == [bytes(serialize_message(Float64(data=float(i)))) for i in range(20)]
-    assert said(outside) and said(outside) <= said(inside)
+    assert logged_by_nodes(outside) and logged_by_nodes(outside) <= logged_by_nodes(inside)
     for topic in outside.keys() - SHARED:
         assert len(inside[topic]) == len(outside[topic]), topic
         if len(inside[topic]) >= ticks:  # of others the gaps in the bytes are dirty

@@ -71,7 +71,7 @@ def talk(diary: Path) -> None:
 
 @contextmanager
 def talker(diary: Path) -> Iterator[None]:
-    """Have somebody talk in a process of its own."""
+    """Publish in a process of its own."""
     process = CapturedProcess([sys.executable, __file__, "talk", diary])
     with process:
         wait_until(lambda: diary.exists() and diary.stat().st_size > 0, 30.0)

@@ -49,14 +49,14 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._shares_process = bool(local_publishers)
         self._failure: BagError | None = None
         self._recording = Recording(self, self.config, local_publishers)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may be paused
         self._visits = self.create_timer(self.config.drain_period, self._on_visit, clock=steady)
 
     def close(self) -> None:
         """Write what is still on its way, then index and metadata.
 
         Raises:
-            BagError: If the bag is not whole.
+            BagError: If the bag is incomplete.
         """
         if self._failure is not None:
             raise self._failure

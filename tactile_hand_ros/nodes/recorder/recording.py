@@ -20,7 +20,7 @@ from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.publishing import TickPublisher
 
-_CALM_FACTOR = 10.0  # so much rarer are the looks at a graph that does not change
+_CALM_FACTOR = 10.0  # factor on the period for a graph that does not change
 _CALM_AFTER = 1.0  # s
 _QUIET = 0.05  # s without a message after which nothing more is on its way
 _LAST_CALL = 0.5  # s, longest wait for that while publishers continue
@@ -32,12 +32,12 @@ class Recording:
 
     Call `step` every few milliseconds and `close` at the end; the context may be shut down then.
 
-    Topics are subscribed as soon as the graph knows them, with or without a publisher, so that a
+    Topics are subscribed as soon as the graph has them, with or without a publisher, so that a
     publisher that appears later finds the subscription already there. Publishers of this process
     that can be tapped hand over their bytes instead.
 
     Attributes:
-        writer: Writer of the bag; its `check` says whether the bag could be created.
+        writer: Writer of the bag; `check` raises if the bag could not be created.
         tapped: Channels of tapped publishers by topic.
         topics: Subscribed topics by name.
         refused: Topics whose type is not installed.

@@ -34,7 +34,7 @@ def publishers_of(node: Node, topic: str) -> Sequence[TopicEndpointInfo]:
 def adapted_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """Return the strictest quality of service that every publisher satisfies.
 
-    Without publishers this is reliable and volatile, which most publishers satisfy.
+    Without publishers this is reliable and volatile, which almost all publishers satisfy.
 
     Source: ``Rosbag2QoS::adapt_request_to_offers`` of rosbag2.
     """
@@ -178,10 +178,10 @@ def _is_weaker(new: QoSProfile, old: QoSProfile) -> bool:
 class SequenceTracker:
     """Counts the gaps in the sequence numbers of one topic.
 
-    Each publisher numbers its messages 1, 2, 3, ... but a message does not say whose number it
+    Each publisher numbers its messages 1, 2, 3, ... but a message does not state whose number it
     carries. A number that continues any known publisher belongs to it; number 1 is a new
     publisher; any other number is a gap in the nearest publisher below it. For one publisher the
-    count is exact; for several that lose at once it is an estimate.
+    count is exact; for several that lose messages together it is an estimate.
 
     A publisher that may be older than the subscription can start with any number. One that appears
     later starts with 1: what it publishes before it finds the subscription is lost.

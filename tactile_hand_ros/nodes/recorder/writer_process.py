@@ -58,7 +58,7 @@ class WriterProcess:
     """
 
     def __init__(self, folder: Path, **options: Any) -> None:
-        """Start the process; `check` says whether the bag could be created.
+        """Start the process; `check` raises if the bag could not be created.
 
         Args:
             folder: Folder to create.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading chooses topics and times, and says what is wrong with a broken bag."""
+"""Reading chooses topics and times, and reports what is wrong with a broken bag."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: P
 
 
 def test_folder_may_be_named_like_a_file(tmp_path: Path) -> None:
-    """Also where it says nothing of its origin, which is then not looked for inside."""
+    """Also without custom data, which are then not looked for in a file."""
     folder = tmp_path / "run.mcap"
     BagWriter(folder).close()
     assert summarize(folder).custom_data == {}

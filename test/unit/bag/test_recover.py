@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that were cut off or damaged: what is whole comes back, nothing is made up or destroyed."""
+"""Bags that were cut off or damaged: what is whole comes back, nothing is invented or destroyed."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def payload(number: int) -> bytes:
 def write_bag(folder: Path, compression: str = "zstd", count: int = COUNT) -> list[bytes]:
     """Write a bag of some chunks and return its messages."""
     sent = [payload(i) for i in range(count)]
-    told = {"scenario": "name: x\n"}
-    with BagWriter(folder, compression, chunk_size=2000, custom_data=told) as writer:
+    custom = {"scenario": "name: x\n"}
+    with BagWriter(folder, compression, chunk_size=2000, custom_data=custom) as writer:
         channels = [
             writer.add_channel(name, STRING, offers=[LATCHED], type_hash=HASH)
             for name in ("/a", "/b")
@@ -188,7 +188,7 @@ def foreign_file(file: Path, offers: str = "", schema: int = 1, encoding: str = 
     """Write an MCAP file with metadata records, and a channel that may have no schema."""
     with file.open("wb") as stream:
         writer = Writer(stream)
-        writer.start("ros2", "somebody")
+        writer.start("ros2", "another")
         for count in ("1", "2"):
             custom = {"count": count, "at": count}
             record = BagMetadata("x", custom_data=custom, ros_distro="kilted").record()
@@ -207,8 +207,8 @@ def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -
     recovery = recover(foreign_file(tmp_path / "x.mcap"))
     assert recovery.target == tmp_path / "x_recovered"
     assert recovery.metadata.ros_distro == "kilted"
-    told = {"count": "2", "at": "2", "recovered_bytes_left": "0"}
-    assert summarize(recovery.target).custom_data == told
+    custom = {"count": "2", "at": "2", "recovered_bytes_left": "0"}
+    assert summarize(recovery.target).custom_data == custom
     with (recovery.target / recovery.metadata.path).open("rb") as stream:
         records = {each.name: each.metadata for each in make_reader(stream).iter_metadata()}
     assert records["origin"] == {"a": "b"}

@@ -95,7 +95,7 @@ def message_count(record: Metadata) -> Any:
 
 
 def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
-    """A channel that never spoke, or no channel at all."""
+    """A channel without messages, or no channel."""
     with BagWriter(tmp_path / "silent") as writer:
         add_string(writer)
     BagWriter(tmp_path / "new" / "empty").close()

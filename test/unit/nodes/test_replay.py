@@ -233,10 +233,10 @@ def test_a_bag_that_cannot_be_replayed_leaves_nothing_behind(tmp_path: Path) -> 
 def test_publishers_offer_what_all_recorded_ones_offered(
     offers: list[tuple[str, str]], reliability: str, durability: str, depth: int
 ) -> None:
-    told = [
+    offered = [
         SimpleNamespace(reliability=SimpleNamespace(name=one), durability=SimpleNamespace(name=two))
         for one, two in offers
     ]
-    profile = replay_module.offered_qos(told, 3)
+    profile = replay_module.offered_qos(offered, 3)
     assert profile.reliability == ReliabilityPolicy[reliability]
     assert (profile.durability, profile.depth) == (DurabilityPolicy[durability], depth)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a node: what it takes, what it reports, how it ends; alone and beside a hand."""
+"""The recorder as a node: what it takes, what it reports, how it ends; alone and next to a hand."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
     stage.publish("/left/a", 5)  # on its way when it ends
     stage.recorder.close()
     assert stage.recorded() == {"/left/a": [3, 4, 5]}
-    told = summarize(stage.bag).custom_data
-    assert told["lost_messages"] == "0" and told["scenario"] == "name: x"
+    found = summarize(stage.bag).custom_data
+    assert found["lost_messages"] == "0" and found["scenario"] == "name: x"
 
 
 def test_the_desired_pose_of_any_robot_is_recorded_unless_excluded(stage: Stage) -> None:
@@ -142,9 +142,9 @@ def test_what_is_missing_is_a_warning_and_in_the_bag(stage: Stage) -> None:
     assert report["fault lost_messages"].startswith(f"{lost} messages were lost")
     assert stage.recorder.diagnostics.status().level == WARN
     stage.recorder.close()
-    told = summarize(stage.bag)
-    assert int(told.custom_data["lost_messages"]) == 101 - told.counts["/left/a"]
-    assert told.custom_data["lost_messages/left/a"] == told.custom_data["lost_messages"]
+    found = summarize(stage.bag)
+    assert int(found.custom_data["lost_messages"]) == 101 - found.counts["/left/a"]
+    assert found.custom_data["lost_messages/left/a"] == found.custom_data["lost_messages"]
 
 
 def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
@@ -164,7 +164,7 @@ def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> Non
     assert (stage.bag / "metadata.yaml").exists()
 
 
-def test_beside_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: Stage) -> None:
+def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: Stage) -> None:
     """From the first message on, and without a subscription; other topics are subscribed."""
     inside = TickPublisher(stage.hand, Int64, "x")
     outside = TickPublisher(stage.hand, Int64, "/right/x")
@@ -193,7 +193,7 @@ def end_writer() -> None:
     writer.wait()
 
 
-def test_beside_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(
+def test_next_to_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(
     stage: Stage,
 ) -> None:
     inside = TickPublisher(stage.hand, Int64, "x")

@@ -59,14 +59,14 @@ class Stage:
         self.taken: list[int] = []
         self.times: list[tuple[int, int]] = []
 
-    def talk(self, profile: QoSProfile, *numbers: int, others: int = 0) -> Publisher:
+    def publisher(self, profile: QoSProfile, *numbers: int, others: int = 0) -> Publisher:
         """Create a publisher that sends numbers, the listener knowing of so many others."""
         publisher = self.talker.create_publisher(Int64, NAME, profile)
         wait_until(lambda: self.listener.count_publishers(NAME) == 1 + others)
-        self.say(publisher, *numbers)
+        self.send(publisher, *numbers)
         return publisher
 
-    def say(self, publisher: Publisher, *numbers: int) -> None:
+    def send(self, publisher: Publisher, *numbers: int) -> None:
         for number in numbers:
             publisher.publish(Int64(data=number))
 
@@ -119,22 +119,22 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
 
 
 def test_messages_are_taken_with_their_times(stage: Stage) -> None:
-    publisher = stage.talk(STRICT)
+    publisher = stage.publisher(STRICT)
     stage.match(publisher)
-    stage.say(publisher, 3, 4, 5)
+    stage.send(publisher, 3, 4, 5)
     assert stage.take(3) == [3, 4, 5] and stage.topic.lost == 0
     assert stage.topic.publishers == 1 and stage.topic.received == 3
     assert all(0 < sent <= received for received, sent in stage.times)
 
 
-def test_a_weaker_publisher_beside_another_is_taken_too(stage: Stage) -> None:
-    strict = stage.talk(STRICT)
+def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
+    strict = stage.publisher(STRICT)
     stage.match(strict)
-    stage.say(strict, 1)
+    stage.send(strict, 1)
     assert strict.wait_for_all_acked()
-    eager = stage.talk(EAGER, others=1)
+    eager = stage.publisher(EAGER, others=1)
     stage.match(eager)
-    stage.say(eager, 2)
+    stage.send(eager, 2)
     assert stage.take(2) == [1, 2]
 
 
@@ -142,14 +142,14 @@ def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
     stage: Stage,
 ) -> None:
     """The number of publishers is the same as before; what was missed is counted."""
-    strict = stage.talk(STRICT)
+    strict = stage.publisher(STRICT)
     stage.match(strict)
-    stage.say(strict, 1)
+    stage.send(strict, 1)
     stage.take(1)
     stage.leave(strict)
-    eager = stage.talk(EAGER, 2, 3, 4)  # to nobody
+    eager = stage.publisher(EAGER, 2, 3, 4)  # there is no subscription
     stage.match(eager)
-    stage.say(eager, 5)
+    stage.send(eager, 5)
     assert stage.take(5) == [1, 5] and stage.topic.lost == 3
 
 
@@ -158,14 +158,14 @@ def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
     stage: Stage, has_come: bool
 ) -> None:
     """Later its history would come twice."""
-    publisher = stage.talk(LATCHED)
+    publisher = stage.publisher(LATCHED)
     wait_until(lambda: publisher.get_subscription_count() == 1)
-    stage.say(publisher, 9)
+    stage.send(publisher, 9)
     assert publisher.wait_for_all_acked()
     if has_come:
         stage.topic.drain(stage._keep)
     stage.step()
-    stage.say(publisher, 10)
+    stage.send(publisher, 10)
     stage.take(2)
     assert stage.taken[0] == 9 and stage.taken[-1] == 10
     assert stage.topic.received == (2 if has_come else len(stage.taken))
@@ -179,9 +179,9 @@ def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(
     total = 0
     for sent in (20, early + 20):
         total += sent
-        publisher = stage.talk(STRICT, *range(sent - 20))
+        publisher = stage.publisher(STRICT, *range(sent - 20))
         stage.match(publisher)
-        stage.say(publisher, *range(20))
+        stage.send(publisher, *range(20))
         stage.take(total)
         stage.leave(publisher)
         stage.step()
@@ -189,9 +189,9 @@ def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(
 
 
 def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage: Stage) -> None:
-    publisher = stage.talk(STRICT)
+    publisher = stage.publisher(STRICT)
     stage.match(publisher)
-    stage.say(publisher, 1, 2)
+    stage.send(publisher, 1, 2)
     assert publisher.wait_for_all_acked()
     stage.listener.context.try_shutdown()
     stage.topic.drain(stage._keep)
@@ -274,7 +274,7 @@ def test_gaps_and_first_numbers_are_told_apart(
 
 
 def test_all_of_a_publisher_that_appears_later_count() -> None:
-    """A restarted publisher sends at once, but takes time to find the subscription."""
+    """A restarted publisher sends immediately, but takes time to find the subscription."""
     appeared: list[int] = []
     tracker = SequenceTracker(1, lambda: tracker.change(1, younger=len(appeared)))
     for number in (50, 51, 52):
@@ -287,7 +287,7 @@ def test_all_of_a_publisher_that_appears_later_count() -> None:
     assert tracker.lost == 187
 
 
-def test_a_publisher_that_left_unheard_is_not_waited_for() -> None:
+def test_a_publisher_that_left_without_a_message_is_not_waited_for() -> None:
     """The number out of order is a gap of the one that stayed."""
     tracker = SequenceTracker(publishers=2)
     tracker.see(1)

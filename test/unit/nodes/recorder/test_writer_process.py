@@ -59,7 +59,7 @@ def test_a_folder_that_exists_is_refused(tmp_path: Path) -> None:
 def test_what_finds_no_room_is_counted_as_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that does not read delays nobody; the rest is in the bag, in order."""
+    """A process that does not read delays nothing; the rest is in the bag, in order."""
     assert writer_process._MAX_WAITING == 64 << 20
     monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
     writer = started(tmp_path / "bag")
