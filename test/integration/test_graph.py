@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five nodes as processes over real DDS give the numbers of function calls, to the bit."""
+"""The five nodes as processes over real DDS give the numbers of the in-process loop, to the bit."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
 
 
 def encoded(run: Record) -> dict[str, list[bytes]]:
-    """Return the bytes of every topic for a run by function calls."""
+    """Return the bytes of every topic for a run in-process."""
     found: dict[str, list[bytes]] = {}
     messages = TickMessages(run)
     for row in range(len(run)):
@@ -173,7 +173,7 @@ def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph: Graph
 
 
 @pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("first", NOISE), ("second", NOISE)])
-def test_the_graph_gives_the_numbers_of_function_calls(
+def test_the_graph_gives_the_numbers_of_the_in_process_loop(
     bags: dict[str, Path], name: str, noise: dict[str, float]
 ) -> None:
     expected = ClosedLoop(noisy(noise)).run()
@@ -181,7 +181,7 @@ def test_the_graph_gives_the_numbers_of_function_calls(
     assert payloads(bags[name]) == encoded(expected)
 
 
-def test_what_slips_is_held_as_by_function_calls(tmp_path: Path) -> None:
+def test_what_slips_is_held_as_in_process(tmp_path: Path) -> None:
     """Weight, a noisy skin, a sudden pull: slip, friction, k_f and reshaped f* are the same."""
     pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -14.0]}  # more than the reserve
     slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.25}
@@ -225,7 +225,7 @@ def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> N
 def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     pacing: str, tmp_path: Path
 ) -> None:
-    """Gains, weights, squeezes, poses and services: recomputed to the bit."""
+    """Gains, weights, grasp forces, poses and services: recomputed to the bit."""
     rate, duration = (500.0, 1.5) if pacing == "lockstep" else (100.0, 2.0)
     scenario = short(**{"duration": duration, "plant.pacing": pacing, "plant.rate": rate})
 
@@ -266,7 +266,7 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
 
 @contextmanager
 def viewer(graph: Graph) -> Iterator[Callable[[], dict[str, Any]]]:
-    """Start a viewer beside a hand; provide its newest markers by their namespace and number."""
+    """Start a viewer next to a hand; provide its newest markers by their namespace and number."""
     arrived: list[MarkerArray] = []
     topic = graph.full("markers")
     graph.node.create_subscription(MarkerArray, topic, arrived.append, qos.user_qos())
@@ -282,7 +282,7 @@ def viewer(graph: Graph) -> Iterator[Callable[[], dict[str, Any]]]:
 
 
 def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> None:
-    """Another layout, target and rate; each ends where its own function calls end.
+    """Another layout, target and rate; each ends where its own in-process loop ends.
 
     The left one is wrongly calibrated, with longer links, larger tips and turned skins, so that its
     sensor reads joints. A viewer shows it in frames of its own; another process receives what it

@@ -185,7 +185,7 @@ def floods(graph: Graph) -> dict[str, tuple[str, Any]]:
         "future poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), ahead)),
         "poses out of reach": (names.DESIRED_POSE, pose_message((0.5, 0.5, 0.5), np.eye(3), 0)),
         "poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0)),
-        "squeezes": (names.USER_GRASP_FORCE, Float64(data=10.0)),
+        "grasp forces": (names.USER_GRASP_FORCE, Float64(data=10.0)),
         "megabytes": (
             names.DESIRED_POSE,
             pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000),
@@ -207,7 +207,7 @@ def undisturbed(graph: Graph) -> float:
 
 
 @pytest.mark.parametrize(
-    "which", ["future poses", "poses out of reach", "poses", "squeezes", "megabytes"]
+    "which", ["future poses", "poses out of reach", "poses", "grasp forces", "megabytes"]
 )
 def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, undisturbed: float, which: str) -> None:
     """At 2500 messages a second, megabytes at 50, the ticks do not stand still."""

@@ -241,7 +241,7 @@ def test_only_the_optimal_law_needs_an_optimal_force(
             peer.says(ERROR, "no optimal force")
 
 
-def test_ticks_that_begin_anew_forget_all_poses_but_those_sent_meanwhile(
+def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(
     meet: Callable[..., Peer],
 ) -> None:
     peer = meet(ManipulationControllerNode)
@@ -298,7 +298,7 @@ def test_a_pose_of_another_clock_is_refused_also_when_it_came_before_the_first_t
 
 
 def test_poses_that_nobody_fetches_do_not_pile_up(meet: Callable[..., Peer]) -> None:
-    """Without ticks, and again when the ticks begin anew: the latest are kept, the rest counted."""
+    """Without ticks, and again when the ticks start over: the latest are kept, the rest counted."""
     peer = meet(ManipulationControllerNode)
     node: Any = peer.under_test
     centre = TOUCH.positions.mean(axis=0)

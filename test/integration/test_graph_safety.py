@@ -44,7 +44,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
 @pytest.fixture(autouse=True)
 def moving(graph: Graph) -> None:
-    """Begin anew: the hand is on its way to p_d."""
+    """Start over: the hand is on its way to p_d."""
     graph.begin(P_D)
     graph.wait(lambda: graph.time > 0.1, "the first ticks")
 
@@ -159,8 +159,8 @@ def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
 
 def test_impossible_grasp_forces_are_counted_and_a_possible_one_is_taken(graph: Graph) -> None:
     before = graph.rejected("slip_regulator", "user_grasp_force")
-    for wish in (math.nan, 1000.0, -1.0):
-        graph.grasp_forces.publish(Float64(data=wish))
+    for force in (math.nan, 1000.0, -1.0):
+        graph.grasp_forces.publish(Float64(data=force))
     graph.wait(
         lambda: graph.rejected("slip_regulator", "user_grasp_force") == before + 3,
         "three rejections",

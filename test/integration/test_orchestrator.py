@@ -167,7 +167,7 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: 
     """Exit code 0, every tick on every topic, and a summary that says what the bag says.
 
     `tactile-hand run` finds its prefix, and the law beside the scenario, in a folder with a space;
-    the commands are those of function calls, and the report is opened.
+    the commands are those of the in-process loop, and the report is opened.
     """
     home = tmp_path / "my runs"
     home.mkdir()

@@ -282,7 +282,7 @@ def absent_for_a_user(context: Context, command: Callable[[HandClient], Any]) ->
 
 
 @pytest.mark.parametrize("missing", ["command", "accepted", "rejected"])
-def test_a_squeeze_is_sent_only_where_it_is_taken_and_answered(
+def test_a_grasp_force_is_sent_only_where_it_is_taken_and_answered(
     half: Node, context: Context, missing: str
 ) -> None:
     if missing != "command":
