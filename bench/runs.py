@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.middleware import isolated_domain
-from tactile_hand_ros.ros.processes import CapturedProcess
+from tactile_hand_ros.ros.processes import CapturedProcess, executable_path
 
 _TIMEOUT = 600.0  # s, on top of the simulated time
 
@@ -35,7 +34,7 @@ def run_graph(seconds: float, *options: str) -> dict[str, Any]:
         BenchError: If there is nothing to measure.
     """
     fixed = ["--quiet", "--no-report", "--duration", str(seconds)]
-    command = [sys.executable, "-m", "tactile_hand_ros.ros.processes", "orchestrator"]
+    command = [executable_path("orchestrator")]
     with isolated_domain(), tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         with CapturedProcess([*command, *fixed, "--out", folder, *options]) as orchestrator:

@@ -16,12 +16,7 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
-from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
-    JointCodec,
-    PoseCodec,
-    WrenchCodec,
-)
+from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.scenario.scenario import Scenario
 
 _JOINTS = "sensor_msgs/msg/JointState"

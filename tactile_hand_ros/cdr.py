@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serialized messages (plain CDR), read and written without rclpy.
 
-* `header_stamp`: the stamp of any message that begins with a header, from its bytes.
+* `header_stamp`: the stamp of any message that starts with a header, from its bytes.
 * `tables`: all messages of a topic to arrays at once, for reading bags.
 * `CdrTemplate`: one message with a fixed layout, read and written in place, for ticks.
 * `read_content`: one message of any layout, field by field.
@@ -51,13 +51,13 @@ def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
 
 
 def header_stamp(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that begins with a header.
+    """Return the stamp [ns] of a serialized message that starts with a header.
 
     Raises:
         MessageError: If there is none, or it is not a time.
     """
     if len(data) < _AFTER_STAMP:
-        raise MessageError(f"{len(data)} bytes, expected a message that begins with a stamp.")
+        raise MessageError(f"{len(data)} bytes, expected a message that starts with a stamp.")
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _ORIGIN)
     return to_nanoseconds(seconds, nanoseconds)
 
@@ -68,7 +68,7 @@ def clock_bytes(stamp_ns: int) -> bytes:
 
 
 class CdrTemplate:
-    """The bytes of a message that begins with a stamp, with gaps for blocks of doubles."""
+    """The bytes of a message that starts with a stamp, with gaps for blocks of doubles."""
 
     def __init__(self) -> None:
         """Start with the encapsulation and the stamp."""

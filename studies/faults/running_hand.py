@@ -26,12 +26,7 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
-    PoseCodec,
-    WrenchCodec,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec, stamp_to_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml

@@ -252,10 +252,13 @@ def _rerun(wanted: Sweep, folder: Path, index: int) -> int:
     print(f"run {index}: {listed}", flush=True)
     file = folder / f"run_{index}.yaml"
     files.replace_text(file, resolved(scenario))
-    command = [sys.executable, "-m", "tactile_hand_ros.ros.processes", "orchestrator"]
+    from tactile_hand_ros.ros.processes import child_environment, executable_path
+
+    command = [str(executable_path("orchestrator"))]
     options = ["--scenario", str(file), "--out", str(folder / "runs")]
     # What else this computer does may be the study itself.
-    return subprocess.run([*command, *options, "--startup-timeout", "120"]).returncode
+    options += ["--startup-timeout", "120"]
+    return subprocess.run([*command, *options], env=child_environment()).returncode
 
 
 def reproduce(

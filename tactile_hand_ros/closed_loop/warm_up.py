@@ -8,8 +8,8 @@ import numpy as np
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.compiled import is_complete, mark_complete
 from tactile_hand_ros.control.contact import example_touch
+from tactile_hand_ros.control.grasp import VirtualFrame
 from tactile_hand_ros.control.margins import GraspMonitor, SlipMonitor
-from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 

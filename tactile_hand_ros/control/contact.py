@@ -5,14 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.hand.kinematics import Fingertips
 from tactile_hand_ros.rotations import cross, rows_of_quaternions
+
+if TYPE_CHECKING:  # of it, Pinocchio need not be loaded
+    from tactile_hand_ros.hand.hand import Fingertips
 
 Array = NDArray[np.float64]
 

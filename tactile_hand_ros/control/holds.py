@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 Array = NDArray[np.float64]
 

@@ -14,11 +14,10 @@ from pydantic import field_validator
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
-from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forces
 from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_wrench
-from tactile_hand_ros.control.virtual_frame import VirtualFrame, pose_error
 from tactile_hand_ros.errors import ConfigurationError, nearest
-from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.hand.hand import Fingertips
 
 Array = NDArray[np.float64]
 

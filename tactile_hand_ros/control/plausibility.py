@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 Array = NDArray[np.float64]
 

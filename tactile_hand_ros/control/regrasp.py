@@ -31,18 +31,15 @@ class Regrasp:
 
     A finger that touches while closing waits where it is, so that it does not push the object away
     before the others have come.
+
+    Attributes:
+        active: Whether the fingers are open, opening or closing.
     """
 
     def __init__(self, config: RegraspConfig, hand: Hand) -> None:
         """Start without a grasp to leave."""
         self._config, self._hand = config, hand
-        self._normals: Array | None = None
-        self._closing = False
-
-    @property
-    def active(self) -> bool:
-        """Whether the fingers are open, opening or closing."""
-        return self._normals is not None
+        self.active = self._closing = False
 
     @property
     def closing(self) -> bool:
@@ -51,6 +48,7 @@ class Regrasp:
 
     def leave(self, theta: Array, contacts: Contacts) -> None:
         """Begin to open from a posture with the given contacts, and stay open afterwards."""
+        self.active = True
         self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
         self._tips = self._hand.fingertips(theta).positions
         self._depth = np.zeros(self._hand.fingers)
@@ -67,11 +65,11 @@ class Regrasp:
 
     def finish(self) -> None:
         """Forget the grasp that was left."""
-        self._normals = None
+        self.active = False
 
     def follow(self, theta: Array) -> None:
         """Go on from a posture that something else has moved the joints to, shape (m,), rad."""
-        if self._normals is not None:
+        if self.active:
             moved = self._depth[:, None] * self._normals
             self._tips = self._hand.fingertips(theta).positions - moved
             self._posture = theta.copy()
@@ -83,7 +81,6 @@ class Regrasp:
             contacts: Contacts by touch.
             dt: Time since the last tick, s.
         """
-        assert self._normals is not None
         c = self._config
         if self._closing:
             moves = np.where(contacts.touching, 0.0, c.speed * dt)

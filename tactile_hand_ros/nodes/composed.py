@@ -30,7 +30,8 @@ from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros import streams
-from tactile_hand_ros.ros.guard import TickFailedError
+from tactile_hand_ros.ros.endpoints import TickFailedError
+from tactile_hand_ros.ros.messages import Joints
 from tactile_hand_ros.ros.runner import run_nodes
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.simulation.plant import PlantState
@@ -120,13 +121,11 @@ class TouchedHand:
         silence = controller.config.input_timeout
         self._inputs = TickInputs(controller, declared, self, silence=silence)
 
-    def on_tick(
-        self, stamp: int, joints: streams.Joints, contacts: Contacts, forces: Array
-    ) -> None:
+    def on_tick(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
         """Answer a tick for which everything has arrived."""
         self._chain.answer(stamp, *joints, contacts, forces)
 
-    def on_blind_tick(self, stamp: int, joints: streams.Joints, reason: str) -> None:
+    def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which touch is missing."""
         self._controller.on_blind_tick(stamp, joints, reason)
 

@@ -33,14 +33,14 @@ from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog
-from tactile_hand_ros.nodes.user_changes import AppliedChanges, DesiredPoses
+from tactile_hand_ros.nodes.desired_poses import DesiredPoses
+from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.guard import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, PoseCodec, check_output
+from tactile_hand_ros.ros.endpoints import TickFailedError
+from tactile_hand_ros.ros.messages import JointCodec, Joints, PoseCodec, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.streams import Joints
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
@@ -313,7 +313,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._unanswered, self._answer = (stamp, Joints(theta, rates, applied)), None
         try:
             with self.answering:
-                self._desired.before(stamp)
+                if self._desired.fresh:
+                    self._desired.before(stamp)
                 self._tick = stamp
                 command = self._controller.step(
                     stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied

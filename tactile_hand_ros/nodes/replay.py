@@ -27,7 +27,7 @@ from tactile_hand_ros.bag.reader import iterate, open_bag
 from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.ros.messages import message_class
+from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.middleware import use_sockets
 
 CLOCK = "/clock"

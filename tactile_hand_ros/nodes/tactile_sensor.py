@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
-from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros import streams
-from tactile_hand_ros.ros.messages import ContactPoses
+from tactile_hand_ros.ros.messages import ContactPoses, Joints
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -70,6 +69,9 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         )
         miscalibrated = None
         if not self.config.calibration.is_right:
+            # Only a skin that is miscalibrated needs the model, which takes long to load.
+            from tactile_hand_ros.hand.hand import Hand
+
             known = Hand.load(self.config.hand, self.config.layout)
             miscalibrated = Miscalibration(self.config.calibration, known).step
             declared += (streams.joints(known.joint_names),)
@@ -104,7 +106,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         contacts: ContactPoses,
         speeds: Array,
         forces: Array,
-        joints: streams.Joints | None = None,
+        joints: Joints | None = None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
         true = TactileReading(contacts.positions, contacts.quaternions, forces)

@@ -26,11 +26,8 @@ from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
-from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest, taken
-from tactile_hand_ros.ros.messages import (
-    Pose,
-    PoseCodec,
-)
+from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest, taken
+from tactile_hand_ros.ros.messages import Pose, PoseCodec
 from tactile_hand_ros.scenario.scenario import TargetConfig
 
 _LATEST, _ALL = 1, 100

@@ -25,10 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import (
-    PoseCodec,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
 from tactile_hand_ros.ros.node import PUBLICATIONS
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,

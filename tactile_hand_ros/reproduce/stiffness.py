@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.laws import LAWS, LawInput
-from tactile_hand_ros.hand.kinematics import Fingertips
+from tactile_hand_ros.hand.hand import Fingertips
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node knows about its own health, as a DiagnosticStatus."""
+"""The health of a node, as a DiagnosticStatus."""
 
 from __future__ import annotations
 
@@ -201,13 +201,13 @@ def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
 
 
 class Mostly:
-    """Whether something held at most of the ticks since the last question.
+    """Whether something held at most of the ticks since the last call.
 
     Noise makes a condition blink; a report once a second should show what lasts.
     """
 
     def __init__(self) -> None:
-        """Begin with no."""
+        """Start with no."""
         self._held = self._ticks = 0
         self._answer = False
 

@@ -265,7 +265,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     def _step(self, entities: WaitedEntities, limit_ns: int) -> None:
         """Wait once, at most for a time [ns], and serve what is ready."""
         if self._tasks and self._has_open_tasks():
-            # A suspended coroutine may block its callback group; the public executor handles that.
+            # A suspended coroutine may block its callback group; the public executor handles it.
             self.spin_once(timeout_sec=1e-9 * limit_ns)
             self._stale = True
             return

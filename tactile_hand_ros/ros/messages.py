@@ -12,23 +12,21 @@ Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1); REP 2000 types of ROS 2 J
 
 from __future__ import annotations
 
-import importlib
 import math
-import re
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
-from ament_index_python import get_resource
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
 from tactile_hand_ros.cdr import CdrTemplate, Content, header_stamp, read_content, to_nanoseconds
 from tactile_hand_ros.config.explanation import did_you_mean
-from tactile_hand_ros.errors import BagError, MessageError, UnsafeOutputError
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.names import PALM_FRAME
 
 Array = NDArray[np.float64]
@@ -42,7 +40,6 @@ _LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
 _LONGEST_NAME = 80  # characters of a sender's text that an error repeats
 _UNIT_TOLERANCE = 1e-3
 _NUMBER_SIZE = 12  # the encapsulation and a double
-_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 class ContactPoses(NamedTuple):
@@ -211,6 +208,11 @@ class WrenchCodec:
             _checked_vector((x, y, z), "force")
         return stamp, (x, y, z)
 
+    def decode_normal(self, data: bytes) -> tuple[int, float]:
+        """Return stamp [ns] and the normal force, as which k_f is sent; see `decode`."""
+        stamp, force = self.decode(data)
+        return stamp, force[1]
+
 
 class ContactsCodec:
     """geometry_msgs/PoseArray with the contact frames C_i of k fingers in the palm frame."""
@@ -268,6 +270,22 @@ class ContactsCodec:
             _checked_quaternion(quaternion, f"contact {index}")
         return stamp, ContactPoses(rows[:, :3].copy(), rows[:, 3:].copy())
 
+    def decode_contacts(self, data: bytes) -> tuple[int, Contacts]:
+        """Return stamp [ns] and contacts with rotation matrices; see `decode`."""
+        stamp, poses = self.decode(data)
+        return stamp, Contacts.from_poses(*poses)
+
+
+class Joints(NamedTuple):
+    """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
+
+    The torques are those since the tick before, and None where a driver does not report them.
+    """
+
+    theta: Array
+    rates: Array
+    applied: Array | None
+
 
 class JointCodec:
     """sensor_msgs/JointState with some of its fields, in the hand's order of joints.
@@ -321,15 +339,20 @@ class JointCodec:
             MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
                 length, NaN or infinity.
         """
-        stamp, values, _ = self.decode_with_last(data)
+        stamp, values, _ = self._decode(data)
         return stamp, values
 
-    def decode_with_last(self, data: bytes) -> tuple[int, list[Array], Array | None]:
-        """Return stamp [ns], one array of shape (m,) per wanted field, and a usable effort or None.
+    def decode_joints(self, data: bytes) -> tuple[int, Joints]:
+        """Return stamp [ns] and what a driver sends, of which position and velocity are wanted.
 
         Raises:
             MessageError: As `decode`.
         """
+        stamp, (theta, rates), applied = self._decode(data)
+        return stamp, Joints(theta, rates, applied)
+
+    def _decode(self, data: bytes) -> tuple[int, list[Array], Array | None]:
+        """Return stamp [ns], an array per wanted field, and a usable effort or None."""
         found = self._template.decode(data)
         if found is not None and all_usable(found[0]):
             values = found[1]
@@ -416,33 +439,3 @@ def feedback_message(intensities: Sequence[float]) -> JoyFeedbackArray:
         for index, intensity in enumerate(map(float, intensities))
     ]
     return JoyFeedbackArray(array=rumbles)
-
-
-def message_class(type_name: str) -> Any:
-    """Return the Python class of a message type.
-
-    The name comes from a bag or from the network, so it imports nothing but packages of interfaces
-    that are installed: a module of that name that merely lies on Python's path is not run.
-
-    Args:
-        type_name: Full name, e.g. ``sensor_msgs/msg/JointState``.
-
-    Raises:
-        BagError: If the type is not installed.
-    """
-    match = _TYPE_NAME.fullmatch(type_name)
-    if not match:
-        raise BagError(
-            f"The message type {type_name[:100]!r} is not a type name, expected package/msg/Type."
-        )
-    package, name = match.groups()
-    try:
-        installed, _ = get_resource("rosidl_interfaces", package)
-        if not {f"msg/{name}.msg", f"msg/{name}.idl"} & set(installed.split()):
-            raise LookupError(name)
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, LookupError, OSError):
-        raise BagError(
-            f"The message type '{type_name}' is not installed, expected a package with it in "
-            "this environment; install or source it to record its topics."
-        ) from None

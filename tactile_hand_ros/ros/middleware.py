@@ -53,7 +53,7 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     reach = "LOCALHOST" if alone else environment.get(_RANGE, "SUBNET")
     try:
         folder = config_directory() / "middleware"
-    except ConfigurationError:  # what needs the configuration will say so
+    except ConfigurationError:  # what needs the configuration reports it
         return {}
     chosen = [environment[name] for name in _PROFILES if name in environment]
     # Ours, in force already, unless the user has narrowed the range since.

@@ -24,10 +24,8 @@ from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.guard import Answering, CallbackGuard
+from tactile_hand_ros.ros.endpoints import Answering, CallbackGuard, TickPublisher
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
-from tactile_hand_ros.ros.publishing import TickPublisher
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
@@ -50,7 +48,7 @@ class TactileNode(Node, Generic[C]):
     `CallbackGuard`.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
-    come or gone: that both ends of a topic exist does not mean that they have matched.
+    come or gone: that both ends of a topic exist does not mean that they are matched yet.
 
     Attributes:
         diagnostics: Counters and facts to report.
@@ -152,18 +150,6 @@ class TactileNode(Node, Generic[C]):
         """Return a callback whose errors the node survives; see `CallbackGuard.wrap`."""
         return self._guard.wrap(source, callback)
 
-    def after_reading(self, guarded: Callable[[], None]) -> None:
-        """Call back once when all that has arrived is read; immediately where that is not known.
-
-        Args:
-            guarded: The callback, made once by `guarded`.
-        """
-        executor = self.executor
-        if isinstance(executor, WaitSetExecutor):
-            executor.after_reading(guarded)
-        else:
-            guarded()
-
     def tick_publisher(self, message_type: Any, topic: str) -> TickPublisher:
         """Create a publisher for something that carries a tick."""
         self.tick_publishers.append(TickPublisher(self, message_type, topic))
@@ -184,8 +170,8 @@ class TactileNode(Node, Generic[C]):
         Args:
             message_type: Message class.
             topic: Relative topic name.
-            callback: Takes the message, bytes if raw, and optionally what the middleware reports
-                about it; may raise TactileHandError to reject it.
+            callback: Takes the message, bytes if raw, and as a second argument, if it has one, what
+                the middleware reports about it; may raise TactileHandError to reject it.
             profile: Quality of service, by default that of ticks.
             sensor: Let the user override history, depth and reliability by parameters
                 ``qos_overrides.<full topic>.subscription.reliability`` and so on.

@@ -33,7 +33,7 @@ from tactile_hand_ros.config.explanation import (
 from tactile_hand_ros.config.model import Config, flatten, from_flat, is_config, leaves
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
-from tactile_hand_ros.ros.guard import described
+from tactile_hand_ros.ros.endpoints import described
 
 C = TypeVar("C", bound=Config)
 Type = Parameter.Type

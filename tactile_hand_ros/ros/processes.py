@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find this package's executables, and run processes that end with all that they have started.
-
-``python -m tactile_hand_ros.ros.processes NAME [ARGUMENT ...]`` becomes that executable, as
-``ros2 run`` does, also where ``ros2`` is missing.
-"""
+"""Find this package's executables, and run processes that end with all that they have started."""
 
 from __future__ import annotations
 
@@ -34,14 +30,14 @@ def executable_directory() -> Path:
     """Return ``<prefix>/lib/tactile_hand_ros``, the only place where ``ros2 run`` looks.
 
     Raises:
-        ExecutableError: The ament index does not know the package.
+        ExecutableError: The package is not in the ament index.
     """
     try:
         prefix = get_package_prefix(PACKAGE)
     except (PackageNotFoundError, LookupError, OSError) as error:  # OSError: there is no index
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
         raise ExecutableError(
-            f"The ament index at AMENT_PREFIX_PATH='{searched}' does not know {PACKAGE}:"
+            f"The ament index at AMENT_PREFIX_PATH='{searched}' has no {PACKAGE}:"
             " build it (make setup, or colcon build) and source or set the prefix."
         ) from error
     return Path(prefix) / "lib" / PACKAGE
@@ -71,7 +67,7 @@ def executable_path(name: str) -> Path:
 def child_environment() -> dict[str, str]:
     """Return the environment for a child process, with this interpreter first on PATH.
 
-    The executables begin with ``#!/usr/bin/env python3``: without an activated virtual environment
+    The executables start with ``#!/usr/bin/env python3``: without an activated virtual environment
     they would find another Python.
     """
     environment = dict(os.environ)
@@ -212,7 +208,7 @@ class CapturedProcess(ChildProcess):
     ) -> None:
         """Start it; see `ChildProcess`."""
         self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
-        # With a fault handler, SIGABRT makes a process that hangs say where.
+        # With a fault handler, SIGABRT prints where a process hangs.
         env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
         super().__init__(command, *self._files, env=env, cwd=cwd)
 
@@ -283,18 +279,3 @@ def start_executable(
         env: Variables to set or change.
     """
     return CapturedProcess([executable_path(name), *args], env=env)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Become the named executable; return only when that is impossible."""
-    name, *rest = list(sys.argv[1:] if arguments is None else arguments) or [""]
-    try:
-        path = executable_path(name)
-    except ExecutableError as error:
-        print(error, file=sys.stderr)
-        return 2
-    os.execve(path, [str(path), *rest], child_environment())
-
-
-if __name__ == "__main__":
-    sys.exit(main())

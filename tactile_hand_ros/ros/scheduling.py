@@ -3,7 +3,7 @@
 
 Both are asked for on the command line. Policy and processors are set before ROS starts: the threads
 of the middleware inherit them. What the system does not permit does not stop the node: it runs as
-before and says so in its diagnostics.
+before and reports it in its diagnostics.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _POLICIES = {
 }
 _HIGHEST = 99
 _RESENDING = "dds.asyn"
-"""What names of Fast DDS's threads begin with that send again what a subscriber missed."""
+"""What names of Fast DDS's threads start with that send again what a subscriber missed."""
 
 _refusals: list[str] = []
 
@@ -93,7 +93,7 @@ def yield_while_resending() -> None:
 
 
 def use_batch_scheduling() -> None:
-    """Ask for SCHED_BATCH: the same share of the time, but no interruption of other processes.
+    """Ask for SCHED_BATCH: the same fraction of the time, but no interruption of other processes.
 
     For one that no other waits for. Where the kernel has no such policy nothing changes.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
-from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
-    JointCodec,
-    WrenchCodec,
-)
+from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
 
 Array = NDArray[np.float64]
 Decode = Callable[[bytes], tuple[int, Any]]
@@ -44,36 +39,15 @@ class Stream:
     wanted: bool = True
 
 
-class Joints(NamedTuple):
-    """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
-
-    The torques are those since the tick before, and None where a driver does not report them.
-    """
-
-    theta: Array
-    rates: Array
-    applied: Array | None
-
-
 def joints(joint_names: Sequence[str]) -> Stream:
     """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
     codec = JointCodec(joint_names, wanted=("position", "velocity"), others=True)
-
-    def decode(data: bytes) -> tuple[int, Joints]:
-        stamp, (theta, rates), applied = codec.decode_with_last(data)
-        return stamp, Joints(theta, rates, applied)
-
-    return Stream(JointState, {names.JOINT_STATES: decode}, from_driver=True)
+    return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
 
 
 def contacts(fingers: int) -> Stream:
     """Declare the measured contacts; values are `Contacts` in the palm frame."""
-    codec = ContactsCodec(fingers)
-
-    def decode(data: bytes) -> tuple[int, Contacts]:
-        stamp, poses = codec.decode(data)
-        return stamp, Contacts.from_poses(*poses)
-
+    decode = ContactsCodec(fingers).decode_contacts
     return Stream(PoseArray, {names.CONTACTS: decode}, from_driver=True)
 
 
@@ -90,12 +64,7 @@ def optimal_forces(finger_names: Sequence[str]) -> Stream:
 def grasp_force() -> Stream:
     """Declare the grasp force k_f; values in N."""
     codec = WrenchCodec(names.PALM_FRAME, any_frame=True)
-
-    def decode(data: bytes) -> tuple[int, float]:
-        stamp, force = codec.decode(data)
-        return stamp, force[1]
-
-    return Stream(WrenchStamped, {names.GRASP_FORCE: decode})
+    return Stream(WrenchStamped, {names.GRASP_FORCE: codec.decode_normal})
 
 
 def learned_friction(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:

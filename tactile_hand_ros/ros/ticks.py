@@ -57,8 +57,8 @@ class StampMatcher:
     """Collects one value per key and stamp, and gives the values of a stamp when all are there.
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. A complete set at stamp 0, or more than
-    ``restart_after_ns`` before the last one, means that the senders have started over: everything
+    given up when a newer one is complete. A complete set at stamp 0, or more than a second before
+    the last one, means that the senders have started over: everything
     else is forgotten then. A single old message means nothing.
     """
 
@@ -67,7 +67,6 @@ class StampMatcher:
         keys: Sequence[str],
         *,
         memory: int = 100,
-        restart_after_ns: int = _SECOND,
         on_restart: Callable[[], None] | None = None,
     ) -> None:
         """Name the streams.
@@ -76,13 +75,11 @@ class StampMatcher:
             keys: One key per stream; the first is the one whose repetition means that the tick
                 is asked for again.
             memory: Incomplete stamps that are kept; the first to come are the first to go.
-            restart_after_ns: Jump back in time that means a restart [ns].
             on_restart: Called when the senders have started over, before their first set is given.
         """
         self.keys = tuple(keys)
         self._index = {key: index for index, key in enumerate(self.keys)}
         self._memory = memory
-        self._restart_after = restart_after_ns
         self._on_restart = on_restart
         self.last: int | None = None
         self._pending: dict[int, _Open] = {}
@@ -111,7 +108,7 @@ class StampMatcher:
         if last is not None and stamp_ns <= last:
             if stamp_ns == last:
                 return REPEAT if index == 0 else None
-            if stamp_ns > 0 and last - stamp_ns <= self._restart_after:
+            if stamp_ns > 0 and last - stamp_ns <= _SECOND:
                 return None
         opened = self._pending.get(stamp_ns)
         if opened is None:
@@ -157,7 +154,7 @@ class Leaps:
     """
 
     def __init__(self) -> None:
-        """Start without a stamp: the first one is believed."""
+        """Start without a stamp: the first one is accepted."""
         self._last: int | None = None
         self._step = 0
         self._doubted: int | None = None
@@ -165,7 +162,7 @@ class Leaps:
     def doubts(self, stamp: int) -> bool:
         """Note a stamp, ns, and return whether it leaps ahead and nothing has confirmed it yet.
 
-        What confirms it is the same stamp again, or a later one with none in between that goes on
+        What confirms it is the same stamp again, or a later one with none in between that continues
         from the last.
         """
         last, doubted = self._last, self._doubted
@@ -190,7 +187,7 @@ def two_senders(topic: str) -> str:
 
 
 class SenderCheck:
-    """Tells two publishers of a topic by the sequence numbers of their messages.
+    """Finds two publishers of a topic by the sequence numbers of their messages.
 
     The middleware numbers the messages of each publisher 1, 2, 3, ... From one publisher the
     numbers rise. A successor of one that was killed starts again at 1, so they fall once. Where two
@@ -215,7 +212,7 @@ class SenderCheck:
         self.conflicts = 0
 
     def note(self, info: Mapping[str, Any]) -> bool:
-        """Note what the middleware says about a message; return whether two senders send."""
+        """Note what the middleware reports about a message; return whether two senders send."""
         number = info.get(_NUMBER)
         if number is None:
             return False
@@ -268,7 +265,7 @@ class SilenceTimeout:
 
     Silence of the trigger itself does not count: then there is nothing to answer. The time must
     have passed by the stamps of the triggers and by the wall clock. By the stamps, because in
-    lockstep they stand still while a tick waits for its inputs: all nodes wait for the one that
+    lockstep they do not advance while a tick waits for its inputs: all nodes wait for the one that
     stalls, and no result depends on how fast the machine is. By the wall clock, because one stamp
     that lies ahead does not mean that time has passed.
 
@@ -373,7 +370,7 @@ class TickInputs:
 
     The first stream is the trigger: when it repeats an answered tick, the last answer is published
     again, and while it continues without the others for a time-out, its values are passed on
-    alone and at once, until a complete tick arrives; see `SilenceTimeout`. While two publishers
+    alone and immediately, until a complete tick arrives; see `SilenceTimeout`. While two publishers
     send it, no tick is answered: which one is right cannot be known, and the driver holds.
     """
 
@@ -395,7 +392,7 @@ class TickInputs:
             silence: Time after which inputs count as missing [s]; None never passes on a tick that
                 is not complete.
             observe: Takes what `on_tick` would, for each tick that is skipped, in its turn: for a
-                node that has to know every sample although it answers only the newest.
+                node that has to process every sample although it answers only the newest.
         """
         self._node = node
         self._observe = observe
@@ -435,8 +432,9 @@ class TickInputs:
 
     def _take_trigger(self, decode: Decode, data: bytes, info: Mapping[str, Any]) -> None:
         stamp, value = decode(data)
-        contested = self._senders.note(info)
-        self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
+        was_contested, contested = self._senders.in_conflict, self._senders.note(info)
+        if contested or was_contested:
+            self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._leaps.doubts(stamp):
             return
         matched = self._matcher.put(self._trigger, stamp, value)
@@ -454,7 +452,15 @@ class TickInputs:
         if stamp > self._answered_blindly:
             self._backlog.put(stamp, matched)
             if len(self._backlog) == 1:
-                self._node.after_reading(self._answer)
+                self._after_reading()
+
+    def _after_reading(self) -> None:
+        """Answer when all that has arrived is read; immediately where that is not known."""
+        wait = getattr(self._node.executor, "after_reading", None)
+        if wait is None:
+            self._answer()
+        else:
+            wait(self._answer)
 
     def _wait(self, silence: SilenceTimeout, stamp: int, value: Any) -> None:
         had_expired = silence.expired

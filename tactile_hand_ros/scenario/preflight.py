@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_hand_ros.control.contact import hand_jacobian
-from tactile_hand_ros.control.grasp import check_joints, check_spread
+from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
-from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import Scenario

@@ -14,12 +14,12 @@ from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import parse_yaml, yaml_text
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.control.grasp import VirtualFrame
 from tactile_hand_ros.control.holds import GuardHoldConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
-from tactile_hand_ros.control.virtual_frame import VirtualFrame
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
 from tactile_hand_ros.scenario.files import (

@@ -12,7 +12,7 @@ from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
-from tactile_hand_ros.hand.kinematics import Fingertips, tip_jacobians
+from tactile_hand_ros.hand.hand import Fingertips, tip_jacobians
 from tactile_hand_ros.rotations import rodrigues
 from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point

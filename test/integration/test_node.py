@@ -22,9 +22,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import (
-    checked_number,
-)
+from tactile_hand_ros.ros.messages import checked_number
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
@@ -113,7 +111,7 @@ class Fragile(Example):
         self.safe = []
         self.subscribe(Float64, "y", self._fail)
         fail = self.guarded("ticks", self._fail)
-        self.subscribe(Float64, "later", lambda _: self.after_reading(fail))
+        self.subscribe(Float64, "later", lambda _: self.executor.after_reading(fail))
         self.create_timer(0.01, self._fail)
         self.create_service(Trigger, "~/fail", lambda request, response: self._fail())
 

@@ -97,17 +97,6 @@ def test_message_info_and_raw_bytes(make_node, spun):
     assert deserialize_message(raws[0], Float64).data == 2.5
 
 
-def test_timers_fire_and_cancelled_ones_do_not(make_node, spun):
-    node, fired, cancelled = make_node("a"), [], []
-    node.create_timer(0.01, lambda: fired.append(time.monotonic()))
-    late = node.create_timer(0.05, lambda: cancelled.append(1))
-    late.cancel()
-    spun(node)
-    wait_until(lambda: len(fired) >= 20)
-    assert 0.15 < fired[19] - fired[0] < 1.0
-    assert not cancelled
-
-
 def test_services_and_clients_work_also_under_a_flood_of_messages(make_node, spun):
     node, other = make_node("a"), make_node("b")
     node.create_service(Trigger, "s", lambda _, answer: _succeed(answer))
@@ -170,16 +159,6 @@ def test_coroutine_callbacks_of_subscriptions_timers_and_tasks(make_node, spun):
     matched(node.create_publisher(Float64, "x", 10)).publish(Float64(data=7.0))
     executor.create_task(task)
     wait_until(lambda: {7.0, "tick", "task"} <= set(got), message="all three")
-
-
-def test_guard_conditions_are_served(make_node, spun):
-    node, hits = make_node("a"), []
-    guard = node.create_guard_condition(lambda: hits.append(1))
-    spun(node)
-    guard.trigger()
-    wait_until(lambda: len(hits) == 1)
-    guard.trigger()
-    wait_until(lambda: len(hits) == 2)
 
 
 def test_entities_may_come_and_go_while_spinning(make_node, spun):

@@ -26,10 +26,7 @@ from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import (
-    Array,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages import Array, stamp_to_ns
 from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
 from tactile_hand_ros.ros.parameters import to_params_yaml

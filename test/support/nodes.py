@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
+from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.hand.kinematics import mirrored
+from tactile_hand_ros.hand.hand import mirrored
 
 
 @pytest.mark.parametrize("fingers", [[9], [3, 3, 3], [3, 5, 4, 1]])

@@ -18,7 +18,7 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
-from tactile_hand_ros.ros.publishing import TickPublisher
+from tactile_hand_ros.ros.endpoints import TickPublisher
 
 _CALM_FACTOR = 10.0  # factor on the period for a graph that does not change
 _CALM_AFTER = 1.0  # s

@@ -14,8 +14,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
-from tactile_hand_ros.ros.messages import message_class
+from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, taken
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
 

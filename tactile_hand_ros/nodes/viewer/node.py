@@ -39,12 +39,8 @@ from tactile_hand_ros.nodes.viewer.scene import (
     transforms,
 )
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
-from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
-    PoseCodec,
-    WrenchCodec,
-)
+from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
@@ -76,8 +72,8 @@ class ViewerNode(TactileNode[ViewerConfig]):
 
     Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while there is a
     subscriber), `/tf` and `/tf_static` (tf2_msgs/TFMessage, where it is installed: from `palm` to
-    links, contacts and object). In a namespace the names of these frames begin with it, as
-    `left/palm`: all hands share `/tf`.
+    links, contacts and object). In a namespace the names of these frames start with it, as
+    `left/palm`: all hands use one `/tf`.
 
     Parameters: the fields of `ViewerConfig`; a plant's parameter file fits as well.
     """
@@ -141,8 +137,8 @@ class ViewerNode(TactileNode[ViewerConfig]):
             self._tf.publish(self._transforms([*seen, *known], stamp))
         if self._markers.get_subscription_count():
             goal = self._pose(names.ACCEPTED_POSE, "goal")
-            felt = self._forces(), self._friction()
-            scene = Scene(self._corners, where, contacts, *felt, goal, self._prefix)
+            measured = self._forces(), self._friction()
+            scene = Scene(self._corners, where, contacts, *measured, goal, self._prefix)
             self._markers.publish(markers(scene))
         self.diagnostics.tick()
 

@@ -95,7 +95,7 @@ class LinkFrames:
 
 
 def frame_prefix(namespace: str) -> str:
-    """Return what the frames of a hand begin with, so that two hands can share `/tf`."""
+    """Return the prefix of the frames of a hand, so that two hands can use one `/tf`."""
     return f"{namespace.strip('/')}/" if namespace.strip("/") else ""
 
 
@@ -124,7 +124,7 @@ class Scene:
         forces: Forces on the object in the contact frames, shape (k, 3), N.
         friction: Learned friction, shape (k,).
         goal: The desired pose, None before the first.
-        prefix: What the names of the hand's frames begin with.
+        prefix: Prefix of the names of the hand's frames.
     """
 
     corners: Array

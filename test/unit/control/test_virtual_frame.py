@@ -8,8 +8,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.grasps import normals, pinch, point_sets, rotations, three_faces, vectors
 
-from tactile_hand_ros.control.grasp import collinearity_margin
-from tactile_hand_ros.control.virtual_frame import VirtualFrame, best_rotation, orientation_error
+from tactile_hand_ros.control.grasp import (
+    VirtualFrame,
+    best_rotation,
+    collinearity_margin,
+    orientation_error,
+)
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import rotation_from_vector
 

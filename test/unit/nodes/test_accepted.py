@@ -16,7 +16,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK
-from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
+from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
 from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode

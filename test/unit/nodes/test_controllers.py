@@ -25,9 +25,8 @@ from tactile_hand_ros.nodes.manipulation_controller import ManipulationControlle
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
-from tactile_hand_ros.ros.guard import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec, stamp_to_ns
-from tactile_hand_ros.ros.streams import Joints
+from tactile_hand_ros.ros.endpoints import TickFailedError
+from tactile_hand_ros.ros.messages import JointCodec, Joints, WrenchCodec, stamp_to_ns
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 

@@ -23,10 +23,7 @@ from tactile_hand_ros.orchestrator.steering import (
     how_to_steer,
 )
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import (
-    PoseCodec,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.rotations import rotation_from_quaternion

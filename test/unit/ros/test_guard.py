@@ -17,10 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.guard import CallbackGuard, described, location, refusal
-from tactile_hand_ros.ros.messages import (
-    checked_number,
-)
+from tactile_hand_ros.ros.endpoints import CallbackGuard, described, location, refusal
+from tactile_hand_ros.ros.messages import checked_number
 
 HERE = Path(__file__).name
 
@@ -105,15 +103,6 @@ def test_what_was_not_foreseen_is_told_once_and_makes_the_node_safe(error: Excep
     assert [kind for kind, _ in node.said] == ["error", "safe", "safe"]
     assert node.said[0][1].startswith(f"error in 'timer': {type(error).__name__} at {HERE}:")
     assert node.diagnostics.errors == {"timer": 2} and node.diagnostics.rejected == {}
-
-
-def test_a_safe_state_that_fails_is_reported_and_tried_again_the_next_time() -> None:
-    node = Node(fails=True)
-    callback = CallbackGuard(node).wrap("timer", throwing(ValueError("x")))
-    callback()
-    callback()
-    assert node.diagnostics.errors == {"timer": 2, "safe state": 2}
-    assert [kind for kind, _ in node.said] == ["error", "safe", "error", "safe"]
 
 
 @pytest.mark.parametrize("kind", ["fatal", "down"])

@@ -399,7 +399,7 @@ def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
         effort=[0.0] * 4,
     )
     for _ in range(2):
-        _, (position, velocity), effort = codec.decode_with_last(serialize_message(message))
+        _, (position, velocity, effort) = codec.decode_joints(serialize_message(message))
         assert (position.tolist(), velocity.tolist()) == ([2.0, 1.0], [4.0, 3.0])
         assert effort.tolist() == [0.0, 0.0]
     with pytest.raises(MessageError, match="unknown joint 'arm_1'"):

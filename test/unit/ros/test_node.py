@@ -3,23 +3,19 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import MessageError, TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK
-from tactile_hand_ros.ros.direct_take import subscribe_directly
-from tactile_hand_ros.ros.executor import WaitSetExecutor
+from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode, peer_count
 from tactile_hand_ros.ros.processes import wait_until
@@ -108,30 +104,6 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
     assert not change(-1.0)[0]
 
 
-def test_callbacks_are_guarded_under_their_names(node: Example) -> None:
-    def fail(*_: Any) -> None:
-        raise ValueError("odd")
-
-    def refuse(*_: Any) -> None:
-        raise MessageError("no")
-
-    node.create_timer(10.0, fail).callback()
-    node.create_timer(10.0, functools.partial(fail)).callback()
-    node.subscribe(Float64, "x", fail).callback(Float64())
-    node.guarded("work", fail)()
-    service = node.create_service(Trigger, "~/do", refuse)
-    answer = service.callback(Trigger.Request(), Trigger.Response(success=True))
-    assert not answer.success
-    name = "test_callbacks_are_guarded_under_their_names.<locals>.fail"
-    assert set(node.diagnostics.errors) == {f"timer {name}", "timer partial", "x", "work"}
-    assert node.diagnostics.rejected == {"~/do": 1}
-    node.reject("x", "too far")
-    node.reject("x", MessageError("far"))
-    node.survive("y", MessageError("also"))
-    assert node.diagnostics.rejected == {"~/do": 1, "x": 2, "y": 1}
-    assert node.calls[-3:] == [("x", "too far"), ("x", "far"), ("y", "also")]
-
-
 def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> None:
     given = QoSProfile(depth=7)
     made = node.subscribe(Float64, "x", print, profile=given, raw=True)
@@ -142,18 +114,3 @@ def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> No
     assert known and all(name.startswith("/left/s.subscription.") for name in known)
     made.qos_profile.depth = 9
     assert given.depth == 7 and sensor.qos_profile.depth == plain.qos_profile.depth
-
-
-def test_what_waits_for_the_end_of_reading_waits_only_where_that_is_known(
-    node: Example, context: Any
-) -> None:
-    calls: list[int] = []
-    node.after_reading(lambda: calls.append(1))
-    assert calls == [1]
-    for kind, waits in ((WaitSetExecutor, True), (SingleThreadedExecutor, False)):
-        executor: Any = kind(context=context)
-        executor.add_node(node)
-        node.after_reading(lambda: calls.append(2))
-        assert calls == ([1] if waits else [1, 2])
-        executor.remove_node(node)
-        executor.shutdown()

@@ -20,9 +20,6 @@ from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.parameters import (
     ConfigParameters,
     descriptor,
-    from_ros,
-    ros_type,
-    to_parameters,
     to_params_yaml,
 )
 
@@ -87,43 +84,6 @@ def test_a_description_has_a_unit_where_there_is_one() -> None:
         False,
         True,
     ]
-
-
-def test_types_are_those_of_ros() -> None:
-    expected = {
-        "free": Type.DOUBLE,
-        "many": Type.INTEGER,
-        "words": Type.STRING_ARRAY,
-        "parts": Type.STRING_ARRAY,
-        "part.kind": Type.STRING,
-    }
-    assert {name: ros_type(FIELDS[name]) for name in expected} == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "expected"),
-    [
-        ("free", 2, 2.0),
-        ("free", True, True),  # no number: the model refuses it
-        ("many", 2, 2),
-        ("words", None, []),
-        ("words", ("a", "b"), ["a", "b"]),
-        ("words", "ab", "ab"),
-        ("parts", ["{kind: b}"], [{"kind": "b"}]),
-        ("parts", "{kind: b}", "{kind: b}"),
-    ],
-)
-def test_a_value_of_ros_is_what_the_field_takes(name: str, value: Any, expected: Any) -> None:
-    found = from_ros(FIELDS[name], value)
-    assert found == expected and type(found) is type(expected)
-
-
-def test_all_values_become_messages_in_their_order() -> None:
-    made = to_parameters(Fields(many=7, parts=[Part(kind="b")]))
-    assert [each.name for each in made] == list(FIELDS)
-    values = {each.name: each.value for each in made}
-    assert values["many"].integer_value == 7 and values["between"].double_value == 1.0
-    assert list(values["parts"].string_array_value) == ["{kind: b}"]
 
 
 def test_a_file_keeps_what_looks_like_a_number_a_text() -> None:

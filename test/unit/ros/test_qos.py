@@ -6,7 +6,6 @@ from __future__ import annotations
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 
 PROFILES = {
@@ -31,18 +30,3 @@ def test_profiles_are_new_each_time_since_rclpy_writes_into_them(kind: str) -> N
     make, depth, _ = PROFILES[kind]
     make().depth = 7
     assert make().depth == depth
-
-
-def test_topics_of_fingers_are_told_apart() -> None:
-    patterns = (names.wrench, names.optimal_force, names.true_wrench, names.contact_frame)
-    made = [pattern(finger) for pattern in patterns for finger in ("one", "two")]
-    assert made == [
-        "tactile/one/wrench",
-        "tactile/two/wrench",
-        "optimal_force/one",
-        "optimal_force/two",
-        "ground_truth/one/wrench",
-        "ground_truth/two/wrench",
-        "one_contact",
-        "two_contact",
-    ]

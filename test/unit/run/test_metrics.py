@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.virtual_frame import orientation_error
+from tactile_hand_ros.control.grasp import orientation_error
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     rotation_from_quaternion,

@@ -21,7 +21,7 @@ from tactile_hand_ros.nodes.plant.driver import CONFLICT
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.direct_take import subscribe_directly, taken
+from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.ticks import SenderCheck

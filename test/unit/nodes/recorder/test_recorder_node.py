@@ -25,9 +25,9 @@ from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
+from tactile_hand_ros.ros.endpoints import TickPublisher
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
-from tactile_hand_ros.ros.publishing import TickPublisher
 
 
 class Stage:

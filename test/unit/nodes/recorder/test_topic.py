@@ -20,7 +20,7 @@ from std_msgs.msg import Float64, Int64
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, SequenceTracker, adapted_qos
-from tactile_hand_ros.ros.messages import message_class
+from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 

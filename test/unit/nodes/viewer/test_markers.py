@@ -114,12 +114,6 @@ def test_object_and_goal_are_where_they_are() -> None:
     assert (goal.scale.x, goal.scale.y, goal.scale.z) == (0.003, 0.0, 0.0)
 
 
-def test_the_first_marker_removes_all_others_and_has_a_pose_that_is_one() -> None:
-    first = markers(scene()).markers[0]
-    assert (first.ns, first.id, first.action, first.type) == ("all", 0, Marker.DELETEALL, 0)
-    assert place(first) == [0.0] * 6 + [1.0]
-
-
 @pytest.mark.parametrize(
     ("changes", "missing"),
     [

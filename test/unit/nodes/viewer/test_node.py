@@ -22,7 +22,7 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.viewer import node as viewer
 from tactile_hand_ros.nodes.viewer.node import ViewerNode
 from tactile_hand_ros.nodes.viewer.scene import LinkFrames
-from tactile_hand_ros.ros.direct_take import subscribe_directly, take_latest
+from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 

@@ -25,7 +25,7 @@ from tactile_hand_ros.nodes.viewer.scene import (
     markers,
     transforms,
 )
-from tactile_hand_ros.ros.messages import message_class
+from tactile_hand_ros.ros.endpoints import message_class
 
 ROOT = Path(__file__).resolve().parents[4]
 VIEWS = config_directory() / "views"

@@ -5,43 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.ros.ticks import Backlog, chosen, rank
+from tactile_hand_ros.ros.ticks import Backlog
 
 MS = 1_000_000
-
-
-@pytest.mark.parametrize(
-    ("before", "tick", "expected"),
-    [(2, 3, 0), (1, 2, 1), (6, 8, 3), (7, 9, 3), (9, 11, 1), (1023, 1025, 10), (3, 13, 3)],
-)
-def test_rank_is_the_stretch_that_a_tick_begins(before: int, tick: int, expected: int) -> None:
-    assert rank(tick * MS, before * MS) == expected
-    assert rank(tick * MS + MS // 2, before * MS + MS // 3) == expected
-    assert rank(tick * MS, None) > expected
-
-
-def test_one_tick_is_always_answered() -> None:
-    assert chosen([], None) == []
-    assert chosen([7 * MS], 5 * MS) == chosen([7 * MS], None) == [7 * MS]
-
-
-@given(st.integers(1, 10**6), st.integers(1, 200), st.integers(1, 20))
-def test_the_newest_is_answered_and_few_others(first: int, count: int, period: int) -> None:
-    stamps = [(first + period * i) * MS for i in range(count)]
-    kept = chosen(stamps, stamps[0] - period * MS)
-    assert kept[-1] == stamps[-1]
-    assert kept == sorted(set(kept) & set(stamps))
-    assert len(kept) <= (period * count).bit_length() + 1
-
-
-def test_ticks_of_one_millisecond_are_all_answered() -> None:
-    """None of them begins anything, so none is rounder than the others."""
-    assert rank(7 * MS + 2, 7 * MS + 1) == -1
-    assert chosen([7 * MS + 1, 7 * MS + 2], 7 * MS) == [7 * MS + 1, 7 * MS + 2]
 
 
 def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
@@ -136,10 +105,3 @@ def test_slow_nodes_meet_however_they_lag(
         for batch in batches(stamps, sizes):
             made.to(*(stamp // MS for stamp in batch))
         assert firsts <= {stamp for stamp, _ in made.given}
-
-
-@given(st.lists(st.integers(0, 10**10), unique=True, min_size=1, max_size=50).map(sorted))
-def test_stamps_of_any_clock_will_do(stamps: list[int]) -> None:
-    kept = chosen(stamps, None)
-    assert kept[0] == stamps[0]  # the first of all has the highest rank
-    assert kept[-1] == stamps[-1]

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Desired poses as they come from users, and as they become the target."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+
+from tactile_hand_ros import names
+from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.targets import MOST_WAITING
+from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.messages import PoseCodec
+from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.rotations import rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+DAY_NS = 86_400_000_000_000
+
+
+def far_ahead(stamp: int, tick: int) -> str:
+    """Return what is wrong with a stamp that is more than a day ahead of a tick [ns]."""
+    return (
+        f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
+        f"{1e-9 * tick:.3f} s; use their time, or 0 for immediately."
+    )
+
+
+class _CommandedPose(Target):
+    """A desired pose as it came: the rotation does not give back the exact quaternion."""
+
+    quaternion: Array
+
+
+class DesiredPoses:
+    """Subscribes to `desired_pose`, and publishes each pose again when it becomes the target.
+
+    Attributes:
+        fresh: Poses that came since the last tick, with their stamps [ns].
+    """
+
+    def __init__(
+        self,
+        node: TactileNode[Any],
+        controller: Controller,
+        last_tick: Callable[[], int | None],
+    ) -> None:
+        """Create subscription and publisher.
+
+        Args:
+            node: The node.
+            controller: Takes the poses.
+            last_tick: Returns the last tick [ns]; None before the first.
+        """
+        self._node, self._controller = node, controller
+        self._last_tick = last_tick
+        self._codec = PoseCodec()
+        self.fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
+        self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.user_qos())
+        node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
+
+    def take(self, data: bytes) -> None:
+        """Take a serialized pose."""
+        stamp, pose = self._codec.decode(data)
+        target = _CommandedPose(pose.position, rotation_from_quaternion(pose.quaternion))
+        last = self._last_tick()
+        if last is not None and stamp > last + DAY_NS:
+            raise MessageError(far_ahead(stamp, last))
+        target.quaternion = pose.quaternion
+        dropped = self._controller.dropped
+        self._controller.command(target, stamp)
+        self.fresh.append((target, stamp))
+        if self._controller.dropped > dropped:
+            text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
+            self._node.reject(names.DESIRED_POSE, text)
+            self._node.diagnostics.value("dropped_poses", self._controller.dropped)
+
+    def before(self, tick: int) -> None:
+        """Reject poses of another clock that came when the time of the ticks was not known yet."""
+        for stamp in self._controller.forget_after(tick + DAY_NS):
+            self._node.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
+
+    def after(self, tick: int) -> None:
+        """Publish the pose that became the target at a tick [ns], if one did."""
+        pose = self._controller.accepted
+        if pose is not None:
+            assert isinstance(pose, _CommandedPose)
+            self._publisher.publish(self._codec.encode(pose.position, pose.quaternion, tick))
+        self.fresh.clear()
+
+    def forget(self) -> None:
+        """Forget what came since the last tick."""
+        self.fresh.clear()
+
+    def command_again(self) -> None:
+        """Give the controller, which has forgotten them, the poses since the last tick again."""
+        for target, stamp in self.fresh:
+            self._controller.command(target, stamp)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tick takes a short path: few modules between the messages of a tick and the answer."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+from support.nodes import Process, process
+
+import tactile_hand_ros
+from tactile_hand_ros import names
+from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
+from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
+from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
+
+PACKAGE = Path(tactile_hand_ros.__file__).parent
+ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
+TICK = 2_000_000
+STEADY = 5
+"""Ticks after which nothing is done for the first time any more."""
+
+
+@pytest.fixture
+def here() -> Iterator[Process]:
+    with process() as made:
+        yield made
+
+
+def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
+    """Return what a node takes at a tick [ns] of the paper's grasp, by topic, the joints last."""
+    plant = Plant(load_scenario("paper").plant)
+    state, hand = plant.state, plant.hand
+    turns = np.array([quaternion_from_rotation(each) for each in state.contacts.rotations])
+    force = (0.0, 3.0, 0.0)
+    sent = {
+        names.CONTACTS: ContactsCodec(len(turns)).encode(state.contacts.positions, turns, stamp),
+        names.GRASP_FORCE: WrenchCodec(names.PALM_FRAME).encode(force, stamp),
+    }
+    for finger in hand.finger_names:
+        codec = WrenchCodec(names.contact_frame(finger))
+        sent[names.wrench(finger)] = codec.encode(force, stamp)
+        sent[names.optimal_force(finger)] = codec.encode((0.0, 1.0 / 3.0, 0.0), stamp)
+    joints = JointCodec(hand.joint_names)
+    sent[names.JOINT_STATES] = joints.encode(stamp, state.theta, state.rates, state.torque)
+    taken = {each.topic_name.lstrip("/") for each in node.subscriptions}
+    return {topic: data for topic, data in sent.items() if topic in taken}
+
+
+def bring(node: Any, topic: str, data: bytes, number: int) -> None:
+    """Give a node a message as its executor would."""
+    (subscription,) = (each for each in node.subscriptions if each.topic_name == f"/{topic}")
+    info = {"publication_sequence_number": number}
+    wants_info = len(inspect.signature(subscription.callback).parameters) > 1
+    subscription.callback(data, *([info] if wants_info else []))
+
+
+def modules_of_a_tick(node: Any) -> list[str]:
+    """Return the modules of this package in which code runs during one tick of a node, sorted.
+
+    From the callbacks of the subscriptions to the bytes of the answer; docs/architecture.md draws
+    them. Compiled functions count for nothing, the modules that call them do.
+    """
+    found: set[str] = set()
+    answers: list[set[str]] = []
+    for publisher in node.tick_publishers:
+        if publisher.topic.lstrip("/") in ANSWERS:
+            publisher.add_tap(lambda _: answers.append(set(found)))
+
+    def note(frame: FrameType, event: str, _: Any) -> None:
+        file = Path(frame.f_code.co_filename)
+        if event == "call" and file.is_relative_to(PACKAGE):
+            found.add(str(file.relative_to(PACKAGE).with_suffix("")))
+
+    for tick in range(1, STEADY + 2):
+        messages = messages_of(node, tick * TICK)
+        found.clear()
+        sys.setprofile(note)
+        try:
+            for topic, data in messages.items():
+                bring(node, topic, data, tick)
+        finally:
+            sys.setprofile(None)
+    assert len(answers) == node.diagnostics.ticks == STEADY + 1
+    return sorted(answers[-1])
+
+
+@pytest.mark.parametrize(
+    ("kind", "most"), [(ManipulationControllerNode, 14), (SlipRegulatorNode, 12)]
+)
+def test_a_tick_passes_through_few_modules(here: Process, kind: Any, most: int) -> None:
+    found = modules_of_a_tick(here.make(kind, composed=False))
+    assert len(found) <= most, f"{len(found)}: {', '.join(found)}"
