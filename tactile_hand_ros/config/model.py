@@ -162,20 +162,20 @@ FULL_TURN = 2.0 * math.pi
 _ROUNDING = 1e-3  # rad; a half turn may be written with few digits
 
 
-def check_radians(angles: Sequence[float], most: float = FULL_TURN) -> None:
+def check_radians(angles: Sequence[float], maximum: float = FULL_TURN) -> None:
     """Refuse angles of which no user means as many radians.
 
     Args:
         angles: Angles, or a rotation vector, in rad.
-        most: Largest sensible angle, rad.
+        maximum: Largest sensible angle, rad.
 
     Raises:
         ValueError: With the same values read as degrees.
     """
-    if max((abs(angle) for angle in angles), default=0.0) <= most + _ROUNDING:
+    if max((abs(angle) for angle in angles), default=0.0) <= maximum + _ROUNDING:
         return
     given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
-    turn = "half a turn" if most == HALF_TURN else "a full turn"
+    turn = "half a turn" if maximum == HALF_TURN else "a full turn"
     raise ValueError(f"{given} goes beyond {turn}; angles are in rad: {meant} if these are degrees")
 
 

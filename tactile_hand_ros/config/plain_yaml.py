@@ -36,7 +36,7 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
         with path.open("rb") as file:
             data = file.read(largest + 1)
         if len(data) > largest:
-            raise _unreadable(path, f"it is larger than {largest} bytes, the most that is read")
+            raise _unreadable(path, f"it is larger than {largest} bytes, the maximum that is read")
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise _unreadable(path, f"not UTF-8 text, see byte {error.start}") from None

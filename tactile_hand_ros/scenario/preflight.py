@@ -47,8 +47,8 @@ def check_scenario(scenario: Scenario) -> None:
         check_reach(hand, state.theta, contacts, pose, target.target())
     law = scenario.manipulation_controller.law
     if law.name not in LAWS:
-        squeeze = scenario.slip_regulator.grasp_force
-        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, squeeze))
+        grasp_force = scenario.slip_regulator.grasp_force
+        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
 
 
 def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:

@@ -93,7 +93,7 @@ class TargetConfig(Config):
 
 
 class UserForceConfig(Config):
-    """A squeeze that the user asks for, and when.
+    """A grasp force that the user asks for, and when.
 
     `ClosedLoop` takes it at that very tick. Over ROS it is sent when the orchestrator sees that the
     time has come, as a user would, and so arrives some ticks later, not always as many.
@@ -134,7 +134,7 @@ class Scenario(Config):
     duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
     seed: int = param(1, "seed of everything random", ge=0)
     targets: list[TargetConfig] = param([], "desired poses over time")
-    user_forces: list[UserForceConfig] = param([], "squeezes that the user asks for over time")
+    user_forces: list[UserForceConfig] = param([], "grasp forces that the user asks for over time")
     goal: GoalConfig = GoalConfig()
     plant: PlantConfig = PlantConfig()
     tactile_sensor: TactileSensorConfig = TactileSensorConfig()
@@ -202,7 +202,7 @@ class Scenario(Config):
 
 
 def _limit_hold(data: dict[str, Any]) -> None:
-    """Let hold and controller squeeze up to the regulator's limit, unless they have their own.
+    """Let hold and controller press up to the regulator's limit, unless they have their own.
 
     Args:
         data: A scenario before validation; what is not a mapping is left to the validation.

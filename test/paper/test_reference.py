@@ -190,7 +190,7 @@ def test_a_held_torque_moves_as_the_reference_that_holds_it_too():
         {"manipulation_controller.law.name": "contact"},
     ],
 )
-def test_no_squeeze_changes_the_motion_of_the_closed_loop(changes):
+def test_no_grasp_force_changes_the_motion_of_the_closed_loop(changes):
     paper = ClosedLoop(load_scenario("paper")).run(500)
     other = ClosedLoop(load_scenario("paper", changes)).run(500)
     assert np.abs(other.true_forces[-1] - paper.true_forces[-1]).max() > 0.1

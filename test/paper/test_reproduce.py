@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper claims, end to end by function calls: where it holds, where in part, where not."""
+"""What the paper claims, end to end in-process: where it holds, where in part, where not."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_no_contact_is_lost(layout: str) -> None:
     [("three_faces", "nominal"), ("three_faces", "firm"), ("three_faces", "contact")]
     + [("pinch", "nominal")],
 )
-def test_the_squeeze_does_no_work(layout: str, key: str) -> None:
+def test_the_grasp_force_does_no_work(layout: str, key: str) -> None:
     """Other W, twice k_f, or (10) for (14): other forces, the same motion to 2 um of 190 mm."""
     other = outcome(key, layout, 10.0 if key == "nominal" else 4.0).record
     one = outcome("optimal", layout).record.part(slice(len(other)))

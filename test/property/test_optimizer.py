@@ -21,18 +21,18 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 weights = st.lists(st.floats(0.5, 20.0), min_size=3, max_size=3)
 
 
-def optimizer(contacts, values, least=0.0):
-    config = ForceOptimizerConfig(weights=values, minimum_normal=least)
+def optimizer(contacts, values, minimum=0.0):
+    config = ForceOptimizerConfig(weights=values, minimum_normal=minimum)
     return ForceOptimizer(config, len(contacts.positions))
 
 
 @settings(max_examples=150)
 @given(grasps(), weights, st.sampled_from([0.0, 0.0, 0.05]))
-def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, least):
-    expected = best_forces(contacts, np.tile(values, len(contacts.positions)), least)
+def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, minimum):
+    expected = best_forces(contacts, np.tile(values, len(contacts.positions)), minimum)
     # Beyond this the grasp hardly balances at all, and no method knows whether it does.
     assume(expected is not None and np.abs(expected).max() < 100.0)
-    found = optimizer(contacts, values, least).solve(contacts)
+    found = optimizer(contacts, values, minimum).solve(contacts)
     assert found.ok, found.reason
     assert found.residual < 1e-9
     np.testing.assert_allclose(found.forces, expected, atol=1e-7 * np.abs(expected).max())
@@ -50,7 +50,7 @@ def test_what_is_called_solved_satisfies_the_constraints(contacts, values):
 
 
 @settings(max_examples=50)
-@given(grasps(most=4), weights, rotations, vectors, st.floats(0.2, 5.0))
+@given(grasps(maximum=4), weights, rotations, vectors, st.floats(0.2, 5.0))
 def test_does_not_depend_on_place_direction_or_size(contacts, values, rotation, shift, scale):
     """One solver, warm-started from the first answer, must give the second grasp the same."""
     solver = optimizer(contacts, values)
@@ -74,24 +74,24 @@ def random_plate(random):
     return contacts_at(points, normals)
 
 
-def least_forces(contacts):
-    """Return the least largest |force| that balances with a squeeze of 1, infinite for none."""
+def smallest_forces(contacts):
+    """Return the minimum of the largest |force| for a grasp force of 1, infinite for none."""
     balance = balance_in_frames(contacts)
     balance[3:] /= np.abs(contacts.positions - contacts.positions.mean(axis=0)).max()
     k = len(contacts.positions)
     bounds = [(-1.0, 1.0), (0.0, 1.0), (-1.0, 1.0)] * k
-    squeeze = np.tile([0.0, 1.0, 0.0], k)
-    found = linprog(-squeeze, A_eq=balance, b_eq=np.zeros(6), bounds=bounds)
+    pushes = np.tile([0.0, 1.0, 0.0], k)
+    found = linprog(-pushes, A_eq=balance, b_eq=np.zeros(6), bounds=bounds)
     assert found.status == 0
     return 1.0 / -found.fun if found.fun < -1e-9 else np.inf
 
 
 def outcomes(number, solver="exact"):
-    """Count how (13) ends for plates whose least forces are 30 to 1,000 times the squeeze."""
+    """Count how (13) ends for plates whose minimum forces are 30 to 1,000 times the grasp force."""
     random, counts, optimizers = np.random.default_rng(3), Counter(), {}
     while sum(counts.values()) < number:
         grasp = random_plate(random)
-        if not 30.0 < least_forces(grasp) < 1e3:
+        if not 30.0 < smallest_forces(grasp) < 1e3:
             continue
         k = len(grasp.positions)
         chosen = optimizers.setdefault(k, ForceOptimizer(ForceOptimizerConfig(solver=solver), k))

@@ -23,16 +23,16 @@ def test_a_regulator_that_is_three_ticks_late_keeps_the_object(outcomes, name):
     assert largest <= load_scenario(name).slip_regulator.maximum
 
 
-# Until the squeeze has come to rest after the load.
+# Until the grasp force has come to rest after the load.
 SHORTER = {"pull": {"duration": 4.0}, "gravity": {"duration": 5.0}}
 
 
 @pytest.mark.parametrize("name", SHORTER)
 def test_commands_that_are_late_now_and_then_are_no_slip(name):
-    """By 1 to 3 ticks: jerks of the torques that come of that raised the squeeze to its limit."""
+    """By 1 to 3 ticks: the jerks of the torques once raised the grasp force to its limit."""
     runs = [(name, SHORTER[name], seed) for seed in (None, 1, 2)]
     found = Parallel(n_jobs=-1)(delayed(run_with_late_commands)(*run) for run in runs)
     (_, in_time, _), *late = found
-    for is_held, squeeze, slid in late:
+    for is_held, grasp_force, slid in late:
         assert is_held and slid < 1e-3
-        assert squeeze <= 1.2 * in_time
+        assert grasp_force <= 1.2 * in_time

@@ -12,7 +12,7 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
-# Without slip prevention the user's squeeze stays as it is, and f* is that of the paper.
+# Without slip prevention the user's grasp force stays as it is, and f* is that of the paper.
 WITHOUT = {"slip_regulator.mode": "user", "force_optimizer.cones": False}
 NO_RESERVE = {
     f"{place}.reserve.{name}": 0.0
@@ -60,21 +60,21 @@ def dropped(record):
     return bool(np.isnan(record.true_positions[-1]).any())
 
 
-def over_squeeze(record, name):
+def excess_force(record, name):
     """Mean sum of the true normal forces in the last 0.2 s against the least that is ready.
 
     Ready for the load and 3 N on top in the worst of six directions: the floor of the reserve.
     """
     scenario = load_scenario(name)
     assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
-    squeeze = record.true_forces[-200:, :, 1].sum(axis=1).mean()
+    pressed = record.true_forces[-200:, :, 1].sum(axis=1).mean()
     floor = scenario.slip_regulator.reflex.need.reserve.floor
     pushes = floor * np.vstack([np.eye(3), -np.eye(3)])
-    return squeeze / max(ready_squeeze(record, scenario, push) for push in pushes)
+    return pressed / max(ready_force(record, scenario, push) for push in pushes)
 
 
-def ready_squeeze(record, scenario, push):
-    """Least squeeze at the end with another force on the object."""
+def ready_force(record, scenario, push):
+    """Minimum grasp force at the end with another force on the object."""
     plant, time = scenario.plant, scenario.duration
     contacts = Contacts.from_poses(record.true_positions[-1], record.true_quaternions[-1])
     wrench = external_wrench(plant.disturbances, time)
@@ -96,7 +96,7 @@ def test_the_goal_is_reached(records, name):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_squeeze_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
+def test_the_grasp_force_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
     record, limit = records[name, True], load_scenario(name).slip_regulator.maximum
     assert record.grasp_force.max() <= limit
     assert not dropped(record)
@@ -116,14 +116,14 @@ def test_what_a_grasp_inside_the_crush_limit_can_survive_is_survived(records, na
 
 
 @pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
-def test_in_the_end_it_is_squeezed_little_more_than_it_needs(records, name):
-    assert over_squeeze(records[name, True], name) < 2.0
+def test_in_the_end_it_is_held_little_firmer_than_it_needs(records, name):
+    assert excess_force(records[name, True], name) < 2.0
 
 
-def test_the_reflex_alone_squeezes_little_more_than_it_needs_where_the_user_asks_for_less(records):
+def test_the_reflex_alone_presses_little_more_than_it_needs_where_the_user_asks_for_less(records):
     record = records["user_grip", True]
     asked_too_little = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
-    assert over_squeeze(asked_too_little, "user_grip") < 2.0
+    assert excess_force(asked_too_little, "user_grip") < 2.0
 
 
 def test_without_reshaping_the_third_finger_slips_when_shaken(records):
@@ -134,8 +134,8 @@ def test_without_reshaping_the_third_finger_slips_when_shaken(records):
 @pytest.mark.parametrize("name", ["lift", "gravity"])
 def test_a_run_begins_without_a_peak_of_the_squeeze(records, name):
     """What f* is not shaped for yet asked for up to twice as much in the first milliseconds."""
-    squeeze = records[name, True].grasp_force[:1000]  # of the first second
-    assert squeeze.max() < 1.3 * max(squeeze[0], squeeze[-1])
+    grasp_force = records[name, True].grasp_force[:1000]  # of the first second
+    assert grasp_force.max() < 1.3 * max(grasp_force[0], grasp_force[-1])
 
 
 def test_at_the_crush_limit_it_slips_less_than_without(records):
@@ -149,7 +149,7 @@ def test_what_sticks_does_not_creep(records):
 
 
 def test_with_slip_prevention_it_is_held_more_gently(records):
-    """Where the user's squeeze is more than enough, the object needs a fraction of it."""
+    """Where the user's grasp force is more than enough, the object needs a fraction of it."""
     with_, without = records["gravity", True], records["gravity", False]
     assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
 
@@ -166,7 +166,7 @@ def test_a_lost_contact_is_held_safely_and_comes_back():
     assert lost.any() and not lost[-1000:].any()
     # While it is lost the controller holds, and says nothing of the object's pose.
     assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
-    # The other two hold harder: with the squeeze of before they let it slide 34 mm.
+    # The other two hold harder: with the grasp force of before they let it slide 34 mm.
     assert slip(record) < 0.01
     assert final_error(record) < 0.01
 

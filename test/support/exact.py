@@ -14,7 +14,7 @@ from tactile_hand_ros.control.contact import Contacts
 Array = NDArray[np.float64]
 
 
-def best_forces(contacts: Contacts, weights: Array, least: float = 0.0) -> Array | None:
+def best_forces(contacts: Contacts, weights: Array, minimum: float = 0.0) -> Array | None:
     """Solve (13) by trying every set of active bounds; None where no forces balance.
 
     For each set the equality-constrained problem has a closed form; the feasible answer that costs
@@ -27,14 +27,14 @@ def best_forces(contacts: Contacts, weights: Array, least: float = 0.0) -> Array
     for count in range(k):
         for held in combinations(range(k), count):
             rows = np.vstack([equalities, pushes[list(held)]])
-            right = np.concatenate([np.zeros(6), [1.0], np.full(count, least)])
+            right = np.concatenate([np.zeros(6), [1.0], np.full(count, minimum)])
             # min |sqrt(W) f| subject to rows f = right is a least-norm problem.
             scaled = rows / np.sqrt(weights)
             forces = np.linalg.lstsq(scaled, right, rcond=1e-11)[0] / np.sqrt(weights)
             if np.abs(rows @ forces - right).max() > 1e-9 * max(1.0, np.abs(forces).max()):
                 continue
             cost = float(forces @ (weights * forces))
-            if (pushes @ forces >= least - 1e-10).all() and cost < lowest - 1e-12 * abs(cost):
+            if (pushes @ forces >= minimum - 1e-10).all() and cost < lowest - 1e-12 * abs(cost):
                 best, lowest = forces.reshape(k, 3), cost
     return best
 
@@ -72,19 +72,19 @@ def nearest_point(corners: Array, point: Array) -> Array:
     """
     arms = corners - point
     used = [int(np.einsum("ij,ij->i", arms, arms).argmin())]
-    shares = np.array([1.0])
+    fractions = np.array([1.0])
     for _ in range(200):
-        x = shares @ arms[used]
+        x = fractions @ arms[used]
         heights = arms @ x
         new = int(heights.argmin())
         if heights[new] > x @ x - 1e-14 or new in used:
             break
-        used, shares = [*used, new], np.append(shares, 0.0)
-        used, shares = _affine_minimum(arms, used, shares)
-    return shares @ corners[used]
+        used, fractions = [*used, new], np.append(fractions, 0.0)
+        used, fractions = _affine_minimum(arms, used, fractions)
+    return fractions @ corners[used]
 
 
-def _affine_minimum(arms: Array, used: list[int], shares: Array) -> tuple[list[int], Array]:
+def _affine_minimum(arms: Array, used: list[int], fractions: Array) -> tuple[list[int], Array]:
     """Walk to the nearest point of the corners' affine hull, dropping corners that would pull."""
     while True:
         chosen = arms[used]
@@ -94,8 +94,8 @@ def _affine_minimum(arms: Array, used: list[int], shares: Array) -> tuple[list[i
         if (wanted > 1e-13).all():
             return used, wanted
         falling = wanted <= 1e-13
-        steps = shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)
-        shares = shares + min(1.0, float(steps.min())) * (wanted - shares)
-        keep = shares > 1e-13
-        used, shares = [u for u, k in zip(used, keep, strict=True) if k], shares[keep]
-        shares = shares / shares.sum()
+        steps = fractions[falling] / np.maximum(fractions[falling] - wanted[falling], 1e-300)
+        fractions = fractions + min(1.0, float(steps.min())) * (wanted - fractions)
+        keep = fractions > 1e-13
+        used, fractions = [u for u, k in zip(used, keep, strict=True) if k], fractions[keep]
+        fractions = fractions / fractions.sum()

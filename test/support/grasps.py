@@ -61,17 +61,17 @@ normals = vectors.filter(lambda v: np.linalg.norm(v) > 0.1).map(lambda v: v / np
 
 
 @st.composite
-def point_sets(draw: st.DrawFn, least: int = 3, most: int = 5, margin: float = 0.1) -> Array:
+def point_sets(draw: st.DrawFn, minimum: int = 3, maximum: int = 5, margin: float = 0.1) -> Array:
     """Draw contact points in a palm of some decimetres that are far from lying on a line."""
-    k = draw(st.integers(least, most))
+    k = draw(st.integers(minimum, maximum))
     points = hnp.arrays(float, (k, 3), elements=st.floats(-0.2, 0.2))
     return draw(points.filter(lambda p: collinearity_margin(p) > margin and np.ptp(p) > 0.05))
 
 
 @st.composite
-def grasps(draw: st.DrawFn, least: int = 3, most: int = 5) -> Contacts:
+def grasps(draw: st.DrawFn, minimum: int = 3, maximum: int = 5) -> Contacts:
     """Draw contacts whose normals point roughly, some quite wrongly, to their centroid."""
-    points = draw(point_sets(least, most))
+    points = draw(point_sets(minimum, maximum))
     arms = points.mean(axis=0) - points
     lengths = np.maximum(np.linalg.norm(arms, axis=1), 1e-3)[:, None]
     tilts = draw(hnp.arrays(float, points.shape, elements=st.floats(-1.0, 1.0)))

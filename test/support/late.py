@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is late in real time, in the closed loop by function calls: answers, and commands."""
+"""What is late in real time, in the closed loop: answers, and commands."""
 
 from collections import deque
 
@@ -54,10 +54,10 @@ def run_with_late_commands(name, changes, seed=None):
     """
     scenario = load_scenario(name, {"plant.rate": 500.0, **changes})
     guarded = GuardedLoop(scenario, GuardConfig())
-    random, squeezes = np.random.default_rng(seed), []
+    random, forces = np.random.default_rng(seed), []
     for tick in range(scenario.ticks):
         is_late = seed is not None and tick >= JITTER[1]  # time begins with the first command
         guarded.tick(delay=int(random.integers(*JITTER, endpoint=True)) if is_late else 0)
-        squeezes.append(guarded.loop.regulator.grasp_force)
+        forces.append(guarded.loop.regulator.grasp_force)
     state = guarded.loop.state
-    return bool(state.contacts.all_touching), np.mean(squeezes[-250:]), state.slid.max()
+    return bool(state.contacts.all_touching), np.mean(forces[-250:]), state.slid.max()

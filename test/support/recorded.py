@@ -177,8 +177,8 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
             if not truth and name.startswith("ground_truth"):
                 continue
             bag.write(prefix + name, wrench(stamp, forces[row, i], f"{finger}_contact"), at)
-    squeeze = (0.0, record.grasp_force[row], 0.0)
-    bag.write(f"{prefix}grasp_force", wrench(stamp, squeeze), at)
+    grasp_force = (0.0, record.grasp_force[row], 0.0)
+    bag.write(f"{prefix}grasp_force", wrench(stamp, grasp_force), at)
     known = {"position": record.friction, "velocity": record.slip_evidence, "effort": record.grip}
     slid = {"position": record.true_slid, "velocity": record.true_sliding}
     for name, arrays in (("grip_state", known), ("ground_truth/slip", slid)):

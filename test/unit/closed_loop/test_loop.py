@@ -132,7 +132,7 @@ def test_progress_of_a_long_run_is_told_about_a_hundred_times(ticks, every):
     assert told == list(range(every, ticks + 1, every))
 
 
-def test_the_user_s_squeezes_are_taken_in_order_of_time_at_their_tick():
+def test_the_users_grasp_forces_are_taken_in_order_of_time_at_their_tick():
     asked = [{"time": 0.008, "force": 14.0}, {"time": 0.004, "force": 8.0}]
     loop = ClosedLoop(load_scenario("paper", {"user_forces": asked, "targets": []}))
     record, goals = Record.empty(6, loop.plant.hand.finger_names, loop.plant.hand.joint_names), []

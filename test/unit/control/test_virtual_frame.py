@@ -18,7 +18,7 @@ from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import rotation_from_vector
 
 
-@given(point_sets(most=3))
+@given(point_sets(maximum=3))
 def test_frame_of_three_contacts_is_the_papers(points):
     r_x, r_y, r_z = VirtualFrame().orientation(points).T
     a, b = points[0] - points[1], points[2] - points[1]
@@ -54,7 +54,7 @@ def test_reset_chooses_the_side_anew():
 
 
 @settings(max_examples=50)
-@given(point_sets(least=4, margin=0.3), rotations, st.integers(0, 2**32 - 1))
+@given(point_sets(minimum=4, margin=0.3), rotations, st.integers(0, 2**32 - 1))
 def test_more_contacts_give_the_best_fitting_rotation(points, rotation, seed):
     """No rotation nearby fits the moved and disturbed contacts better."""
     random = np.random.default_rng(seed)
