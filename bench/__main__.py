@@ -68,16 +68,11 @@ def bench(
 
 
 def _measure(name: str, work: Workload) -> list[Result]:
-    from bench import blocks, graph
-    from bench.baselines import integrator, libraries
+    from bench import baselines, blocks, graph
 
     measurements = {
         "blocks": (blocks.measure_loop, blocks.measure_blocks),
-        "libraries": (
-            libraries.measure_solvers,
-            libraries.measure_steps,
-            integrator.measure_integrator,
-        ),
+        "libraries": (baselines.measure_solvers, baselines.measure_steps),
         "lockstep": (graph.measure_lockstep,),
         "start": (graph.measure_short_run,),
         "realtime": (graph.measure_real_time,),

@@ -121,7 +121,7 @@ def faults(
     seed: SeedOption = 0,
     way: Annotated[
         list[str] | None,
-        typer.Option(help="calls, lockstep, composed or processes; may be repeated."),
+        typer.Option(help="in-process, lockstep, composed or processes; may be repeated."),
     ] = None,
     deaths: Annotated[
         bool | None,
@@ -136,7 +136,6 @@ def faults(
     from studies.faults import campaign, space
     from studies.faults import tables as fault_tables
     from tactile_hand_ros.errors import ConfigurationError
-    from tactile_hand_ros.report import tables
 
     ways = tuple(dict.fromkeys(way or space.WAYS))
     if unknown := [name for name in ways if name not in space.WAYS]:
@@ -154,10 +153,9 @@ def faults(
                 outcomes.append(outcome)
     except KeyboardInterrupt:
         print(f"interrupted after {len(outcomes)} runs; the same command goes on")
-    files = [out / campaign.RESULTS, *fault_tables.write(outcomes, out)]
     title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
-    print_table(tables.rich_table(title, fault_tables.COLUMNS, fault_tables.rows(outcomes)))
-    print_files(files, out)
+    table = (title, fault_tables.COLUMNS, fault_tables.rows(outcomes))
+    _finish(out, [out / campaign.RESULTS], table)
 
 
 def fuzz(

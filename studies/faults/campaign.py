@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from studies.faults import situations
-from studies.faults.by_calls import run_by_calls
+from studies.faults.in_process import run_in_process
 from studies.faults.injection import injected
 from studies.faults.outcome import (
     Outcome,
@@ -55,8 +55,8 @@ def run_campaign(
     waiting = [run for run in runs if run.key not in known]
     for _, group in itertools.groupby(waiting, key=lambda run: run.session):
         left = list(group)
-        if left[0].cell.way == "calls":
-            for outcome in in_parallel(run_by_calls, left):
+        if left[0].cell.way == "in-process":
+            for outcome in in_parallel(run_in_process, left):
                 progress(str(outcome.cell))
                 yield outcome
             continue

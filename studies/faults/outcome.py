@@ -11,8 +11,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from studies.faults import space
-from studies.faults.expected import expected
 from studies.faults.running_hand import Event, RunningHand
+from studies.faults.situations import expected
 from studies.faults.space import Cell, Run
 from tactile_hand_ros import names
 

@@ -1,17 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the hand does when a part of it fails, and whether an ideal hold would keep the object."""
+"""What the hand does when a part of it fails, and where the object may be then.
+
+A hand that moves leaves the straight line to its goal without any fault, and one that carries a
+growing load gives way. So the distance is measured to where the object is without a fault from
+that moment on, or where an ideal hold from about that moment on keeps it, whichever is nearer.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.faults.space import SPREAD
 from studies.stalls import GuardedLoop, Outcome, Watch
 from tactile_hand_ros.control.command_guard import GuardConfig
+from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
-RATES = {"calls": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}
+Array = NDArray[np.float64]
+
+RATES = {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}
 """Ticks per second of simulated time."""
 
 FAULT_TIME = 0.5
@@ -99,3 +112,64 @@ def ideal(situation: str, way: str) -> Outcome:
     if not watch.is_dropped:
         watch.run(0.3, answers=True, moves=True)
     return watch.outcome()
+
+
+_STEP = 0.05  # s between two ideal holds
+_DRIVEN = 3.0  # s after the first moment of a fault, in which every situation comes to rest
+_HELD = 1.5  # s, in which all loads have arrived
+
+
+class Expected(NamedTuple):
+    """Positions of the object in one situation, m.
+
+    Attributes:
+        times: Simulated times, shape (n,), s.
+        driven: Where it is at them without a fault, shape (n, 3).
+        holds: By the time at which the hold begins, s: where an ideal one keeps it, shape (n, 3).
+    """
+
+    times: Array
+    driven: Array
+    holds: dict[float, Array]
+
+    def distance(self, seen: Array, moment: float) -> float:
+        """Return how far the object was from where it may be, at most, m.
+
+        Args:
+            seen: Where it was, shape (n, 3), m.
+            moment: Simulated time at which the fault began, s.
+        """
+        if not len(seen) or not np.isfinite(seen).all():
+            return math.inf
+        holds = [points for begin, points in self.holds.items() if begin > moment - _STEP]
+        known = np.concatenate([self.driven[self.times >= moment - _STEP / 10.0], *holds])
+        squares = ((seen[:, None, :] - known[None, :, :]) ** 2).sum(axis=2).min(axis=1)
+        return float(math.sqrt(squares.max()))
+
+
+@cache
+def expected(situation: str, way: str) -> Expected:
+    """Return where the object may be in a situation, in-process at the rate of a way."""
+    first = SITUATIONS[situation].time
+    driven = _positions(situation, way, first + _DRIVEN, 0.0)
+    rate = scenario(situation, way).plant.rate
+    begins = [first + i * _STEP for i in range(round(SPREAD / _STEP) + 1)]
+    holds = {begin: _positions(situation, way, begin, _HELD) for begin in begins}
+    return Expected((1 + np.arange(len(driven))) / rate, driven, holds)
+
+
+def _positions(situation: str, way: str, driven: float, held: float) -> Array:
+    """Return where the object is at each tick: of the drive, or of the hold after it."""
+    guarded = GuardedLoop(scenario(situation, way), GuardConfig(age_limit=0))
+    seen: list[Array] = []
+    try:
+        for seconds, answers in ((driven, True), (held, False)):
+            if not seconds:
+                break
+            seen.clear()
+            for _ in range(round(seconds * guarded.rate)):
+                guarded.tick(answers=answers)
+                seen.append(guarded.loop.state.position.copy())
+    except DivergedError:
+        pass  # a hold that cannot survive ends where it was
+    return np.array(seen).reshape(-1, 3)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 SPREAD = 0.2
 """Simulated time over which the moments of faults are spread [s]."""
 
-WAYS = ("calls", "lockstep", "composed", "processes")
+WAYS = ("in-process", "lockstep", "composed", "processes")
 """By function calls, without a clock; in lockstep in processes; in real time in one process and in
 processes."""
 
@@ -77,7 +77,7 @@ def cells() -> list[Cell]:
 
 def _bases(way: str) -> tuple[str, ...]:
     """Return the components with which the runs without a fault are counted."""
-    return (JOINTS, FINGER, REGULATOR, USER) if way == "calls" else (USER,)
+    return (JOINTS, FINGER, REGULATOR, USER) if way == "in-process" else (USER,)
 
 
 def _exists(way: str, component: str, fault: str) -> bool:
@@ -86,7 +86,7 @@ def _exists(way: str, component: str, fault: str) -> bool:
     What travels on wires fails in-process only, where a node that is stopped is one that is off and
     the sensor is the skin. Nodes are killed and stopped where each has a process of its own.
     """
-    if way == "calls":
+    if way == "in-process":
         at_hand = component not in (RECORDER, SENSOR)
         return at_hand and (fault != STOPPED or component == COMPUTER)
     if component in HAND or fault == STOPPED:
@@ -108,7 +108,7 @@ class Run(NamedTuple):
     @property
     def session(self) -> tuple[str, str]:
         """Runs with equal ones share the nodes, or the cores."""
-        return self.cell.way, "" if self.cell.way == "calls" else self.cell.situation
+        return self.cell.way, "" if self.cell.way == "in-process" else self.cell.situation
 
     @property
     def key(self) -> str:

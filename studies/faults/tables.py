@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign as tables and files."""
+"""The campaign as a table."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from studies.faults import situations, space
+from studies.faults import space
 from studies.faults.outcome import Outcome
-from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.sweep.statistics import fraction_of
 
 COLUMNS = (
@@ -88,55 +84,3 @@ def _kept(some: Sequence[Outcome]) -> list[Outcome]:
 
 def _text(values: Sequence[float], of: Callable[[Any], Any], form: str) -> str:
     return form.format(float(of(values))) if values else "-"
-
-
-def survivability() -> list[dict[str, Any]]:
-    """Return what an ideal hold makes of each situation: where it drops, no cell is survivable."""
-    return [
-        {
-            "way": way,
-            "situation": situation,
-            "survivable": not situations.ideal(situation, way).is_dropped,
-            "moved_mm": round(1e3 * situations.ideal(situation, way).moved, 3),
-            "peak_N": round(situations.ideal(situation, way).peak, 1),
-        }
-        for way in space.WAYS
-        for situation in space.SITUATIONS
-    ]
-
-
-def write(outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
-    """Write all outcomes as CSV, and tables and survivability as JSON; return the files."""
-    table, summary = folder / "faults.csv", folder / "faults.json"
-    with table.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(Outcome.__dataclass_fields__))
-        writer.writeheader()
-        writer.writerows(outcome.data() for outcome in outcomes)
-    content = {
-        "runs": len(outcomes),
-        "judged": len(judged(outcomes)),
-        "started again before the fault": sum(o.starts - 1 for o in outcomes),
-        "not judged": [o.error for o in outcomes if o.error],
-        "columns": COLUMNS,
-        "rows": rows(outcomes),
-        "survivability": survivability(),
-        "cells": [_cell(cell, outcomes) for cell in space.cells()],
-    }
-    summary.write_text(json.dumps(json_ready(content), indent=1) + "\n", encoding="utf-8")
-    return [table, summary]
-
-
-def _cell(cell: space.Cell, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    some = [o for o in judged(outcomes) if o.cell == cell]
-    probable, low, high = fraction_of(sum(o.dropped for o in some), len(some))
-    return {
-        **cell._asdict(),
-        "runs": len(some),
-        "drops": sum(o.dropped for o in some),
-        "drop_fraction": probable,
-        "interval": [low, high],
-        "moved_m": max((o.moved for o in _kept(some)), default=math.nan),
-        "safe_s": [o.safe for o in some],
-        "peak_fraction": max((o.peak / o.limit for o in some), default=math.nan),
-        "recovered_s": [o.recovered for o in some],
-    }

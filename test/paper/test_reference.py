@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.equations import grasp_map, rotation_error
 from support.plants import plant, torque_for
+from support.reference import Reference, State, World
 
-from bench.baselines.reference import Reference, State, World
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import Disturbance

@@ -119,7 +119,7 @@ def measure_solvers(work: Workload) -> list[Result]:
 def measure_steps(work: Workload) -> list[Result]:
     """Step MuJoCo's model of the same hand and box under the same torques, in turns with ours."""
     try:
-        from bench.baselines.mujoco_model import MujocoPlant
+        from bench.mujoco_model import MujocoPlant
     except ModuleNotFoundError:
         return []
     plant = ClosedLoop(work.scenario).plant

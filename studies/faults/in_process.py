@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same faults by function calls: time goes on at every tick, whatever has been answered.
+"""The same faults in-process: time goes on at every tick, whatever has been answered.
 
 As in real time, but without a clock, so that results are the same on every computer. The blocks
-are those of the closed loop; the study has the wires between them in its hands, the guard stands in
-front of the joints, and a block that misses an input gives no answer, as its node would.
+are those of the closed loop; only the wires between them are the study's, and a guard stands in
+front of the joints.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import random
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,15 +22,15 @@ from studies.faults import space
 from studies.faults.outcome import LET_GO, Outcome, distance
 from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
 from studies.faults.space import Run
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.loop import Answer, ClosedLoop, SensingChain
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import Controller, Mode
+from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.plant import sliding_speeds, true_reading
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,10 @@ _WIRES = {
     space.OPTIMIZER: ("shape",),
     space.CONTROLLER: ("torque",),
 }
+
+
+_NOTHING = Command(np.full(1, np.nan), Mode.HOLD, None, do_not_send=True)
+"""What a controller without inputs sends: nothing."""
 
 
 class Wires:
@@ -90,6 +95,105 @@ class Wires:
         return round(DELAY / self._tick) if self.failing and self._fault == "delayed" else 0
 
 
+class _Block:
+    """Stands for a block of the loop, behind wires; all else is that of the block."""
+
+    def __init__(self, block: Any, wires: Wires) -> None:
+        self.block, self._carry = block, wires.carry
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.block, name)
+
+
+class _Regulator(_Block):
+    def step(self, stamp: int, contacts: Contacts | None, forces: Array | None) -> Any:
+        is_complete = contacts is not None and forces is not None
+        answer = self.block.step(stamp, contacts, forces) if is_complete else None
+        return self._carry("grasp force", answer, lambda value: value and _FACTOR * value)
+
+
+class _Optimizer(_Block):
+    def step(self, stamp: int, contacts: Contacts | None, friction: Array, forces: Any) -> Any:
+        shape = None
+        if contacts is not None:
+            shape = self.block.step(stamp, contacts, friction, forces).forces
+        return SimpleNamespace(forces=self._carry("shape", shape, _swapped))
+
+
+class _Controller(_Block):
+    """The controller, which holds where inputs are missing for long.
+
+    Attributes:
+        drives: Whether it drove the object at the last tick.
+    """
+
+    def __init__(self, block: Controller, wires: Wires, scenario: Scenario) -> None:
+        super().__init__(block, wires)
+        config = scenario.manipulation_controller
+        self._timeout, self._tick = config.input_timeout, 1e-9 * scenario.plant.tick
+        self._observes = config.law.observer.time > 0.0
+        self._missing, self.drives = 0.0, True
+        self.before_step: Callable[[], None] = lambda: None
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array | None,
+        rates: Array,
+        contacts: Contacts | None,
+        shape: Array | None,
+        grasp_force: float | None,
+        forces: Array | None,
+        applied: Array,
+    ) -> Any:
+        self.drives = True
+        if theta is None:
+            return _NOTHING
+        is_missing = any(each is None for each in (contacts, grasp_force, shape))
+        is_missing |= self._observes and forces is None
+        self._missing = self._missing + self._tick if is_missing else 0.0
+        if is_missing:
+            answer = self.block.hold(theta, rates, "inputs are missing", applied=applied)
+            self.drives = False
+            return answer if self._missing >= self._timeout else _NOTHING
+        self.before_step()
+        answer = self.block.step(stamp, theta, rates, contacts, shape, grasp_force, forces, applied)
+        self.drives = answer.mode is Mode.DRIVE
+        return answer
+
+
+class FaultyChain(SensingChain):
+    """The blocks of a loop with wires between them that fail.
+
+    A block that misses an input gives no answer, as its node would.
+    """
+
+    def __init__(self, blocks: SensingChain, wires: Wires, scenario: Scenario) -> None:
+        """Put the blocks of a loop behind wires."""
+        controller: Any = _Controller(blocks.controller, wires, scenario)
+        regulator: Any = _Regulator(blocks.regulator, wires)
+        optimizer: Any = _Optimizer(blocks.optimizer, wires)
+        super().__init__(blocks.sensor, regulator, optimizer, controller)
+        self.plugged, self._carry = controller, wires.carry
+
+    def answer(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        applied: Array | None,
+        contacts: Contacts,
+        forces: Array,
+    ) -> Answer:
+        """Return the answer to a tick; to be withheld where there is none."""
+        joints = self._carry("joints", (theta, rates, applied), _turned)
+        moved: Any = joints or (None, None, None)
+        given: Any = [self._carry(f"force {i}", f, _wrong_force) for i, f in enumerate(forces)]
+        measured: Any = None if any(each is None for each in given) else np.array(given)
+        touch = self._carry("contacts", contacts, _moved)
+        return super().answer(stamp, moved[0], moved[1], moved[2], touch, measured)
+
+
 class FaultyLoop:
     """A closed loop with wires that fail and a guard in front of the joints."""
 
@@ -100,24 +204,36 @@ class FaultyLoop:
         self.guard = CommandGuard(plant.guard, self.loop.plant.hand, plant.tick)
         self.tick_time = 1e-9 * plant.tick
         self.wires = Wires(run, self.tick_time)
+        self.chain = FaultyChain(self.loop.chain, self.wires, chosen)
+        self.chain.plugged.before_step = self._command
+        self.loop.chain = self.chain
+        hand = self.loop.plant.hand
+        self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._run, self._chance = run, random.Random(run.seed)
         self._newest: TorqueCommand | None = None
         self._waiting: deque[tuple[int, TorqueCommand]] = deque()
-        self._missing, self._pause, self._late = 0.0, 0.0, 0
-        self.drives = True
+        self._pause, self._late = 0.0, 0
+
+    @property
+    def drives(self) -> bool:
+        """Whether the controller drove the object at the last tick."""
+        return bool(self.chain.plugged.drives)
 
     def tick(self) -> None:
         """Move one tick ahead."""
-        loop, self.drives = self.loop, True
+        loop = self.loop
         self.wires.begin_tick()
+        self.chain.plugged.drives = True
         if not self._is_stopped():
-            torque = self.wires.carry("torque", self._answer(), np.negative)
+            answer = loop.answer(self._row, 0)
+            torque = None if answer.do_not_send else answer.torque
+            torque = self.wires.carry("torque", torque, np.negative)
             if torque is not None:
                 due = loop.stamp + (self.wires.delay + self._late) * loop.scenario.plant.tick
                 self._waiting.append((due, TorqueCommand(loop.stamp, torque)))
         while self._waiting and self._waiting[0][0] <= loop.stamp:
             self._newest = self._waiting.popleft()[1]
-        loop.controller.joints_held = self.guard.holding
+        self.chain.plugged.block.joints_held = self.guard.holding
         state = loop.state
         loop.advance(self.guard.step(loop.stamp, state.theta, state.rates, self._newest))
 
@@ -133,47 +249,6 @@ class FaultyLoop:
             self._late = self._chance.choice((0, 0, 1, 2, 4))
             return self._pause > 0.0
         return True
-
-    def _answer(self) -> Array | None:
-        """Return the torque that the blocks answer; None without one."""
-        loop, carry = self.loop, self.wires.carry
-        state, stamp = loop.state, loop.stamp
-        sliding = sliding_speeds(state)
-        touch = loop.sensor.step(stamp, true_reading(state), sliding)
-        joints = carry("joints", (state.theta, state.rates, state.torque), _turned)
-        contacts = carry("contacts", touch.contacts, _moved)
-        given = [carry(f"force {i}", f, _wrong_force) for i, f in enumerate(touch.forces)]
-        forces = None if any(each is None for each in given) else np.array(given)
-        squeeze = shape = None
-        loop.chain.pass_on_rejection()
-        if contacts is not None and forces is not None:
-            squeeze = loop.regulator.step(stamp, contacts, forces)
-        friction = loop.regulator.learned_friction
-        if contacts is not None:
-            shape = loop.optimizer.step(stamp, contacts, friction, forces).forces
-        squeeze = carry("grasp force", squeeze, lambda value: value and _FACTOR * value)
-        shape = carry("shape", shape, lambda value: None if value is None else value[:, [1, 0, 2]])
-        if joints is None:
-            return None
-        observes = loop.scenario.manipulation_controller.law.observer.time > 0.0
-        missing = any(each is None for each in (contacts, squeeze, shape)) or (
-            observes and forces is None
-        )
-        self._missing = self._missing + self.tick_time if missing else 0.0
-        if missing:
-            is_blind = self._missing >= loop.scenario.manipulation_controller.input_timeout
-            held = loop.controller.hold(
-                joints[0], joints[1], "inputs are missing", applied=joints[2]
-            )
-            self.drives = False
-            return held.torque if is_blind and not held.do_not_send else None
-        self._command()
-        theta, rates, applied = joints
-        answer = loop.controller.step(
-            stamp, theta, rates, contacts, shape, squeeze, forces, applied
-        )
-        self.drives = answer.mode is Mode.DRIVE
-        return None if answer.do_not_send else answer.torque
 
     def _command(self) -> None:
         """Let the user send what the fault of the run makes of it; refusals are as intended."""
@@ -194,11 +269,11 @@ class FaultyLoop:
         if cell.fault != "off":
             return
         if cell.component == space.CONTROLLER:
-            loop.chain.controller = Controller(loop.scenario.manipulation_controller)
+            self.chain.plugged.block = Controller(loop.scenario.manipulation_controller)
         elif cell.component == space.REGULATOR:
-            loop.chain.regulator = SlipRegulator(
-                loop.scenario.slip_regulator, loop.plant.hand.fingers
-            )
+            regulator: Any = self.chain.regulator
+            regulator.block = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
+        self.chain.pass_on_rejection()
 
 
 def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -210,11 +285,15 @@ def _moved(contacts: Contacts) -> Contacts:
     return Contacts(contacts.positions + np.array([_AWAY, 0.0, 0.0]), contacts.rotations)
 
 
+def _swapped(shape: Array | None) -> Array | None:
+    return None if shape is None else shape[:, [1, 0, 2]]
+
+
 def _wrong_force(force: Array) -> Array:
     return np.asarray(force * np.array([-_FACTOR, _FACTOR, -_FACTOR]))
 
 
-def run_by_calls(run: Run) -> Outcome:
+def run_in_process(run: Run) -> Outcome:
     """Inject one fault and return what became of the object."""
     cell = run.cell
     faulty = FaultyLoop(scenario(cell.situation, cell.way), run)
