@@ -135,4 +135,4 @@ def measure_steps(work: Workload) -> list[Result]:
         theirs.append(1e6 * (time.perf_counter() - between) / per_tick)
         if peer.contacts < plant.hand.fingers:
             break
-    return [Result("plant, one step, over MuJoCo's", "x", np.divide(ours, theirs), at_most=5.0)]
+    return [Result("plant, one step, over MuJoCo's", "x", np.divide(ours, theirs), maximum=5.0)]

@@ -38,9 +38,9 @@ def measure_blocks(work: Workload) -> list[Result]:
     )
     steps = (lambda torque=torque: loop.plant.advance(torque) for torque in record.command)
     return [
-        Result("(13), exact, with checks", "us", _times(solves), at_most=15.0),
+        Result("(13), exact, with checks", "us", _times(solves), maximum=15.0),
         Result("controller, one tick", "us", _times(answers)),
-        Result("plant, one tick of 2 ms", "us", _times(steps), at_most=120.0),
+        Result("plant, one tick of 2 ms", "us", _times(steps), maximum=120.0),
     ]
 
 

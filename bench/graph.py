@@ -39,13 +39,13 @@ def measure_lockstep(work: Workload) -> list[Result]:
         Result("in-process, writing the same bag", "ticks/s", written),
         Result("composed, lockstep, recording", "ticks/s", composed),
         Result(
-            "  of the loop that writes the same bag", "", _over(composed, written), at_least=0.75
+            "  of the loop that writes the same bag", "", _over(composed, written), minimum=0.75
         ),
         Result("messages of six processes alone, recorded", "ticks/s", wire),
         Result("six processes, lockstep, recording", "ticks/s", apart),
-        Result("  of the wire's limit", "", _over(apart, wire), at_least=0.6),
-        Result("start to first tick, composed", "s", _starts(one), at_most=2.0),
-        Result("start to first tick, six processes", "s", _starts(six), at_most=3.0),
+        Result("  of the wire's limit", "", _over(apart, wire), minimum=0.6),
+        Result("start to first tick, composed", "s", _starts(one), maximum=2.0),
+        Result("start to first tick, six processes", "s", _starts(six), maximum=3.0),
     ]
 
 
@@ -65,7 +65,7 @@ def measure_short_run(work: Workload) -> list[Result]:
     """Take the time of a run that does next to nothing, from the command to its end."""
     options = ("--composed", "--no-record")
     walls = [float(run_graph(0.05, *options)["wall_s"]) for _ in range(work.repeats)]
-    return [Result("run paper --duration 0.05 --composed --no-record", "s", walls, at_most=3.0)]
+    return [Result("run paper --duration 0.05 --composed --no-record", "s", walls, maximum=3.0)]
 
 
 def measure_real_time(work: Workload) -> list[Result]:
@@ -84,7 +84,7 @@ def measure_real_time(work: Workload) -> list[Result]:
             where = f"{hertz:g} Hz{', SCHED_FIFO' if priority else ''}"
             loop = Result(f"bare loop, {where}: missed", "%", bare)
             allowed = max(_FEW, _BARE_FACTOR * loop.marks[0])
-            found += [loop, Result(f"composed, {where}: missed", "%", missed, at_most=allowed)]
+            found += [loop, Result(f"composed, {where}: missed", "%", missed, maximum=allowed)]
     return found
 
 

@@ -27,15 +27,15 @@ class Result:
         name: What was measured.
         unit: Its unit.
         samples: The samples.
-        at_most: Upper bound of the median; NaN for none.
-        at_least: Lower bound of the median; NaN for none.
+        maximum: Upper bound of the median; NaN for none.
+        minimum: Lower bound of the median; NaN for none.
     """
 
     name: str
     unit: str
     samples: Sequence[float] | NDArray[np.float64]
-    at_most: float = math.nan
-    at_least: float = math.nan
+    maximum: float = math.nan
+    minimum: float = math.nan
 
     @property
     def marks(self) -> tuple[float, float, float]:
@@ -46,10 +46,10 @@ class Result:
     @property
     def verdict(self) -> str:
         """``pass`` or ``fail``; empty without a target."""
-        if math.isnan(self.at_most) and math.isnan(self.at_least):
+        if math.isnan(self.maximum) and math.isnan(self.minimum):
             return ""
         median = self.marks[0]
-        fails = median > self.at_most or median < self.at_least or math.isnan(median)
+        fails = median > self.maximum or median < self.minimum or math.isnan(median)
         return "fail" if fails else "pass"
 
     @property
@@ -57,8 +57,8 @@ class Result:
         """Cells of the table, columns as in `COLUMNS`."""
         median, low, high = self.marks
         spread = f"{number(low)} to {number(high)}" if len(self.samples) > 1 else ""
-        target = "" if math.isnan(self.at_most) else f"<= {self.at_most:g}"
-        target = target if math.isnan(self.at_least) else f">= {self.at_least:g}"
+        target = "" if math.isnan(self.maximum) else f"<= {self.maximum:g}"
+        target = target if math.isnan(self.minimum) else f">= {self.minimum:g}"
         return [self.name, number(median, self.unit), spread, target, self.verdict]
 
 

@@ -2,7 +2,7 @@
 """The limit that the wire sets: the graph of a run with nothing in it but its messages.
 
 The same processes, topics, readers and loop as in a run, but each node only counts what it receives
-and sends bytes on as soon as it has heard all of a tick: no numbers, no parameters, no diagnostics.
+and sends bytes on as soon as it has all of a tick: no numbers, no parameters, no diagnostics.
 
 As a script with ``ROLES READERS TICKS`` it is one process, with one or several roles joined by
 commas.
@@ -105,17 +105,17 @@ class Role:
         Args:
             name: A node of the run.
             wiring: Who receives what from whom.
-            recorders: How many more hear everything.
+            recorders: How many more receive everything.
             ticks: How many are counted.
         """
         self.node = Node(name, namespace=_NAMESPACE)
         sent = [link for link in wiring if link.publisher == name]
         self._publishers = [self._publisher(link.topic) for link in sent]
         self._readers = [len(link.subscribers) + recorders for link in sent]
-        heard = [link.topic for link in wiring if name in link.subscribers]
-        for topic in heard:
+        received = [link.topic for link in wiring if name in link.subscribers]
+        for topic in received:
             self._subscribe(topic)
-        self._heard, self._first = frozenset(heard), heard[0]
+        self._received, self._first = frozenset(received), received[0]
         self._open: dict[int, set[str]] = {}
         self._tick, self._last, self._began = 0, _WARM + ticks, 0.0
         self._leads = name == PLANT
@@ -126,8 +126,8 @@ class Role:
         return self.node.create_publisher(WrenchStamped, topic, qos.tick_publisher_qos())
 
     def _subscribe(self, topic: str) -> None:
-        hear, profile = partial(self._hear, topic), qos.tick_qos()
-        self.node.create_subscription(WrenchStamped, topic, hear, profile, raw=True)
+        receive, profile = partial(self._receive, topic), qos.tick_qos()
+        self.node.create_subscription(WrenchStamped, topic, receive, profile, raw=True)
 
     def _send(self, tick: int) -> None:
         data = b"\x00\x01\x00\x00" + _COUNT.pack(tick) + bytes(_BYTES - 8)
@@ -135,20 +135,20 @@ class Role:
             publisher.publish(data)
 
     def _nudge(self) -> None:
-        """Send the present tick again, if all who should hear it are there."""
+        """Send the present tick again, if all its readers are there."""
         present = [publisher.get_subscription_count() for publisher in self._publishers]
         if self._tick < self._last and present == self._readers:
             self._send(self._tick)
 
-    def _hear(self, topic: str, data: bytes) -> None:
+    def _receive(self, topic: str, data: bytes) -> None:
         (tick,) = _COUNT.unpack_from(data, 4)
         if tick < self._tick:
             if tick == self._tick - 1 and topic == self._first and not self._leads:
                 self._send(tick)  # a node has not received it
             return
-        heard = self._open.setdefault(tick, set())
-        heard.add(topic)
-        if heard == self._heard:
+        received = self._open.setdefault(tick, set())
+        received.add(topic)
+        if received == self._received:
             self._open.clear()
             self._tick = tick + 1
             self._send(tick + self._leads)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop by function calls that writes the bag of a run: a limit for nodes in one process."""
+"""The in-process loop that writes the bag of a run: a limit for nodes in one process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Message = tuple[str, str, bytes]
 
 
 def written_calls(scenario: Scenario, ticks: int) -> float:
-    """Return how many ticks a second are computed by function calls, encoded and given to a writer.
+    """Return how many ticks a second are computed in-process, encoded and given to a writer.
 
     The writer is that of a recorder which shares its process with the nodes.
 
@@ -71,7 +71,7 @@ class TickMessages:
         self._command = JointCodec(joints, ("effort",))
         self._slip, self._grips = JointCodec(fingers, ("position", "velocity")), JointCodec(fingers)
         self._contacts, self._pose = ContactsCodec(len(fingers)), PoseCodec()
-        self._squeeze = WrenchCodec(names.PALM_FRAME)
+        self._grasp_force = WrenchCodec(names.PALM_FRAME)
         self._forces = [WrenchCodec(names.contact_frame(name)) for name in fingers]
         self._optimal = [
             WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
@@ -104,8 +104,8 @@ class TickMessages:
         yield from self._wrenches(names.wrench, self._forces, r.forces, row)
         grips = self._grips.encode(stamp, r.friction[row], r.slip_evidence[row], r.grip[row])
         yield names.GRIP_STATE, _JOINTS, grips
-        squeeze = self._squeeze.encode((0.0, float(r.grasp_force[row]), 0.0), stamp)
-        yield names.GRASP_FORCE, _WRENCH, squeeze
+        grasp_force = self._grasp_force.encode((0.0, float(r.grasp_force[row]), 0.0), stamp)
+        yield names.GRASP_FORCE, _WRENCH, grasp_force
         yield from self._wrenches(names.optimal_force, self._optimal, r.optimal_forces, row)
         yield names.JOINT_COMMAND, _JOINTS, self._command.encode(stamp, r.command[row])
         position = r.auxiliary_position[row]

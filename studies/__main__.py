@@ -131,7 +131,7 @@ def faults(
 ) -> None:
     """Let parts of the running hand fail, and measure drops, time to safety and forces.
 
-    What is in the folder already is kept: an interrupted campaign goes on where it stopped.
+    What is in the folder already is kept: an interrupted campaign continues where it stopped.
     """
     from studies.faults import campaign, space
     from studies.faults import tables as fault_tables
@@ -152,7 +152,7 @@ def faults(
             for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, advance)):
                 outcomes.append(outcome)
     except KeyboardInterrupt:
-        print(f"interrupted after {len(outcomes)} runs; the same command goes on")
+        print(f"interrupted after {len(outcomes)} runs; the same command continues")
     title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
     table = (title, fault_tables.COLUMNS, fault_tables.rows(outcomes))
     _finish(out, [out / campaign.RESULTS], table)
@@ -179,10 +179,10 @@ def fuzz(
         if again is not None:
             print(replay(targets, again) or "survived")
             return
-        share = 0.5 if live else 1.0
-        report = run_fuzz(targets, share * seconds, seed, out)
+        fraction = 0.5 if live else 1.0
+        report = run_fuzz(targets, fraction * seconds, seed, out)
     if live:
-        fuzz_nodes(report, (1.0 - share) * seconds, out)
+        fuzz_nodes(report, (1.0 - fraction) * seconds, out)
     print(json.dumps(report.data(), indent=2))
     if report.findings or report.grew:
         raise typer.Exit(1)

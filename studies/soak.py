@@ -19,7 +19,7 @@ from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 _PERIOD = 0.5  # s between two samples
-_WARM = 0.5  # share of the run after which growth counts: caches fill at first
+_WARM = 0.5  # fraction of the run after which growth counts: caches fill at first
 
 
 @dataclass

@@ -165,7 +165,7 @@ def delayed(case: Case, ticks: int, config: GuardConfig) -> Outcome:
 
 
 def main() -> None:
-    """Print the tables: moved [mm] / slid [mm] / peak of the squeeze [N]."""
+    """Print the tables: moved [mm] / slid [mm] / peak of the grasp force [N]."""
     print("| | guard |", " | ".join(f"{1e3 * s:g} ms" for s in STALLS), "| limit [N] |")
     print("|---" * (len(STALLS) + 3) + "|")
     for case, (name, config) in itertools.product(CASES, _GUARDS.items()):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the injections of the campaign, session by session, and keeps each result at once."""
+"""Runs the injections of the campaign, session by session, and keeps each result immediately."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def _sender(hand: RunningHand, run: Run) -> Callable[[], None]:
 
     def wrong() -> None:
         hand.poses.publish(codec.encode(here + 10.0, _STRAIGHT, 0))
-        hand.squeezes.publish(Float64(data=chance.choice([-1.0, 1e6, float("nan")])))
+        hand.grasp_forces.publish(Float64(data=chance.choice([-1.0, 1e6, float("nan")])))
 
     def delayed() -> None:
         hand.poses.publish(codec.encode(here, _STRAIGHT, 1))

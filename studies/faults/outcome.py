@@ -18,7 +18,7 @@ from tactile_hand_ros import names
 
 Array = NDArray[Any]
 
-_LEAST = 0.1  # N; a hand that squeezes less has not begun to hold
+_MINIMUM = 0.1  # N; a hand that presses less has not begun to hold
 _BEFORE = 0.1  # s before a fault in which the hand must drive and hold
 LET_GO = 0.1
 """Distance from where it may be [m]: an object there is not in the hand, whatever touches it."""
@@ -92,7 +92,7 @@ def why_not_begun(hand: RunningHand) -> str:
         return "the joints are held"
     if not hand.is_touching(before):
         return "a finger does not touch"
-    return "" if hand.squeeze(before) >= _LEAST else "the fingers do not press"
+    return "" if hand.grasp_force(before) >= _MINIMUM else "the fingers do not press"
 
 
 def judge(
@@ -119,7 +119,7 @@ def judge(
         dropped=not hand.is_touching(after) or moved > LET_GO,
         moved=moved,
         safe=None if safe is None else safe - begin,
-        peak=hand.squeeze(after),
+        peak=hand.grasp_force(after),
         limit=hand.scenario.slip_regulator.maximum,
         recovered=recovered,
         declared=declared,
@@ -154,7 +154,7 @@ def _holds(hand: RunningHand, events: list[Event]) -> list[Event]:
 def recovery(hand: RunningHand, events: list[Event], end: float) -> float | None:
     """Return how long after the end of the fault the hand drives for good, s; None if it does not.
 
-    It drives while the joints are not held and the controller says what it believes of the object.
+    It drives while the joints are not held and the controller publishes its estimate of the object.
     """
     holds = [event for event in events if event.topic == names.JOINT_HOLD]
     if holds and hand.read(holds[-1]).data:

@@ -141,17 +141,17 @@ class RunningHand:
     def _listen(self) -> None:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
-        self.squeezes = make(Float64, names.USER_GRASP_FORCE, profile)
-        self._hear(PoseStamped, names.OBJECT_POSE)
-        self._hear(PoseArray, names.TRUE_CONTACTS)
-        self._hear(PoseStamped, names.AUXILIARY_POSE)
+        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
+        self._subscribe(PoseStamped, names.OBJECT_POSE)
+        self._subscribe(PoseArray, names.TRUE_CONTACTS)
+        self._subscribe(PoseStamped, names.AUXILIARY_POSE)
         for name in self.fingers:
-            self._hear(WrenchStamped, names.true_wrench(name))
-        self._hear(JointState, names.JOINT_COMMAND)
-        self._hear(Bool, names.JOINT_HOLD, qos.latched_qos())
-        self._hear(DiagnosticArray, names.DIAGNOSTICS, profile)
+            self._subscribe(WrenchStamped, names.true_wrench(name))
+        self._subscribe(JointState, names.JOINT_COMMAND)
+        self._subscribe(Bool, names.JOINT_HOLD, qos.latched_qos())
+        self._subscribe(DiagnosticArray, names.DIAGNOSTICS, profile)
 
-    def _hear(self, kind: Any, topic: str, profile: Any = None) -> None:
+    def _subscribe(self, kind: Any, topic: str, profile: Any = None) -> None:
         self._types[topic] = kind
 
         def keep(data: bytes) -> None:
@@ -284,7 +284,7 @@ class RunningHand:
                 return bool(np.isfinite(contacts.positions).all())
         return False
 
-    def squeeze(self, events: list[Event]) -> float:
+    def grasp_force(self, events: list[Event]) -> float:
         """Return the largest sum of normal forces [N], of those that belong to one tick."""
         topics = [names.true_wrench(name) for name in self.fingers]
         sums: dict[bytes, list[float]] = {}

@@ -101,7 +101,7 @@ def scenario(situation: str, way: str) -> Scenario:
 
 @cache
 def ideal(situation: str, way: str) -> Outcome:
-    """Return what becomes of the object when the joints are held from the fault on, at once.
+    """Return what becomes of the object when the joints are held from the fault on.
 
     No hand that stands still can do better: where this drops the object, no hand survives there.
     """

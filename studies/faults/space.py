@@ -16,7 +16,7 @@ SPREAD = 0.2
 """Simulated time over which the moments of faults are spread [s]."""
 
 WAYS = ("in-process", "lockstep", "composed", "processes")
-"""By function calls, without a clock; in lockstep in processes; in real time in one process and in
+"""By direct calls, without a clock; in lockstep in processes; in real time in one process and in
 processes."""
 
 SITUATIONS = ("at rest", "moving", "lifting", "pulled", "heavy")

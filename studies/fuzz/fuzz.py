@@ -97,7 +97,7 @@ def fuzz(
     report = Report(seed)
     process = psutil.Process()
     memory, end = 0, time.monotonic() + seconds
-    turn = [name for name, target in targets.items() for _ in range(target.share)]
+    turn = [name for name, target in targets.items() for _ in range(target.weight)]
     for count, name in enumerate(itertools.cycle(turn)):
         if time.monotonic() >= end:
             break

@@ -56,7 +56,7 @@ def fuzz_nodes(report: Report, seconds: float, folder: Path) -> None:
 
     The bytes of a message are damaged behind its header, so that it is of a type that the nodes
     read. Values that are plausible are not sent here: see `make study NAME=faults`. Nor are
-    requests of services: the middleware believes their lengths, see docs/security.md.
+    requests of services: the middleware trusts their lengths, see docs/security.md.
 
     Args:
         report: What is added to.

@@ -41,12 +41,12 @@ class Target(NamedTuple):
     Attributes:
         make: Makes an input.
         read: Reads it; raises `TactileHandError` to refuse it, and nothing else.
-        share: How many inputs it gets in a turn.
+        weight: How many inputs it gets in a turn.
     """
 
     make: Callable[[random.Random], bytes]
     read: Callable[[bytes], object]
-    share: int = 1
+    weight: int = 1
 
 
 @contextmanager

@@ -224,15 +224,18 @@ def _stiffness(outcomes: Outcomes) -> Claim:
     eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
     fingers = len(outcomes["optimal"].record.finger_names)
     gain = fourteen.manipulation_controller.law.k_p
-    tips, felt = np.diag(translational_stiffness(eight)), translational_stiffness(eight, "contacts")
+    tips, contacts = (
+        np.diag(translational_stiffness(eight)),
+        translational_stiffness(eight, "contacts"),
+    )
     other = np.diag(translational_stiffness(fourteen, "contacts"))
-    listed = ", ".join(f"{value:.2f}" for value in np.diag(felt))
+    listed = ", ".join(f"{value:.2f}" for value in np.diag(contacts))
     return Claim(
         "below (10)",
         "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14).",
         f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
         f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
-        _verdict(bool(np.allclose(np.diag(felt), gain, rtol=0.01))),
+        _verdict(bool(np.allclose(np.diag(contacts), gain, rtol=0.01))),
         {
             "stiffness_8_at_tips_N_per_m": float(tips.mean()),
             "stiffness_14_at_contacts_N_per_m": float(other.mean()),

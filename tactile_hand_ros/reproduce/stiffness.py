@@ -19,7 +19,7 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
     """Return the force on the object per metre of position error, shape (3, 3), N/m.
 
     The forces are those whose joint torques equal the drive of the law at the start of the run:
-    at the fingertip centres, where (8) is written, or at the contacts, where the object feels them.
+    at the fingertip centers, where (8) is written, or at the contacts with the object.
 
     Args:
         scenario: Hand, object and law.

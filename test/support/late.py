@@ -33,7 +33,7 @@ class LateRegulator(SlipRegulator):
 def run_late(name):
     scenario = load_scenario(name)
     loop = ClosedLoop(scenario)
-    loop.regulator = LateRegulator(scenario.slip_regulator, loop.plant.hand.fingers)
+    loop.chain.regulator = LateRegulator(scenario.slip_regulator, loop.plant.hand.fingers)
     record = loop.run(round(SECONDS[name] * scenario.plant.rate))
     return record.true_positions[-1], record.true_slid[-1], record.grasp_force.max()
 

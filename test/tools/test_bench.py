@@ -47,9 +47,9 @@ def test_what_cannot_be_measured_is_refused_in_one_sentence(
 def test_a_result_is_judged_by_its_median() -> None:
     samples = [1.0, 2.0, 9.0]
     assert Result("", "", samples).verdict == ""
-    assert Result("", "", samples, at_most=2.0).verdict == "pass"
-    assert Result("", "", samples, at_least=2.1).verdict == "fail"
-    assert Result("", "", [float("nan")], at_most=2.0).verdict == "fail"
+    assert Result("", "", samples, maximum=2.0).verdict == "pass"
+    assert Result("", "", samples, minimum=2.1).verdict == "fail"
+    assert Result("", "", [float("nan")], maximum=2.0).verdict == "fail"
 
 
 def test_a_short_composed_run_is_measured() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short campaign by function calls: nothing is dropped where an ideal hold drops nothing."""
+"""A short campaign in-process: nothing is dropped where an ideal hold drops nothing."""
 
 import pytest
 
