@@ -105,3 +105,11 @@ def test_sine_and_cosine_of_a_rotation_are_exact_each_for_itself(size):
     np.testing.assert_allclose(found[2, 1], 0.6 * np.sin(size), rtol=1e-15)
     np.testing.assert_allclose(found[[2, 0], [0, 2]], [0.8 * np.sin(size), -0.8 * np.sin(size)],
                                rtol=1e-15)  # fmt: skip
+
+
+@pytest.mark.parametrize("axis", [(3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)])
+def test_of_both_axes_of_a_half_turn_the_first_component_is_positive(axis):
+    """Whichever component is the largest."""
+    unit = np.array(axis) / np.linalg.norm(axis)
+    rotation = 2.0 * np.outer(unit, unit) - np.eye(3)
+    np.testing.assert_allclose(quaternion_from_rotation(rotation), [*unit, 0.0], atol=1e-15)

@@ -278,3 +278,30 @@ def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
     urdf.write_text(head + name + joint.replace('upper="3"', 'upper="0.1"') + end + tail)
     added = Hand.load(str(path)).spans - plain.spans
     np.testing.assert_allclose(added, [0.0, 0.4, 0.0], atol=1e-12)
+
+
+def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
+    """Twice as long, the same masses: gravity has twice the lever, also about the first joint."""
+    path, down = str(write_hand(tmp_path, [3, 4, 5])), np.array([0.0, 0.0, -9.81])
+    plain = Hand.load(path, gravity=down)
+    long = Hand.load(path, gravity=down, link_lengths=2.0, tip_radii=1.5)
+    theta, _ = random_posture(plain, 2)
+    torque = plain.gravity_torque(theta)
+    np.testing.assert_allclose(long.gravity_torque(theta), 2.0 * torque, atol=1e-12)
+    assert np.abs(torque).max() > 0.1
+    np.testing.assert_allclose(long.radii, 1.5 * plain.radii)
+    reach, longer = (h.tip_positions(theta) - h.bases for h in (plain, long))
+    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
+
+
+def test_inertias_count_against_each_other_and_not_in_kilograms(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    urdf = tmp_path / "hand.urdf"
+    text = urdf.read_text().replace('mass value="0.2"', 'mass value="2e-11"')
+    for moment in ("0.001", "0.002", "0.0025"):
+        text = text.replace(f'"{moment}"', f'"{float(moment) * 1e-10!r}"')
+    urdf.write_text(text)
+    theta = np.ones(9)
+    light = Hand.load(str(path)).dynamics(theta, theta)[1]
+    heavy = Hand.load(str(write_hand(tmp_path, [3, 3, 3]))).dynamics(theta, theta)[1]
+    np.testing.assert_allclose(1e10 * light, heavy, rtol=1e-9, atol=1e-12)

@@ -11,6 +11,7 @@ from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
     Body,
     HandTerms,
+    _since,
     half_step,
     no_past,
     observed,
@@ -218,3 +219,26 @@ def test_a_step_that_nothing_touches_follows_its_own_mean_velocity():
     assert after.residual == 0.0 and after.outcome == 0
     np.testing.assert_array_equal(after.past.velocities, v)
     assert not after.past.settled.any() and not after.past.impulses.any()
+
+
+def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next():
+    """Pushed and settled, pushed only, not pushed, and one whose frame has jumped round."""
+    random, m = np.random.default_rng(2), 4
+    frames = [rotation_from_vector(0.3 * random.standard_normal(3)) for _ in range(4)]
+    turned = [rotation_from_vector(0.1 * random.standard_normal(3)) @ f for f in frames]
+    turned[3] = rotation_from_vector([0.0, 0.8, 0.0]) @ frames[3]
+    before, now = (random.standard_normal((4, 3, m + 6)) for _ in range(2))
+    before[:, :, m : m + 3] = np.swapaxes(frames, 1, 2)
+    now[:, :, m : m + 3] = np.swapaxes(turned, 1, 2)
+    v, slid = random.standard_normal(m + 6), np.array([1.0, 2.0, 3.0, 4.0])
+    impulses = np.array([[0.1, 1.0, 0.1], [0.1, 1e-9, 0.1], [0.1, 0.0, 0.1], [0.1, 1.0, 0.1]])
+    past = no_past(4, v)._replace(
+        rows=before, impulses=impulses, settled=np.array([True, False, True, True]), slid=slid
+    )
+    turning, found = _since(H, v, now, past)
+    new, old = now @ v, before @ v
+    np.testing.assert_allclose(turning[0], 0.5 * (new - old)[0], rtol=1e-12)
+    assert not turning[1:].any()
+    way = 0.5 * H * np.hypot(*(new + old)[:, [0, 2]].T)
+    np.testing.assert_allclose(found - slid, [way[0], way[1], 0.0, 0.0], rtol=1e-9)
+    np.testing.assert_array_equal(slid, [1.0, 2.0, 3.0, 4.0])

@@ -250,3 +250,11 @@ def test_a_sample_is_lost_where_its_luck_is_below_the_chance():
         last = np.where((luck < 0.4) & (i > 0), last, 5.0 + 0.001 * i)
         found = skin.step(i * 1_000_000, truth(0.001 * i)).forces[:, 1]
         np.testing.assert_allclose(found, last, atol=1e-12)
+
+
+def test_one_finger_without_contact_leaves_the_others_noise_alone():
+    whole = readings(sensor(force_noise=0.1, location_noise=0.001), 20)
+    part = readings(sensor(force_noise=0.1, location_noise=0.001), 20, missing=[1])
+    for one, two in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
+        np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
