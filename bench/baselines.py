@@ -17,7 +17,7 @@ from bench.result import Result
 from bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import centred, grasp_map
+from tactile_hand_ros.control.grasp import centered, grasp_map
 
 Array = NDArray[np.float64]
 Problem = tuple[Array, Array, Array]
@@ -31,7 +31,7 @@ def problem(contacts: Contacts, weights: Array) -> Problem:
     """Write (13) down for any solver: min f^T W f, A f = b, normal forces not negative."""
     count = len(contacts.positions)
     rows = np.zeros((7, 3 * count))
-    rows[:6] = grasp_map(centred(contacts.positions), contacts.rotations)
+    rows[:6] = grasp_map(centered(contacts.positions), contacts.rotations)
     rows[6, 1::3] = 1.0
     return weights, rows, np.array([0.0] * 6 + [1.0])
 

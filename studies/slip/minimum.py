@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import centred, grasp_map
+from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
@@ -49,7 +49,7 @@ def minimum_grasp_force(
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
     edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
-    arms = centred(points)
+    arms = centered(points)
     # Torques in the length of the grasp, so that all rows have the same scale.
     length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
     blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)

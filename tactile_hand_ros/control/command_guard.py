@@ -42,7 +42,7 @@ _JUMP = 0.02  # N m, change of a torque within a tick
 _PULL = 0.2  # fraction of the internal force with which a command may pull the fingers apart
 _CALM_TIME = 0.5  # s of good commands after which earlier holds are forgotten
 _FIRST_PATIENCE = 0.02  # s, doubled at each further hold
-_CALM = 0.8  # share of the speed limit below which a joint counts as slow again
+_CALM = 0.8  # fraction of the speed limit below which a joint counts as slow again
 
 
 class GuardConfig(Config):
@@ -90,9 +90,9 @@ class CommandGuard:
 
     Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
     finite, of the wrong shape, stuck or refused, and joints that are too fast, begin a hold; see
-    `GuardHold`. Good commands take over again within `blend_time`: at once after a single hold, and
-    where holds follow each other, as on a computer that is too busy, after a time that doubles with
-    each up to `patience`. The hand then stands still instead of being passed to and fro.
+    `GuardHold`. Good commands take over again within `blend_time`: immediately after a single hold,
+    and where holds follow each other, as on a computer that is too busy, after a time that doubles
+    with each up to `patience`. The hand then rests instead of switching to and fro.
 
     Attributes:
         reason: Why the joints are held; empty while commands act.
@@ -220,8 +220,9 @@ class CommandGuard:
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
         """Return whether a command turns the internal force around.
 
-        To let go, fingers cease to press and open. Only a wrong command pulls them off with a force
-        like that with which they press. It is a jump; only after one the tips are looked at.
+        To release the object, fingers cease to press and open. Only a wrong command pulls them off
+        with a force like that with which they press. It is a jump; only after one the tips are
+        looked at.
         """
         if not self._past or np.abs(torque - self._past[-1].torque).max() < _JUMP:
             return False
@@ -268,7 +269,7 @@ class CommandGuard:
 
     def _note(self, reason: str) -> None:
         self.held += 1
-        if UNSTEADY not in (reason, self.reason):  # else the hold before goes on
+        if UNSTEADY not in (reason, self.reason):  # else the hold before continues
             self.holds[reason] += reason != self.reason
         self.reason = reason
         self._last = None

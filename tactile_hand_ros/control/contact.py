@@ -139,7 +139,7 @@ def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
     The row along an axis t of a frame is t^T J + (p_cf x t)^T J_Omega.
 
     Args:
-        tips: Fingertip centres and Jacobians.
+        tips: Fingertip centers and Jacobians.
         points: Contact points p_c in the palm frame, shape (k, 3), m.
         frames: Frames R along whose axes the velocities are taken, shape (k, 3, 3): contact frames,
             or identities for the paper's J_h in palm axes.
@@ -149,11 +149,11 @@ def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
 
     Source: Shaw-Cortez et al., equation (2).
     """
-    centres, linear, angular = tips
+    centers, linear, angular = tips
     k, _, m = linear.shape
     out = np.empty((k, 3, m))
     for i in range(k):
-        a, b, c = points[i] - centres[i]
+        a, b, c = points[i] - centers[i]
         for axis in range(3):
             x, y, z = frames[i, 0, axis], frames[i, 1, axis], frames[i, 2, axis]
             p, q, r = cross((a, b, c), (x, y, z))
@@ -184,16 +184,16 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
 
 @compiled
 def joint_torques(
-    centres: Array, linear: Array, angular: Array, points: Array, forces: Array
+    centers: Array, linear: Array, angular: Array, points: Array, forces: Array
 ) -> Array:
     """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
 
-    A force f at the arm p_cf from the fingertip's centre acts there as f and p_cf x f, so that J_h
+    A force f at the arm p_cf from the fingertip's center acts there as f and p_cf x f, so that J_h
     of equation (2) need not be formed.
 
     Args:
-        centres: Fingertip centres p_f, palm frame, shape (k, 3), m.
-        linear: Jacobians of the fingertip centres, shape (k, 3, m).
+        centers: Fingertip centers p_f, palm frame, shape (k, 3), m.
+        linear: Jacobians of the fingertip centers, shape (k, 3, m).
         angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
         points: Contact points p_c, palm frame, shape (k, 3), m.
         forces: Forces f in palm axes, shape (k, 3), N.
@@ -203,7 +203,7 @@ def joint_torques(
     out = np.zeros(linear.shape[2])
     for i in range(len(points)):
         x, y, z = forces[i]
-        a, b, c = points[i] - centres[i]
+        a, b, c = points[i] - centers[i]
         p, q, r = cross((a, b, c), (x, y, z))
         for j in range(len(out)):
             out[j] += x * linear[i, 0, j] + y * linear[i, 1, j] + z * linear[i, 2, j]

@@ -51,7 +51,7 @@ class ControllerConfig(Config):
     )
     reference_time: float = param(
         0.0,
-        "time constant with which the hand follows a new desired pose, 0 for at once",
+        "time constant with which the hand follows a new desired pose, 0 for immediately",
         unit="s",
         live=True,
         ge=0.0,
@@ -68,7 +68,7 @@ class ControllerConfig(Config):
     )
     force_tolerance: float = param(
         0.3,
-        "largest error of the measured forces against the joint torques, as a share, 0 for any",
+        "largest error of the measured forces against the joint torques, as a fraction, 0 for any",
         live=True,
         ge=0.0,
     )
@@ -81,7 +81,7 @@ class ControllerConfig(Config):
         le=0.5,
     )
     grasp_force_limit: float = param(
-        0.0, "largest k_f that is believed, 0 for any", unit="N", live=True, ge=0.0
+        0.0, "largest k_f that is accepted, 0 for any", unit="N", live=True, ge=0.0
     )
     input_timeout: float = param(
         0.5,
@@ -123,7 +123,7 @@ class Command(NamedTuple):
     Attributes:
         torque: Joint torques, shape (m,), N m.
         mode: Drive, hold, open or disabled.
-        pose: What the hand believes of the object; None when it does not know.
+        pose: What the hand estimates of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
         do_not_send: Whether to keep it back: an input is missing or implausible, and the guard of
             the joints, which needs none of them, holds better.
@@ -141,7 +141,7 @@ class Controller:
 
     Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
     or implausible, or the contacts lie on a line, the hand holds its posture and its last good
-    squeeze.
+    grasp force.
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
@@ -184,7 +184,7 @@ class Controller:
         self.forget()
 
     def forget(self) -> None:
-        """Forget grasp, targets and integral; open or closing fingers go on with that."""
+        """Forget grasp, targets and integral; open or closing fingers continue with that."""
         self._law.reset()
         self._inputs.reset()
         self._reference.reset()
@@ -247,7 +247,7 @@ class Controller:
         return self._targets.forget_after(stamp)
 
     def release(self) -> None:
-        """Let go of the object: the fingers open along the normals of the last grasp.
+        """Release the object: the fingers open along the normals of the last grasp.
 
         Raises:
             GraspError: If there has been no grasp yet.
@@ -256,7 +256,7 @@ class Controller:
             self._regrasp.open()
             return
         if self._grasp is None:
-            raise GraspError("there is no grasp to let go of; let all fingers touch first")
+            raise GraspError("there is no grasp to release; let all fingers touch first")
         self._regrasp.leave(self._grasp.theta, self._grasp.contacts)
 
     @property
@@ -337,7 +337,7 @@ class Controller:
         """Return the pose on the way to the target that the law aims at in this tick."""
         assert self.target is not None
         self._law.acts = not self.joints_held
-        passed = 0.0 if self.joints_held else dt  # a reference that waits goes on where it was
+        passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
 
     def _drive(self, parts: LawTorque, total: Array, theta: Array, grasp_force: float) -> Array:
@@ -472,7 +472,7 @@ class Controller:
         self._held = self._nothing
         self._hold.move(self._regrasp.posture(contacts, dt), self._held.internal)
         torque = self._with_gravity(self._posture_torque(theta, rates), theta)
-        return Command(torque, Mode.OPEN, None, "let go by the user")
+        return Command(torque, Mode.OPEN, None, "released by the user")
 
     @property
     def _nothing(self) -> Held:
@@ -482,10 +482,10 @@ class Controller:
     def _elapsed(self, stamp: int) -> float:
         """Return the time since the last tick in s; 0 after an interruption.
 
-        Nothing is integrated over it, and fingers that open or close go on from where they are.
+        Nothing is integrated over it, and fingers that open or close continue from where they are.
         """
-        goes_on = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
-        if self._last_stamp is None or not goes_on:
+        continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
+        if self._last_stamp is None or not continues:
             return 0.0
         return min(max(0.0, 1e-9 * (stamp - self._last_stamp)), _LONGEST_GAP)
 
@@ -515,8 +515,8 @@ class Controller:
         """Return the torques with as much of the internal force as the joints can bear."""
         limits = self.hand.effort_limits
         rest = _sum(parts.load_compensation + parts.drive + parts.damping, weight)
-        share = bearable_fraction(parts.internal, rest, limits)
-        return parts if share == 1.0 else parts._replace(internal=share * parts.internal)
+        fraction = bearable_fraction(parts.internal, rest, limits)
+        return parts if fraction == 1.0 else parts._replace(internal=fraction * parts.internal)
 
     def _with_gravity(self, torque: Array, theta: Array) -> Array:
         """Return a torque that carries the links too, where that is wanted."""

@@ -61,7 +61,7 @@ def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
 
     Source: Shaw-Cortez et al., equation (11), without forming G~.
     """
-    arms, out = centred(points), np.zeros(6)
+    arms, out = centered(points), np.zeros(6)
     for i in range(len(points)):
         x, y, z = rotations[i] @ forces[i]
         a, b, c = arms[i]
@@ -101,7 +101,7 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
 @compiled
 def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
     """Return the forces of `wrench_forces`, of no use on a line, and the collinearity margin."""
-    arms = centred(points)
+    arms = centered(points)
     k, margin = len(points), _margin(arms)
     x, y, z = _solve_spread(arms.T @ arms, wrench[3:])
     out = np.empty((k, 3))
@@ -131,7 +131,7 @@ def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
 
 
 @compiled
-def centred(points: Array) -> Array:
+def centered(points: Array) -> Array:
     """Return the arms p_c,i - centroid, shape (k, 3), m."""
     return points - centroid(points)
 
@@ -143,7 +143,7 @@ def collinearity_margin(points: Array) -> float:
     It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
     assumption A7.
     """
-    return _margin(centred(points))
+    return _margin(centered(points))
 
 
 @compiled
@@ -257,7 +257,7 @@ class VirtualFrame:
         if len(points) <= 3:
             return self._plane_frame(points)
         check_spread(points)
-        arms = centred(points)
+        arms = centered(points)
         if self._start is None:
             self._start = arms, self._plane_frame(_leading(points))
         return turned_frame(*self._start, arms)
@@ -342,15 +342,15 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
 
 @compiled
 def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame of centred points, shape (k, 3), where they have turned to others."""
+    """Return a frame of centered points, shape (k, 3), where they have turned to others."""
     return best_rotation(before, after) @ frame
 
 
 @compiled
 def best_rotation(before: Array, after: Array) -> Array:
-    """Return the rotation that best maps centred points to centred points (Kabsch 1976).
+    """Return the rotation that best maps centered points to centered points (Kabsch 1976).
 
-    Where a reflection would fit better, the direction of the least extent is turned round.
+    Where a reflection would fit better, the direction of the minimum extent is turned round.
     """
     u, _, vt = np.linalg.svd(after.T @ before)
     product: Array = u @ vt

@@ -117,12 +117,12 @@ def bearable_fraction(internal: Array, rest: Array, limits: Array) -> float:
     Returns:
         From 0 to 1; 1 where the limits allow the whole torque.
     """
-    share = 1.0
+    fraction = 1.0
     for i in range(len(limits)):
         if abs(internal[i] + rest[i]) > limits[i] and internal[i] != 0.0:
             room = limits[i] - np.sign(internal[i]) * rest[i]
-            share = min(share, room / abs(internal[i]))
-    return max(share, 0.0)
+            fraction = min(fraction, room / abs(internal[i]))
+    return max(fraction, 0.0)
 
 
 FELT_TIME = 0.005
@@ -145,7 +145,9 @@ class GuardHoldConfig(Config):
     stopping_time: float = param(
         0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
     )
-    reserve: float = param(0.2, "share by which the grasp force is raised at once", ge=0.0, le=2.0)
+    reserve: float = param(
+        0.2, "fraction by which the grasp force is raised immediately", ge=0.0, le=2.0
+    )
     friction: float = param(
         0.2, "friction that load is assumed to have which comes during the hold", gt=0.0, le=10.0
     )
@@ -158,7 +160,7 @@ class JointTerms(NamedTuple):
     """What the hand's model says of a posture.
 
     Attributes:
-        tips: Fingertip centres and Jacobians.
+        tips: Fingertip centers and Jacobians.
         inertia: M_h, shape (m, m).
         bias: C_h theta' + N_h, shape (m,), N m.
     """
@@ -237,8 +239,8 @@ class GuardHold:
 
     def _follow_load(self, tips: Fingertips, pressed: Array) -> None:
         """Raise the internal force by what the load has grown; it never falls while holding."""
-        share = 1.0 - math.exp(-self._tick / FELT_TIME)
-        self._felt = self._felt + share * (pressed - self._felt)
+        fraction = 1.0 - math.exp(-self._tick / FELT_TIME)
+        self._felt = self._felt + fraction * (pressed - self._felt)
         if self._internal_force > MIN_INTERNAL_FORCE:
             load, _ = split_forces(tip_forces(tips, self._felt))
             grown = float(np.linalg.norm(load - self._load))
@@ -259,7 +261,7 @@ class GuardHold:
 
 
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
-    """Return the forces at the tip centres that a joint torque balances, shape (k, 3), N.
+    """Return the forces at the tip centers that a joint torque balances, shape (k, 3), N.
 
     The least-squares solution of J_i^T f_i = tau, exact for fingers of three joints.
     """
@@ -269,7 +271,7 @@ def tip_forces(tips: Fingertips, torque: Array) -> Array:
 
 
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
-    """Return the joint torques of forces at the tip centres, shape (m,), N m."""
+    """Return the joint torques of forces at the tip centers, shape (m,), N m."""
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
 
 

@@ -71,7 +71,7 @@ class Target(NamedTuple):
 
 
 class AuxiliaryPose(NamedTuple):
-    """What the hand believes of the object: a centroid and the virtual frame, palm frame."""
+    """What the hand estimates of the object: a centroid and the virtual frame, palm frame."""
 
     position: Array
     orientation: Array
@@ -102,7 +102,7 @@ class LawInput(NamedTuple):
     """What a law sees at one tick: joints and touch, nothing of the object.
 
     Attributes:
-        tips: Fingertip centres and Jacobians.
+        tips: Fingertip centers and Jacobians.
         contacts: Contact points and frames.
         optimal_forces: f* in contact frames, shape (k, 3).
         grasp_force: k_f, N.
@@ -180,9 +180,9 @@ class ManipulationLaw:
         return self._integral.copy()
 
     def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
-        """Return what the hand believes of the object's pose.
+        """Return what the hand estimates of the object's pose.
 
-        Laws (10) and (14) follow the contact points, law (8) the fingertip centres.
+        Laws (10) and (14) follow the contact points, law (8) the fingertip centers.
 
         Raises:
             GraspError: If the points do not define a frame (A7).
@@ -205,7 +205,7 @@ class ManipulationLaw:
         """Return the joint torques of the law, without gravity compensation.
 
         Args:
-            tips: Fingertip centres and Jacobians.
+            tips: Fingertip centers and Jacobians.
             rates: Joint rates, shape (m,), rad/s.
             contacts: Contact points and frames.
             optimal_forces: f* in contact frames, shape (k, 3); used by (14) only.

@@ -82,17 +82,17 @@ def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array
 def required_grasp_force(
     load: tuple[float, float, float], shape: tuple[float, float, float], usable_friction: float
 ) -> float:
-    """Return the least k >= 0 for which load + k shape lies in a friction cone.
+    """Return the minimum k >= 0 for which load + k shape lies in a friction cone.
 
     The boundary of the cone |f_t| = mu f_n is quadratic in k.
 
     Args:
-        load: Force of a contact (x, n, z) that does not grow with the squeeze, N.
-        shape: Force of the contact per unit squeeze.
+        load: Force of a contact (x, n, z) that does not grow with the grasp force, N.
+        shape: Force of the contact per unit internal force.
         usable_friction: mu of the cone.
 
     Returns:
-        k in N; infinite when no squeeze of this shape puts it there.
+        k in N; infinite when no grasp force of this shape puts it there.
     """
     lx, ln, lz = load
     sx, sn, sz = shape
@@ -112,13 +112,13 @@ def required_grasp_force(
 
 
 class LoadMarginConfig(Config):
-    """How much more than it feels a grasp is ready for."""
+    """How much more than it measures a grasp is ready for."""
 
     floor: float = param(
         3.0, "force on the object that may come at any time", unit="N", live=True, ge=0.0
     )
     share: float = param(
-        0.2, "share of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
+        0.2, "fraction of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
     )
     memory: float = param(
         5.0, "time constant with which recent loads are forgotten", unit="s", live=True, gt=0.0
@@ -217,9 +217,11 @@ class LoadObserver:
         """
         if config.time == 0.0:
             return np.zeros(6)
-        share = 1.0 - math.exp(-dt / config.time)
+        fraction = 1.0 - math.exp(-dt / config.time)
         touch = contacts.positions, contacts.rotations, forces
-        self.wrench = _followed(self.wrench, *touch, share, config.force_limit, config.torque_limit)
+        self.wrench = _followed(
+            self.wrench, *touch, fraction, config.force_limit, config.torque_limit
+        )
         return self.wrench
 
 
@@ -229,14 +231,14 @@ def _followed(
     points: Array,
     rotations: Array,
     forces: Array,
-    share: float,
+    fraction: float,
     force_limit: float,
     torque_limit: float,
 ) -> Array:
-    """Return an observed wrench a share of the way to that of the contacts, where it is finite."""
+    """Return an observed wrench moved towards the measured one where that is finite."""
     measured, out = net_wrench(points, rotations, forces), before.copy()
     if np.isfinite(measured).all():
-        out += share * (measured - out)
+        out += fraction * (measured - out)
         limit_wrench(out, force_limit, torque_limit)
     return out
 

@@ -64,9 +64,9 @@ class GraspMargins:
 
     Attributes:
         face_travel: A1, how far the contacts have wandered over their fingertips since they were
-            first seen, m; an edge of the face is that much nearer, no more can be felt of it.
+            first seen, m; an edge of the face is that much nearer, touch shows no more of it.
         hemisphere: A2, angle left to the rims of the fingertips, rad.
-        joint: A5, least singular value of J_h, m/rad; 0 where a joint posture is singular.
+        joint: A5, minimum singular value of J_h, m/rad; 0 where a joint posture is singular.
         collinearity: A7, second to first extent of the contacts; 0 on a line or with fewer than
             three.
     """
@@ -122,7 +122,7 @@ class SlipMonitor:
     Attributes:
         load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
         evidence: A4, evidence for slip left before an alarm, 1 to 0.
-        cone: A4, least distance to a cone of the learned friction, N.
+        cone: A4, minimum distance to a cone of the learned friction, N.
         time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
     """
 
@@ -136,7 +136,7 @@ class SlipMonitor:
         self.clear()
 
     def clear(self) -> None:
-        """Begin a new interval; a slip goes on."""
+        """Begin a new interval; a slip continues."""
         self.load = self.evidence = self.cone = np.nan
         self.time_left = REACTION
 

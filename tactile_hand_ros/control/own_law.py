@@ -70,7 +70,9 @@ def _imported(config: LawConfig, module: str) -> ModuleType:
         if error.name not in (module, top):  # something that it needs
             raise _wrong(config, f"it needs the module '{error.name}'", "that installed") from None
         raise _wrong(
-            config, f"there is no module '{module}'", "it beside the scenario file or on PYTHONPATH"
+            config,
+            f"there is no module '{module}'",
+            "it next to the scenario file or on PYTHONPATH",
         ) from None
     except Exception as error:
         reason = f"its module fails with {type(error).__name__}: {error}"

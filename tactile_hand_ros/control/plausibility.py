@@ -5,7 +5,7 @@ A blind hand has no truth to compare with, but it knows some things twice:
 
 - A contact lies on its fingertip: p_c = p_f(theta) + r n. Wrong joint angles and wrong contact
   points break that.
-- The squeezing forces of (13) add up to one: sum f*_n = 1.
+- The normal forces of (13) add up to one: sum f*_n = 1.
 - What the contacts press is what the motors press, by (3):
   J_h^T f_c = tau - M_h theta'' - C_h theta' - N_h. Forces of one finger or of all that are out of
   proportion, and forces that do not change while the torque does, break that.
@@ -72,7 +72,7 @@ class FrozenJointCheck:
         Args:
             theta: Joint angles, shape (m,), rad.
             contacts: Contact points and frames; all must touch.
-            tolerance: Distance that contacts may move under joints that stand still, m.
+            tolerance: Distance that contacts may move under joints that do not move, m.
         """
         if self._theta is None or not np.array_equal(theta, self._theta):
             self._theta, self._points = theta.copy(), contacts.positions
@@ -99,9 +99,9 @@ FELT_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
 _FROZEN_TIME = 0.04  # s for which a slow skin may repeat a force to the bit
-_FROZEN_SHARE = 0.05  # change of the torques of a finger that changes the force of any skin
-_LEAST = 0.05  # N m; an error that says nothing
-_FINE_SHARE, _FINE_LEAST = 0.01, 0.002  # the same of a skin without steps; N m
+_FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
+_SMALL = 0.05  # N m; an error that shows nothing
+_FINE_FRACTION, _FINE_SMALL = 0.01, 0.002  # the same of a skin without steps; N m
 _STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
 
 
@@ -154,7 +154,7 @@ class ForceTorqueCheck:
             contacts: Contact points and frames; all must touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
-            tolerance: Largest error of J_h^T f_c as a share of it.
+            tolerance: Largest error of J_h^T f_c as a fraction of it.
             latency: Largest age of the forces, s. For so long after a reset nothing is compared.
         """
         before, self._last = self._last, (stamp, rates)
@@ -167,11 +167,11 @@ class ForceTorqueCheck:
         if not self._past:
             self._pressed = self._felt = pressed
             self._began = stamp
-        share = 1.0 - math.exp(-dt / FELT_TIME)
-        self._pressed = self._pressed + share * (pressed - self._pressed)
+        fraction = 1.0 - math.exp(-dt / FELT_TIME)
+        self._pressed = self._pressed + fraction * (pressed - self._pressed)
         if 1e-9 * (stamp - self._began) < latency:  # forces may be those of torques before
             felt = self._pressed
-        self._felt = self._felt + share * (felt - self._felt)
+        self._felt = self._felt + fraction * (felt - self._felt)
         self._remember(stamp, latency)
         if not any(self._fits(past, tolerance) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
@@ -186,10 +186,10 @@ class ForceTorqueCheck:
             self._past.popleft()
 
     def _fits(self, pressed: Array, tolerance: float) -> bool:
-        """Return whether what is felt may be what was pressed at some time, shape (m,), N m."""
+        """Return whether what is measured may be what was pressed at some time, shape (m,), N m."""
         error = self._felt - pressed
-        most = _LEAST + tolerance * math.sqrt(pressed @ pressed)
-        return math.sqrt(error @ error) <= most
+        limit = _SMALL + tolerance * math.sqrt(pressed @ pressed)
+        return math.sqrt(error @ error) <= limit
 
     def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array) -> bool:
         """Return whether a finger repeats its force to the bit for long, under another torque."""
@@ -220,8 +220,8 @@ def _noticeable(torque: float, linear: Array, finest: float) -> float:
         finest: Smallest change of its force so far, N; infinite before the first.
     """
     lever = math.sqrt(np.square(linear).sum(axis=0).max())
-    fine = _FINE_LEAST + _FINE_SHARE * torque + _STEPS * lever * finest
-    return min(fine, _LEAST + _FROZEN_SHARE * torque)
+    fine = _FINE_SMALL + _FINE_FRACTION * torque + _STEPS * lever * finest
+    return min(fine, _SMALL + _FROZEN_FRACTION * torque)
 
 
 class InputLimits(Protocol):

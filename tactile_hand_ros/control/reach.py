@@ -86,7 +86,7 @@ def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Ar
 
     Args:
         hand: The hand.
-        tips: Wanted fingertip centres in the palm frame, shape (k, 3), m.
+        tips: Wanted fingertip centers in the palm frame, shape (k, 3), m.
         start: Joint angles to start from, shape (m,), rad.
 
     Returns:

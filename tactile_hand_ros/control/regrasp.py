@@ -68,7 +68,7 @@ class Regrasp:
         self.active = False
 
     def follow(self, theta: Array) -> None:
-        """Go on from a posture that something else has moved the joints to, shape (m,), rad."""
+        """Continue from a posture that something else has moved the joints to, shape (m,), rad."""
         if self.active:
             moved = self._depth[:, None] * self._normals
             self._tips = self._hand.fingertips(theta).positions - moved

@@ -159,7 +159,8 @@ def test_an_optimizer_rejects_minimum_normal_forces_that_exceed_the_grasp_force(
     refused = change("minimum_normal", 0.335)
     assert not refused.successful
     assert refused.reason == (
-        "minimum_normal = 0.335: 3 contacts share a squeeze of 1, so that it must be below 0.333"
+        "minimum_normal = 0.335: 3 contacts bear fractions that add up to 1, so that it must be "
+        "below 0.333"
     )
     assert node.get_parameter("minimum_normal").value == node.config.minimum_normal == 0.1
     assert change("weights", [1.0, 1.0, 1.0]).successful

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimization (13) inside friction cones: reshape the squeeze where more of it does not help.
+"""The optimization (13) inside friction cones: reshape f* where a larger k_f does not help.
 
-A contact slips however hard one squeezes when f* itself leaves its cone. Here f* is found such that
-the whole force of each contact, squeeze and load, stays inside:
+A contact slips however large the grasp force is when f* itself leaves its cone. Here f* is found
+such that the force of each contact, internal force and load, stays inside:
 
     min f^T W f + rho t + w t^2   s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum,  t >= 0,
     u_j . (f + l)_t <= mu cos(pi / 12) (f + l)_n + t    for twelve directions u_j,
 
-with l the load per unit of squeeze. The pyramid lies inside the cone, so that t = 0 certifies the
-friction. Where no such f* exists, t is about the least common violation: the best that can be done
-until the squeeze is raised. The linear penalty is exact: with rho above the price of a cone, t
-stays at zero wherever it can.
+with l the load per unit of internal force. The pyramid lies inside the cone, so that t = 0
+certifies the friction. Where no such f* exists, t is about the smallest common violation: the best
+that can be done until the grasp force is raised. The linear penalty is exact: with rho above the
+price of a cone, t stays at zero wherever it can.
 
 See `quadratic_program` for how the answer is found.
 """

@@ -48,10 +48,11 @@ class Cones:
 
     Attributes:
         usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
-        load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+        load: Forces that do not grow with the grasp force, per unit of internal force, shape (k,
+            3).
         elapsed: Time since the cones before these, s; 0 where there were none.
         wanted: What f* is made for, as `reaches` gives it: the recent past and a reserve, and less
-            squeeze than there is; None for the load itself; shape (k, SIDES).
+            grasp force than there is; None for the load itself; shape (k, SIDES).
     """
 
     usable_friction: Array
@@ -72,18 +73,18 @@ class Cones:
         return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
 
     def margin(self, forces: Array) -> float:
-        """Return the least mu f_n - |f_t| of forces f* under the load, per unit of squeeze."""
+        """Return the minimum mu f_n - |f_t| of f* under the load, per unit of internal force."""
         return cone_margin(forces, self.load, self.usable_friction)
 
 
 @compiled
 def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
-    """Return the least mu f_n - |f_t| of forces and load, both in contact frames, shape (k, 3)."""
-    least = np.inf
+    """Return the minimum mu f_n - |f_t| of forces and load in contact frames, shape (k, 3)."""
+    minimum = np.inf
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]
-        least = min(least, usable_friction[i] * n - math.sqrt(x * x + z * z))
-    return least
+        minimum = min(minimum, usable_friction[i] * n - math.sqrt(x * x + z * z))
+    return minimum
 
 
 @compiled
@@ -110,7 +111,7 @@ class ConeTrackerConfig(Protocol):
 
     @property
     def squeeze_share(self) -> float:
-        """Share of the squeeze that is felt with which f* should do."""
+        """Fraction of the grasp force that is measured with which f* should do."""
 
     @property
     def reserve(self) -> LoadMarginConfig:
@@ -126,7 +127,7 @@ class ConeTracker:
 
     It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
     for that: a shape that follows a swinging load is always too late for it. Touch that is doubted
-    is not followed, and afterwards all begins with the load that is felt then.
+    is not followed, and afterwards all starts with the load that is measured then.
     """
 
     def __init__(self, config: ConeTrackerConfig, contacts: int) -> None:
@@ -157,7 +158,7 @@ class ConeTracker:
     def step(
         self, stamp: int, contacts: Contacts, forces: Array, usable_friction: Array
     ) -> Cones | None:
-        """Return what the contacts can bear and carry, per unit of the squeeze that is felt now.
+        """Return what the contacts can bear and carry, per newton of the present grasp force.
 
         Args:
             stamp: The tick, ns.
@@ -166,19 +167,19 @@ class ConeTracker:
             usable_friction: mu that each contact may use, shape (k,).
 
         Returns:
-            None where there is no grasp or no squeeze yet, or touch is doubted.
+            None where there is no grasp or no grasp force yet, or touch is doubted.
         """
         parts = None if self._doubted else _grasp(contacts, forces)
         if parts is None:
             self._load = self._worst = None  # the past that the reserve follows stays
             return None
-        elapsed, share, c = 0.0, 1.0, self._config
+        elapsed, fraction, c = 0.0, 1.0, self._config
         if self._load is not None:
             elapsed = 1e-9 * (stamp - self._stamp)
-            share = 1.0 - math.exp(-elapsed / c.load_time)
+            fraction = 1.0 - math.exp(-elapsed / c.load_time)
         before = parts.load if self._load is None else self._load
         radii = self._reserve.step(parts.load, elapsed)
-        load = _per_squeeze(before, parts.load, parts.grasp_force, share)
+        load = _per_grasp_force(before, parts.load, parts.grasp_force, fraction)
         worst = reaches(parts.grasp_force * load, usable_friction)
         if self._worst is not None:
             keep = math.exp(-elapsed / c.load_memory)
@@ -197,44 +198,44 @@ def _grasp(contacts: Contacts, forces: Array) -> Split | None:
 
 
 @compiled
-def _per_squeeze(before: Array, load: Array, grasp_force: float, share: float) -> Array:
-    """Return the load per unit of squeeze, smoothed, shape (k, 3).
+def _per_grasp_force(before: Array, load: Array, grasp_force: float, fraction: float) -> Array:
+    """Return the load per unit of internal force, smoothed, shape (k, 3).
 
     Args:
         before: The same at the last tick, shape (k, 3).
         load: What the contacts carry, shape (k, 3), N.
-        grasp_force: The squeeze, N.
-        share: Share of the way to the present load.
+        grasp_force: The grasp force, N.
+        fraction: Fraction of the way to the present load.
     """
     now = np.empty_like(load)
     for i in range(len(load)):
         for axis in range(3):
             felt, last = load[i, axis] / grasp_force, before[i, axis]
-            now[i, axis] = felt if share == 1.0 else last + share * (felt - last)
+            now[i, axis] = felt if fraction == 1.0 else last + fraction * (felt - last)
     return now
 
 
 @compiled
-def _wanted(worst: Array, radii: Array, friction: Array, squeeze: float) -> Array:
-    """Return what f* is to be ready for, per unit of squeeze, shape (k, SIDES); see `reaches`.
+def _wanted(worst: Array, radii: Array, friction: Array, grasp_force: float) -> Array:
+    """Return what f* is to be ready for per unit of internal force, (k, SIDES); see `reaches`.
 
     Args:
         worst: How far loads of the recent past reach beyond the pyramids, shape (k, SIDES), N.
         radii: Radii of further loads that may come, shape (k,), N.
         friction: Usable mu, shape (k,).
-        squeeze: The squeeze with which f* should do, N.
+        grasp_force: The grasp force with which f* should do, N.
     """
     wanted = np.empty_like(worst)
     for i in range(len(worst)):
         reserve = INSIDE * friction[i] * shift(radii[i], friction[i])
         for j in range(worst.shape[1]):
-            wanted[i, j] = (worst[i, j] + reserve) / squeeze
+            wanted[i, j] = (worst[i, j] + reserve) / grasp_force
     return wanted
 
 
 @compiled
 def followed(
-    before: Array, optimum: Array, balance: Array, load: Array, friction: Array, share: float
+    before: Array, optimum: Array, balance: Array, load: Array, friction: Array, fraction: float
 ) -> tuple[Array, bool]:
     """Return f* on the way from that of the last tick to an optimum, and whether it could be found.
 
@@ -242,13 +243,14 @@ def followed(
         before: f* of the last tick, shape (k, 3).
         optimum: The optimum at this tick, shape (k, 3).
         balance: G~^T at this tick, shape (3k, 6).
-        load: Forces that do not grow with the squeeze, per unit of squeeze, shape (k, 3).
+        load: Forces that do not grow with the grasp force, per unit of internal force, shape (k,
+            3).
         friction: mu as learned, shape (k,).
-        share: Least share of the way, 0 to 1.
+        fraction: Minimum fraction of the way, 0 to 1.
     """
     start, found = balanced(before, balance)
-    share = max(share, _way_into_cones(start, optimum, load, friction))
-    return start + share * (optimum - start), found
+    fraction = max(fraction, _way_into_cones(start, optimum, load, friction))
+    return start + fraction * (optimum - start), found
 
 
 @compiled
@@ -293,8 +295,8 @@ def imbalance(forces: Array, balance: Array) -> tuple[float, float]:
 
 @compiled
 def _way_into_cones(start: Array, end: Array, load: Array, friction: Array) -> float:
-    """Return the least share of a way after which it is inside the cones, 1 if it never is."""
-    share = 0.0
+    """Return the minimum fraction of a way after which it is inside the cones, 1 if it never is."""
+    fraction = 0.0
     for i in range(len(start)):
         slope = INSIDE * friction[i]
         (x, n, z), (a, b, c) = start[i] + load[i], end[i] + load[i]
@@ -302,5 +304,5 @@ def _way_into_cones(start: Array, end: Array, load: Array, friction: Array) -> f
             p, q = DIRECTIONS[j, 0], DIRECTIONS[j, 1]
             first, last = p * x + q * z - slope * n, p * a + q * c - slope * b
             if first > 0.0:
-                share = max(share, first / (first - last) if last < 0.0 else 1.0)
-    return share
+                fraction = max(fraction, first / (first - last) if last < 0.0 else 1.0)
+    return fraction

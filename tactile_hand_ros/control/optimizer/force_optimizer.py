@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp-force optimization (13): how to share a squeeze of 1 N among the contacts."""
+"""The grasp-force optimization (13): how to distribute 1 N of internal force over k contacts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
-    centred,
+    centered,
     collinearity_margin,
     grasp_map,
 )
@@ -52,7 +52,11 @@ class ForceOptimizerConfig(Config):
         min_length=3,
     )
     minimum_normal: float = param(
-        0.0, "least share f_n of each contact in the unit squeeze", live=True, ge=0.0, lt=0.34
+        0.0,
+        "minimum f_n of each contact, as a fraction of the grasp force",
+        live=True,
+        ge=0.0,
+        lt=0.34,
     )
     solver: Literal["exact", "osqp"] = param(
         "exact",
@@ -60,14 +64,15 @@ class ForceOptimizerConfig(Config):
         live=True,
     )
     cones: bool = param(
-        False, "keep squeeze and load inside the friction cones that the regulator has learned"
+        False,
+        "keep internal force and load inside the friction cones that the regulator has learned",
     )
     load_time: float = param(
         0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
     )
     shape_time: float = param(
         0.05,
-        "time constant with which f* follows the optimum inside the cones, 0 for at once",
+        "time constant with which f* follows the optimum inside the cones, 0 for immediately",
         unit="s",
         live=True,
         ge=0.0,
@@ -84,13 +89,13 @@ class ForceOptimizerConfig(Config):
     reserve: LoadMarginConfig = LoadMarginConfig()
     squeeze_share: float = param(
         0.75,
-        "share of the present squeeze with which f* should do, so that it can be lowered",
+        "fraction of the present grasp force with which f* should do, so that it can be lowered",
         live=True,
         gt=0.0,
         le=1.0,
     )
     cone_share: float = param(
-        0.82, "share of the learned friction that f* may use", live=True, gt=0.0, le=1.0
+        0.82, "fraction of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )
 
     def weight_vector(self, fingers: int) -> Array:
@@ -109,15 +114,15 @@ class ForceOptimizerConfig(Config):
         return np.tile(given, fingers) if len(given) == 3 else given
 
     def check_minimum(self, fingers: int) -> None:
-        """Check that the least shares leave something to share.
+        """Check that the minimum normal forces leave something to distribute.
 
         Raises:
-            ConfigurationError: If they add up to the whole squeeze or more.
+            ConfigurationError: If they add up to the grasp force or more.
         """
         if self.minimum_normal * fingers >= 1.0:
             raise ConfigurationError(
-                f"minimum_normal = {self.minimum_normal}: {fingers} contacts share a squeeze of "
-                f"1, so that it must be below {1.0 / fingers:.3g}",
+                f"minimum_normal = {self.minimum_normal}: {fingers} contacts bear fractions that "
+                f"add up to 1, so that it must be below {1.0 / fingers:.3g}",
                 place="minimum_normal",
             )
 
@@ -232,7 +237,7 @@ class ForceOptimizer:
         return OptimalForces(*optimal[:-2], learned, optimal.shaped)
 
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
-        """Share a unit squeeze among the contacts.
+        """Distribute a unit internal force over the contacts.
 
         Args:
             contacts: Contact points and frames in the palm frame.
@@ -289,27 +294,27 @@ class ForceOptimizer:
         return shaped, missing, True
 
     def _steadied(self, optimum: Array, balance: Array, cones: Cones) -> Array:
-        """Follow an optimum steadily, see `steady`; the first one is followed at once."""
+        """Follow an optimum steadily, see `followed`; the first one is followed immediately."""
         before, time, forces = self._shape, self.config.shape_time, optimum
         if before is not None and time > 0.0 and cones.elapsed > 0.0:
-            share = 1.0 - math.exp(-cones.elapsed / time)
+            fraction = 1.0 - math.exp(-cones.elapsed / time)
             learned = cones.usable_friction / self.config.cone_share
-            steady, found = followed(before, optimum, balance, cones.load, learned, share)
+            steady, found = followed(before, optimum, balance, cones.load, learned, fraction)
             forces = steady if found else optimum
         self._shape = forces
         return forces
 
     def _set_up(self) -> None:
-        k, least = self._k, self.config.minimum_normal
+        k, minimum = self._k, self.config.minimum_normal
         equal, right, rows = np.zeros((7, 3 * k)), np.zeros(7), np.zeros((k, 3 * k))
         equal[6, 1::3] = right[6] = 1.0
         rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
-        bounds = np.full(k, -least)
+        bounds = np.full(k, -minimum)
         self._fixed = Problem(self._weights, np.zeros(3 * k), equal, right, rows, bounds)
         example = self._fixed._replace(equal=np.vstack([np.ones((6, 3 * k)), equal[6:]]))
         is_exact = self.config.solver == "exact"
         self._program = QuadraticProgram(example, is_exact)
-        self._shaper = ConeOptimizer(self._weights, least, is_exact)
+        self._shaper = ConeOptimizer(self._weights, minimum, is_exact)
         self._shape = None
 
     def _unsolved(self, best: Solution) -> OptimalForces:
@@ -339,7 +344,7 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
         points: Contact points in the palm frame, shape (k, 3), m.
         rotations: Contact frames, shape (k, 3, 3).
     """
-    arms = centred(points)
+    arms = centered(points)
     arms /= math.sqrt((arms * arms).sum() / len(points))
     return grasp_map(arms, rotations).T
 

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 _ROUNDING = 1e-12  # per largest unknown or multiplier above 1: no reason to exchange an inequality
-_DEPENDENT = 1e-13  # share of a row that is left when it depends on the active ones
+_DEPENDENT = 1e-13  # fraction of a row that is left when it depends on the active ones
 _MAX_SYSTEMS = 100
 _GOOD_RESIDUAL = 1e-10  # above it an answer has lost digits
 _TOLERANCE = 1e-6  # of OSQP; polishing goes far below it
@@ -299,20 +299,20 @@ def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]
     fall = np.zeros(len(held))
     if not determined:
         return fall, 0.0
-    shares = np.zeros(size)
+    projected = np.zeros(size)
     for i in range(size):
         for j in range(len(row)):
-            shares[i] += rows[i, j] * row[j] / weights[j]
-    substitute(factor, shares.reshape(size, 1))
-    fall[held] = shares[e:]
-    gain, whole = 0.0, 0.0
+            projected[i] += rows[i, j] * row[j] / weights[j]
+    substitute(factor, projected.reshape(size, 1))
+    fall[held] = projected[e:]
+    gain, total = 0.0, 0.0
     for j in range(len(row)):
         left = row[j]
         for i in range(size):
-            left -= rows[i, j] * shares[i]
+            left -= rows[i, j] * projected[i]
         gain += 0.5 * left * left / weights[j]
-        whole += 0.5 * row[j] * row[j] / weights[j]
-    return fall, gain if gain > _DEPENDENT * whole else 0.0
+        total += 0.5 * row[j] * row[j] / weights[j]
+    return fall, gain if gain > _DEPENDENT * total else 0.0
 
 
 @compiled

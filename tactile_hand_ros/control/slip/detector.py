@@ -18,8 +18,8 @@ Vector = tuple[float, float, float]
 _GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
-_BRINK = 0.95  # share of the learned friction from which on a contact may well be slipping
-_LEAK = 0.03  # share of a change of the squeeze that may show across it
+_BRINK = 0.95  # fraction of the learned friction from which on a contact may well be slipping
+_LEAK = 0.03  # fraction of a change of the internal force that may show across it
 _COURSE = 0.01  # s, time constant of the rate at which a force changes
 _STEADY = 0.01  # N, change from sample to sample below which a force counts as steady
 _FASTEST = 600.0  # N/s that a hand changes a force at; what is faster is a push, and counts as much
@@ -55,10 +55,14 @@ class SlipDetectorConfig(Config):
         1.0, "time constant with which the noise is learned", unit="s", live=True, gt=0.0
     )
     settling_time: float = param(
-        0.05, "after touching, nothing is said about slip for so long", unit="s", live=True, ge=0.0
+        0.05,
+        "after touching, nothing is reported about slip for so long",
+        unit="s",
+        live=True,
+        ge=0.0,
     )
     least_force: float = param(
-        0.05, "normal force below which nothing is said", unit="N", live=True, gt=0.0
+        0.05, "normal force below which nothing is reported", unit="N", live=True, gt=0.0
     )
 
 
@@ -76,7 +80,7 @@ _MEMORY = np.dtype(
         ("evidence", np.float64),
         ("likelihood", np.float64),
         ("agrees", np.bool_),
-        ("variance", np.float64),  # of the second difference across the squeeze, per axis
+        ("variance", np.float64),  # of the second difference across the internal force, per axis
         ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
         ("change", np.float64, 3),  # of it from sample to sample
         ("rate", np.float64, 3),  # of it, smoothed, N/s
@@ -95,8 +99,8 @@ class SlipDetector:
 
     While a contact sticks, the second difference r of its force is noise of variance s^2, since
     loads change slowly against the sampling. Sliding adds vibration. The hand's own changes of the
-    squeeze act along one known direction; only the two others are looked at. The test sums the
-    log-likelihood ratio of variance rho s^2 against s^2, per axis
+    internal force act along one known direction; only the two others are looked at. The test sums
+    the log-likelihood ratio of variance rho s^2 against s^2, per axis
 
         L = ((1 - 1/rho) r^2 / s^2 - ln rho) / 2,
 
@@ -111,7 +115,7 @@ class SlipDetector:
 
     Commands that are late by a number of ticks that varies shift what the hand does along its own
     course, f(t - d): a force that changes at a rate f' then bends by some f' dt along f'. Along the
-    part of f' across the squeeze the variance therefore grows by (3 f' dt)^2.
+    part of f' across the internal force the variance therefore grows by (3 f' dt)^2.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
@@ -159,21 +163,22 @@ class SlipDetector:
         return self._memory["fresh"].copy()
 
     def step(
-        self, forces: Array, squeeze: Array, own_change: float, dt: float, learned_friction: Array
+        self, forces: Array, direction: Array, own_change: float, dt: float, learned_friction: Array
     ) -> NDArray[np.int64]:
         """Take the forces of a tick and return what is known of the contacts, shape (k,).
 
         Args:
             forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
                 none.
-            squeeze: Directions in which the hand's squeeze acts here, of any length, shape (k, 3).
-            own_change: How much the hand itself has just bent its squeeze, N; some of that shows
-                across the squeeze too.
+            direction: Directions in which the hand's internal force acts here, of any length, shape
+                (k, 3).
+            own_change: How much the hand itself has just bent its internal force, N; some of that
+                shows across the internal force too.
             dt: Time since the last tick, s.
             learned_friction: mu as learned so far, shape (k,). At the brink of that cone fewer
                 samples must agree: a false alarm there could not lower the estimate.
         """
-        _watch(self._memory, self._config, forces, squeeze, own_change, dt, learned_friction)
+        _watch(self._memory, self._config, forces, direction, own_change, dt, learned_friction)
         return self.state
 
 
@@ -182,7 +187,7 @@ def _watch(
     memory: Rows,
     config: Rows,
     forces: Array,
-    squeeze: Array,
+    direction: Array,
     own_change: float,
     dt: float,
     learned_friction: Array,
@@ -191,7 +196,7 @@ def _watch(
     c = config[0]
     for i in range(len(memory)):
         m = memory[i]
-        _detect(m, c, forces[i], squeeze[i], own_change, dt, learned_friction[i])
+        _detect(m, c, forces[i], direction[i], own_change, dt, learned_friction[i])
         m["likelihood"] = min(m["evidence"] / c["threshold"], 1.0)
 
 
@@ -200,7 +205,7 @@ def _detect(
     m: Row,
     c: Row,
     force: Array,
-    squeeze: Array,
+    direction: Array,
     own_change: float,
     dt: float,
     learned_friction: float,
@@ -222,16 +227,16 @@ def _detect(
     m["touched_for"] += known
     across, along, shift, variance = 0.0, 0.0, 0.0, _noise(m, c, n, own_change)
     if m["fresh"]:
-        axis, scale = (squeeze[0], squeeze[1], squeeze[2]), _GAIN / gain
+        axis, scale = (direction[0], direction[1], direction[2]), _GAIN / gain
         across, along, shift = _powers(m, bend, axis)
         across, along, shift = scale * across, scale * along, scale * shift
-    share = variance / (variance + shift)
-    power = across + share * along
+    fraction = variance / (variance + shift)
+    power = across + fraction * along
     if new:
         _follow(m)
     if m["touched_for"] <= c["settling_time"]:
         if m["fresh"]:
-            _learn(m, c, power / (1.0 + share))
+            _learn(m, c, power / (1.0 + fraction))
         m["evidence"] = 0.0
         m["state"] = ContactState.UNKNOWN
         return
@@ -240,7 +245,7 @@ def _detect(
         _collect(m, c, power / variance, 1.0 / 3.0 if brink else 0.25)
     _decide(m, c, known)
     if m["fresh"] and (m["state"] == ContactState.STICK or m["slipped_for"] > c["patience"]):
-        _learn(m, c, power / (1.0 + share))
+        _learn(m, c, power / (1.0 + fraction))
 
 
 @compiled
@@ -271,32 +276,32 @@ def _follow(m: Row) -> None:
     change, rate, step = m["change"], m["rate"], m["spacing"]
     if step > 0.0:
         x, n, z = change
-        most = _FASTEST * step / max(math.sqrt(x * x + n * n + z * z), 1e-12)
-        kept, share = min(1.0, most) / step, -math.expm1(-step / _COURSE)
+        maximum = _FASTEST * step / max(math.sqrt(x * x + n * n + z * z), 1e-12)
+        kept, fraction = min(1.0, maximum) / step, -math.expm1(-step / _COURSE)
         for axis in range(3):
-            rate[axis] += share * (kept * change[axis] - rate[axis])
+            rate[axis] += fraction * (kept * change[axis] - rate[axis])
 
 
 @compiled
 def _noise(m: Row, c: Row, normal: float, own_change: float) -> float:
     """Return the variance of a second difference of a contact that sticks, per axis."""
-    least = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
-    return float(max(m["variance"], least) + (_LEAK * own_change) ** 2)
+    minimum = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
+    return float(max(m["variance"], minimum) + (_LEAK * own_change) ** 2)
 
 
 @compiled
-def _collect(m: Row, c: Row, power: float, most: float) -> None:
-    """Add the evidence of a power against its noise, at most a share of the threshold."""
+def _collect(m: Row, c: Row, power: float, maximum: float) -> None:
+    """Add the evidence of a power against its noise, at most a fraction of the threshold."""
     gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power - 2.0 * math.log(c["ratio"]))
     m["agrees"] = gain > 0.0
-    total = max(0.0, m["evidence"] + min(gain, most * c["threshold"]))
+    total = max(0.0, m["evidence"] + min(gain, maximum * c["threshold"]))
     m["evidence"] = min(total, 1.2 * c["threshold"])
 
 
 @compiled
 def _decide(m: Row, c: Row, dt: float) -> None:
-    share = 0.75 if m["state"] == ContactState.SLIP else 1.0
-    slips = m["evidence"] > share * c["threshold"]
+    fraction = 0.75 if m["state"] == ContactState.SLIP else 1.0
+    slips = m["evidence"] > fraction * c["threshold"]
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
     m["state"] = ContactState.SLIP if slips else ContactState.STICK
 
@@ -312,7 +317,7 @@ def _learn(m: Row, c: Row, square: float) -> None:
 
 @compiled
 def _powers(m: Row, bend: Vector, axis: Vector) -> tuple[float, float, float]:
-    """Return the squares of a bend across an axis, beside the course of the force and along it.
+    """Return the squares of a bend across an axis, across the course of the force and along it.
 
     The third is what commands that are late now and then add to the second.
     """
@@ -334,5 +339,5 @@ def _across(vector: Vector, axis: Vector) -> Vector:
     x, y, z = vector
     a, b, c = axis
     length = a * a + b * b + c * c
-    share = (x * a + y * b + z * c) / length if length > 0.0 else 0.0
-    return x - share * a, y - share * b, z - share * c
+    fraction = (x * a + y * b + z * c) / length if length > 0.0 else 0.0
+    return x - fraction * a, y - fraction * b, z - fraction * c

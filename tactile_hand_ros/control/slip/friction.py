@@ -15,7 +15,7 @@ from tactile_hand_ros.control.slip.detector import ContactState
 Array = NDArray[np.float64]
 
 _SAMPLES = 4  # that are averaged against noise and vibration
-_READINGS = 10  # of a slip that count; later the squeeze may long have caught it
+_READINGS = 10  # of a slip that count; later the grasp force may long have caught it
 _LARGEST = 3  # of them that are averaged
 _EXACT = 1e-4  # variance below which no force ratio is known
 _AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
@@ -33,8 +33,8 @@ class FrictionConfig(Config):
     most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     explore: float = param(
         0.05,
-        "growth of an estimate that no slip has bounded yet, so that the squeeze is lowered until "
-        "something slips a little",
+        "growth of an estimate that no slip has bounded yet, so that the grasp force is lowered "
+        "until something slips a little",
         unit="1/s",
         live=True,
         ge=0.0,
@@ -64,7 +64,7 @@ _MEMORY = np.dtype(
         ("ratios", np.float64, _READINGS),  # |f_t| / f_n of means of so many forces
         ("readings", np.int64),  # how many of them are there
         ("precision", np.float64),  # of the ratios together
-        ("slips", np.bool_),  # whether a slip goes on, or its aftershocks
+        ("slips", np.bool_),  # whether a slip continues, or its aftershocks
         ("before", np.float64, 2),  # estimate and confidence when it began
         ("quiet_for", np.float64),
     ],
@@ -76,7 +76,7 @@ class FrictionEstimator:
     """Bounds mu of each contact: sticking at a force ratio proves mu above it, slipping shows mu.
 
     A slip is read from its own samples only: those since the detector's sum left zero, which is
-    Page's estimate of when it began. A contact that slides shows mu, one that the squeeze has
+    Page's estimate of when it began. A contact that slides shows mu, one that the grasp force has
     caught shows less, so that the largest few ratios count. How much they count depends on how well
     they show: a contact that is barely pressed shows next to nothing. An estimate grows the more
     slowly, the better slips have shown it, so that a false alarm is soon forgotten and a surface
@@ -137,8 +137,8 @@ class FrictionEstimator:
             state: What the detector says of the contacts, `ContactState`, shape (k,).
             evidence: Its evidence for slip; zero: nothing slips; shape (k,).
             dt: Time since the last tick, s.
-            agrees: Whether the newest samples show slip; one of a contact that the squeeze has
-                caught says nothing of friction; shape (k,).
+            agrees: Whether the newest samples show slip; one of a contact that the grasp force has
+                caught shows nothing of friction; shape (k,).
             fresh: Whether the forces are new samples; from one that is repeated nothing is learned
                 twice; shape (k,).
         """
@@ -289,17 +289,17 @@ def _proven(m: Row, force: Array, time: float) -> float:
         mean[0], mean[1], mean[2] = force[0], force[1], force[2]
         m["variance"] = m["touched_for"] = 0.0
         return 0.0
-    share, squares = 1.0 - math.exp(-m["since"] / time), 0.0
+    fraction, squares = 1.0 - math.exp(-m["since"] / time), 0.0
     for axis in range(3):
         off = force[axis] - mean[axis]
-        mean[axis] += share * off
+        mean[axis] += fraction * off
         squares += off * off
-    m["variance"] += share * (squares / 3.0 - m["variance"])
+    m["variance"] += fraction * (squares / 3.0 - m["variance"])
     m["touched_for"] += min(m["since"], _LONGEST)
     if m["touched_for"] < 3.0 * time:  # too early for the variance to be known
         return 0.0
     x, n, z = mean
-    doubt = _SURE * math.sqrt(m["variance"] * share)
+    doubt = _SURE * math.sqrt(m["variance"] * fraction)
     return max(0.0, math.sqrt(x * x + z * z) - doubt) / (n + doubt) if n > 0.0 else 0.0
 
 
@@ -322,6 +322,6 @@ def _share(memory: Rows) -> None:
             other = memory[j]
             trust = 0.5 * other["confidence"]
             if other["estimate"] < m["estimate"] and trust > m["confidence"]:
-                share = other["confidence"] * (1.0 - m["confidence"])
-                m["estimate"] += share * (other["estimate"] - m["estimate"])
+                fraction = other["confidence"] * (1.0 - m["confidence"])
+                m["estimate"] += fraction * (other["estimate"] - m["estimate"])
                 m["confidence"] = trust

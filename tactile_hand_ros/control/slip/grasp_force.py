@@ -29,7 +29,7 @@ class RequiredGraspForceConfig(Config):
     )
     shape_smoothing: float = param(
         0.03,
-        "time constant of how the fingers share the squeeze; only the hand itself changes that",
+        "time constant of f* as measured; only the hand itself changes it",
         unit="s",
         live=True,
         gt=0.0,
@@ -55,22 +55,22 @@ _MEMORY = np.dtype(
     [
         ("load", np.float64, 3),  # smoothed; NaN: none yet
         ("trend", np.float64, 3),  # its rate
-        ("shape", np.float64, 3),  # smoothed force per unit squeeze
+        ("shape", np.float64, 3),  # smoothed force per unit internal force
     ]
 )
 
 
 class RequiredGraspForce:
-    """Follows load and shape of the squeeze, and computes the least squeeze that holds.
+    """Follows load and f*, and computes the minimum grasp force that holds.
 
     The load may change at any time and is followed fast. The shape is f*, which the hand itself
     changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
     and the need of a shape near the edge of its cone grows without bound.
 
-    What a new grasp needs beside its reserve is known from the first sample on, and asked for at
-    once at any time. The reserve rises over `reserve_time`: until f* has taken the shape that is
-    made for it, `shape_time` of the optimizer, and that shape is felt, `shape_smoothing`, the
-    squeeze that it asks for is that of a shape which is about to change.
+    What a new grasp needs apart from its reserve is known from the first sample on, and asked for
+    immediately. The reserve rises over `reserve_time`: until f* has taken the shape that is
+    made for it, `shape_time` of the optimizer, and that shape is measured, `shape_smoothing`, the
+    grasp force that it asks for is that of a shape which is about to change.
     """
 
     def __init__(self, config: RequiredGraspForceConfig, contacts: int) -> None:
@@ -99,18 +99,18 @@ class RequiredGraspForce:
     def step(
         self, parts: Split, friction: Array, dt: float, margin: float = 0.0
     ) -> tuple[float, float]:
-        """Return the least squeeze that keeps every contact inside its cone, and with a reserve, N.
+        """Return the minimum k_f that keeps each contact inside its cone, and with a reserve, N.
 
         Args:
-            parts: Measured forces as load and squeeze; the squeeze must push.
+            parts: Measured forces as load and internal force; the internal force must push.
             friction: mu of each contact as learned, shape (k,).
             dt: Time since the last tick, s.
-            margin: Share by which mu may be smaller than learned; for the loads that are felt, not
-                for those of the reserve: both rarely come at once.
+            margin: Fraction by which mu may be smaller than learned; for the loads that are
+                measured, not for those of the reserve: both rarely come together.
 
         Returns:
-            The first is infinite when no squeeze of the present shape can hold. The second is the
-            first for a contact that no squeeze of this shape gives the reserve.
+            The first is infinite when no grasp force of the present shape can hold. The second is
+            the first for a contact that no grasp force of this shape gives the reserve.
         """
         radii = self._reserve.step(parts.load, dt)
         self._held_for += dt
@@ -124,7 +124,7 @@ def _needed(
     memory: Rows,
     config: Rows,
     load: Array,
-    squeeze: Array,
+    internal: Array,
     grasp_force: float,
     friction: Array,
     margin: float,
@@ -138,9 +138,9 @@ def _needed(
         if dt == 0.0 or math.isnan(m["load"][0]):
             for axis in range(3):
                 m["load"][axis], m["trend"][axis] = load[i, axis], 0.0
-                m["shape"][axis] = squeeze[i, axis] / grasp_force
+                m["shape"][axis] = internal[i, axis] / grasp_force
         else:
-            _follow(m, c, load[i], squeeze[i] / grasp_force, dt)
+            _follow(m, c, load[i], internal[i] / grasp_force, dt)
         x, n, z = m["shape"]
         mu, (a, b, d) = friction[i], _foreseen(m, c, dt)
         alone = required_grasp_force((a, b, d), (x, n, z), mu / (1.0 + margin))
@@ -153,13 +153,13 @@ def _needed(
 @compiled
 def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
     """Smooth load, trend and shape of a contact."""
-    share, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
+    fraction, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
     for axis in range(3):
         m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
         before = m["load"][axis]
-        m["load"][axis] = before + share * (load[axis] - before)
+        m["load"][axis] = before + fraction * (load[axis] - before)
         rate = (m["load"][axis] - before) / dt
-        m["trend"][axis] += share * (rate - m["trend"][axis])
+        m["trend"][axis] += fraction * (rate - m["trend"][axis])
 
 
 @compiled
@@ -178,27 +178,33 @@ def _foreseen(m: Row, c: Row, dt: float) -> tuple[float, float, float]:
 
 
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
-_CALM = 0.05  # s without slip after which the next is a new one, met from the present squeeze
+_CALM = 0.05  # s without slip after which the next is a new one, met from the present grasp force
 
 
 class SlipResponseConfig(Config):
     """Parameters of the reflex that keeps an object from slipping."""
 
     margin: float = param(
-        0.15, "share by which the squeeze exceeds what the friction needs", live=True, ge=0.0
+        0.15, "fraction by which the grasp force exceeds what the friction needs", live=True, ge=0.0
     )
-    rise_rate: float = param(4000.0, "fastest rise of the squeeze", unit="N/s", live=True, gt=0.0)
+    rise_rate: float = param(
+        4000.0, "fastest rise of the grasp force", unit="N/s", live=True, gt=0.0
+    )
     first_rise: float = param(
         2.0,
-        "factor by which the squeeze rises when a slip begins or a contact is lost",
+        "factor by which the grasp force rises when a slip begins or a contact is lost",
         live=True,
         ge=1.0,
     )
     doubling_time: float = param(
-        0.01, "time in which the squeeze doubles while something slips", unit="s", live=True, gt=0.0
+        0.01,
+        "time in which the grasp force doubles while something slips",
+        unit="s",
+        live=True,
+        gt=0.0,
     )
     release_rate: float = param(
-        1.0, "least fall of the squeeze towards what is needed", unit="N/s", live=True, gt=0.0
+        1.0, "minimum fall of the grasp force towards what is needed", unit="N/s", live=True, gt=0.0
     )
     release_time: float = param(
         0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
@@ -209,23 +215,24 @@ class SlipResponseConfig(Config):
 class SlipResponse:
     """Follows the need, and goes beyond it while the need cannot be known.
 
-    A contact that slides feels only what friction lets through, and a grasp that has lost a contact
-    has no need that could be computed: both say that the squeeze is too small, not by how much. The
-    squeeze then doubles at once, and again in every `doubling_time` in which the skin goes on
-    telling of slip, or a contact that is left after another was lost is at the edge of its cone.
+    A contact that slides shows only what friction transmits, and a grasp that has lost a contact
+    has no need that could be computed: both show that the grasp force is too small, not by how
+    much. The grasp force then doubles immediately, and again in every `doubling_time` in which the
+    skin continues showing slip, or a contact that is left after another was lost is at the edge of
+    its cone.
 
     Attributes:
         grasp_force: The k_f that it asks for, N.
     """
 
-    def __init__(self, config: SlipResponseConfig, squeeze: float) -> None:
-        """Start at a squeeze in N."""
+    def __init__(self, config: SlipResponseConfig, grasp_force: float) -> None:
+        """Start at a grasp force in N."""
         self.config = config
-        self.start(squeeze)
+        self.start(grasp_force)
 
-    def start(self, squeeze: float) -> None:
-        """Go on from a squeeze in N, without a grasp that could be lost."""
-        self.grasp_force = self._settled = squeeze
+    def start(self, grasp_force: float) -> None:
+        """Continue from a grasp force in N, without a grasp that could be lost."""
+        self.grasp_force = self._settled = grasp_force
         self._calm_for = self._grown = 0.0
         self._whole = False
 
@@ -238,15 +245,15 @@ class SlipResponse:
         limit: float,
         dt: float,
     ) -> float:
-        """Return the squeeze after a tick, N.
+        """Return the grasp force after a tick, N.
 
         Args:
-            needed: Squeeze that load and friction ask for, N; not finite while unknown.
-            slips: Whether a slip goes on.
+            needed: Grasp force that load and friction ask for, N; not finite while unknown.
+            slips: Whether a slip continues.
             slides: Whether the newest samples show it too; with a contact lost also whether one
                 that is left carries all that its friction is trusted with.
             touching: Which contacts touch, shape (k,).
-            limit: Largest squeeze, N.
+            limit: Largest grasp force, N.
             dt: Time since the last tick, s.
         """
         c = self.config
@@ -254,7 +261,7 @@ class SlipResponse:
         whole, some = all(touches), any(touches)
         goal = needed if math.isfinite(needed) else self.grasp_force
         goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
-        if not some:  # nothing is left that a squeeze could hold
+        if not some:  # nothing is left that a grasp force could hold
             goal = self._settled
         falls = max(c.release_rate, (self.grasp_force - goal) / c.release_time)
         low, high = self.grasp_force - falls * dt, self.grasp_force + c.rise_rate * dt
@@ -264,7 +271,7 @@ class SlipResponse:
     def _startled(
         self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
     ) -> float:
-        """Return the squeeze that a slip or a lost contact asks for, N; 0 without either."""
+        """Return the grasp force that a slip or a lost contact asks for, N; 0 without either."""
         lost = self._whole and not whole
         self._whole = whole or (lost and some)
         if not slips and not lost:

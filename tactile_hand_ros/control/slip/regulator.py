@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The squeeze k_f: what the user asks for, what the touched object needs, or both."""
+"""The grasp force k_f: what the user asks for, what the touched object needs, or both."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class RollbackBuffer(Generic[Known]):
         return self._kept[0][1] if self._kept else None
 
 
-_MEMORY = 4  # newest changes of the squeeze that may still show in the forces
-_RESERVED = 0.8  # share of the limit up to which a reserve is kept; the rest is for real loads
+_MEMORY = 4  # newest changes of the grasp force that may still show in the forces
+_RESERVED = 0.8  # fraction of the limit up to which a reserve is kept; the rest is for real loads
 _ON_ITS_WAY = 4_000_000  # ns for which any change may
 
 
@@ -67,18 +67,24 @@ class SlipRegulatorConfig(Config):
     hand: str = param("paper", "hand by name or YAML file")
     mode: Literal["user", "shared", "auto"] = param(
         "user",
-        "user gives the squeeze asked for, auto what the object needs, shared the larger of both",
+        "user: the requested grasp force, auto: what the object needs, shared: the larger of both",
         live=True,
     )
     grasp_force: float = param(
-        10.0, "squeeze k_f until the user asks for another", unit="N", gt=0.0
+        10.0, "grasp force k_f until the user asks for another", unit="N", gt=0.0
     )
-    minimum: float = param(0.5, "least squeeze", unit="N", live=True, ge=0.0)
-    maximum: float = param(40.0, "largest squeeze, the crush limit", unit="N", live=True, gt=0.0)
+    minimum: float = param(0.5, "minimum grasp force", unit="N", live=True, ge=0.0)
+    maximum: float = param(
+        40.0, "largest grasp force, the crush limit", unit="N", live=True, gt=0.0
+    )
     rise_rate: float = param(50.0, "fastest rise the user may cause", unit="N/s", live=True, gt=0.0)
     fall_rate: float = param(20.0, "fastest fall the user may cause", unit="N/s", live=True, gt=0.0)
     smoothing: float = param(
-        0.05, "time constant with which the squeeze lands on its goal", unit="s", live=True, gt=0.0
+        0.05,
+        "time constant with which the grasp force lands on its goal",
+        unit="s",
+        live=True,
+        gt=0.0,
     )
     detector: SlipDetectorConfig = SlipDetectorConfig()
     friction: FrictionConfig = FrictionConfig()
@@ -104,26 +110,27 @@ class _Known(NamedTuple):
 class SlipRegulator:
     """Chooses k_f at every tick, from touch alone.
 
-    The user's squeeze moves at the rise or fall rate and lands exponentially. The squeeze that the
-    object needs follows from the measured forces, split into load and squeeze, and the friction
-    that slips and sticks have shown: the least one that keeps every contact inside its cone, with a
-    margin. It rises at once, falls slowly, and rises to the limit while something slips.
+    The user's grasp force moves at the rise or fall rate and lands exponentially. The grasp force
+    that the object needs follows from the measured forces, split into load and internal force, and
+    the friction that slips and sticks have shown: the minimum that keeps every contact inside its
+    cone, with a margin. It rises immediately, falls slowly, and rises to the limit while something
+    slips.
 
-    Touch that is doubted is not felt. What it has taught before that was known is forgotten, and
-    afterwards the need follows from the load that is felt then.
+    Touch that is rejected is ignored. What it has taught shortly before is forgotten, and
+    afterwards the need follows from the load that is measured then.
 
     Attributes:
         grasp_force: k_f, N.
-        goal: Squeeze that the user asked for last, N; used inside the limits in force.
-        needed: Squeeze that friction and load ask for, N; infinite when no squeeze of the present
-            shape can hold, NaN while unknown or not looked at (mode user).
+        goal: Grasp force that the user asked for last, N; used inside the limits in force.
+        needed: Grasp force that friction and load ask for, N; infinite when no grasp force of the
+            present shape can hold, NaN while unknown or not looked at (mode user).
         ready: The same with a reserve for loads that may come, N.
         state: `ContactState` of each contact, shape (k,).
         learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
-        """Start at the configured squeeze for a hand with k fingers."""
+        """Start at the configured grasp force for a hand with k fingers."""
         self.config = config
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
@@ -135,7 +142,7 @@ class SlipRegulator:
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
-        """Take other limits, rates and mode; the squeeze moves on from where it is."""
+        """Take other limits, rates and mode; the grasp force moves on from where it is."""
         if config.mode != self.config.mode:
             self._asked = self.grasp_force
             self._response.start(self.grasp_force)
@@ -148,7 +155,7 @@ class SlipRegulator:
         self._required.configure(config.reflex.need)
 
     def reset(self) -> None:
-        """Go back to the configured squeeze and forget what was learned."""
+        """Go back to the configured grasp force and forget what was learned."""
         start = self.config.grasp_force
         self.grasp_force: float = start
         self._asked = self.goal = start
@@ -156,7 +163,7 @@ class SlipRegulator:
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
         self._required.reset()
-        self._squeezes: deque[float] = deque(maxlen=3)
+        self._recent: deque[float] = deque(maxlen=3)
         self._bends: deque[tuple[int, float]] = deque()
         self._detector.reset()
         self._estimator.reset()
@@ -189,7 +196,7 @@ class SlipRegulator:
         return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
-        """Take the squeeze that the user asks for, in N.
+        """Take the grasp force that the user asks for, in N.
 
         Raises:
             MessageError: If it is outside the limits or not a number.
@@ -242,8 +249,8 @@ class SlipRegulator:
         self._asked = goal if arrives else self._asked + rate * dt
 
     def _feel(self, stamp: int, contacts: Contacts, forces: Array, dt: float) -> None:
-        """Update slip, friction and the needed squeeze from touch."""
-        if self.config.mode == "user":  # whose squeeze needs no opinion on what would hold
+        """Update slip, friction and the needed grasp force from touch."""
+        if self.config.mode == "user":  # which needs no estimate of what would hold
             self.needed = self.ready = math.nan
             self._watch(stamp, contacts, forces, self._normals, dt)
             return
@@ -286,10 +293,10 @@ class SlipRegulator:
 
     def _own_change(self, stamp: int) -> float:
         """Return the largest second difference of k_f that may still be on its way through, N."""
-        self._squeezes.append(self.grasp_force)
+        self._recent.append(self.grasp_force)
         bends = self._bends
-        if len(self._squeezes) == 3:
-            a, b, c = self._squeezes
+        if len(self._recent) == 3:
+            a, b, c = self._recent
             bends.append((stamp, abs(c - 2.0 * b + a)))
         while len(bends) > _MEMORY and bends[0][0] <= stamp - _ON_ITS_WAY:
             bends.popleft()
@@ -305,7 +312,7 @@ class SlipRegulator:
             return None
 
     def _needed(self, parts: Split | None, dt: float) -> tuple[float, float]:
-        """Return the least squeeze that holds, and with a reserve, N; NaN while unknown."""
+        """Return the minimum grasp force that holds, and with a reserve, N; NaN while unknown."""
         if parts is None or parts.grasp_force <= 0.0:
             self._required.lose()
             return math.nan, math.nan

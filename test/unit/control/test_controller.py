@@ -418,7 +418,7 @@ def test_reset_forgets_everything(interrupt):
     bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()
     assert bench.controller.target is None and not bench.controller.is_open
-    with pytest.raises(GraspError, match="there is no grasp to let go of"):
+    with pytest.raises(GraspError, match="there is no grasp to release"):
         bench.controller.release()
     fresh.stamp = bench.stamp
     # Upside down: a remembered side of the virtual frame would show.
