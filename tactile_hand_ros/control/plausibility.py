@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.hand.hand import Fingertips, Hand
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.control.controller import ControllerConfig
 
 Array = NDArray[np.float64]
 
@@ -224,22 +227,6 @@ def _noticeable(torque: float, linear: Array, finest: float) -> float:
     return min(fine, _SMALL + _FROZEN_FRACTION * torque)
 
 
-class InputLimits(Protocol):
-    """Parameters of `InputCheck`."""
-
-    @property
-    def touch_tolerance(self) -> float:
-        """Largest distance between a contact and its fingertip, m."""
-
-    @property
-    def force_tolerance(self) -> float:
-        """Largest error of J_h^T f_c as a fraction of it."""
-
-    @property
-    def touch_latency(self) -> float:
-        """Largest age of measured forces, s."""
-
-
 class InputCheck:
     """The one check of joints against touch: inconsistent or frozen inputs of either."""
 
@@ -263,7 +250,7 @@ class InputCheck:
         theta: Array,
         rates: Array,
         contacts: Contacts,
-        limits: InputLimits,
+        limits: ControllerConfig,
         pressing: tuple[Array, Array] | None,
     ) -> tuple[Fingertips, str]:
         """Return the fingertips, and why joints and touch do not fit; empty if they do.

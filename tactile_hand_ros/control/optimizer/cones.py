@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,13 @@ from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import (
     LoadMargin,
-    LoadMarginConfig,
     Split,
     measured_split,
     shift,
 )
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 
 Array = NDArray[np.float64]
 
@@ -102,26 +104,6 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
     return beyond
 
 
-class ConeTrackerConfig(Protocol):
-    """Parameters of `ConeTracker`."""
-
-    @property
-    def load_time(self) -> float:
-        """Time constant of the load, s."""
-
-    @property
-    def squeeze_share(self) -> float:
-        """Fraction of the grasp force that is measured with which f* should do."""
-
-    @property
-    def reserve(self) -> LoadMarginConfig:
-        """Loads that f* should be ready for."""
-
-    @property
-    def load_memory(self) -> float:
-        """Time constant with which the loads of the recent past are forgotten, s."""
-
-
 class ConeTracker:
     """Follows what the contacts carry, slowly enough that noise does not shake f*.
 
@@ -130,7 +112,7 @@ class ConeTracker:
     is not followed, and afterwards all starts with the load that is measured then.
     """
 
-    def __init__(self, config: ConeTrackerConfig, contacts: int) -> None:
+    def __init__(self, config: ForceOptimizerConfig, contacts: int) -> None:
         """Follow the load of k contacts."""
         self._reserve = LoadMargin(config.reserve, contacts)
         self._doubted = False
@@ -143,7 +125,7 @@ class ConeTracker:
             self.reset()
         self._doubted = doubted
 
-    def configure(self, config: ConeTrackerConfig) -> None:
+    def configure(self, config: ForceOptimizerConfig) -> None:
         """Take other parameters; what is known of the load stays."""
         self._config = config
         self._reserve.configure(config.reserve)

@@ -104,8 +104,7 @@ class QuadraticProgram:
         At its limit of iterations, or where x is so large that it takes the problem for infeasible,
         OSQP's answer may still be the optimum.
         """
-        x, _, missing, systems = _solved(problem, self._held)
-        exact = Solution(x, missing if systems else np.inf, systems)
+        exact = Solution(*_solved(problem, self._held))
         if exact.residual < _GOOD_RESIDUAL and self._exact:
             return exact
         return self._by_osqp(problem, exact)
@@ -122,14 +121,9 @@ class QuadraticProgram:
             self._osqp = None  # where OSQP has ended is a bad start for the next problem
         how = int(info.iter), float(info.run_time), ending, info.status_val in _INFEASIBLE
         best = Solution(x, residual(problem, x, y), *how)
-        if best.residual < _GOOD_RESIDUAL:
+        if best.residual < _GOOD_RESIDUAL or best.residual <= exact.residual:
             return best
-        # Polishing may miss the active set: solve exactly from the inequalities that x touches.
-        held = problem.bounds - problem.rows @ x < y[len(problem.equal) :]
-        sharp, _, missing, systems = _solved(problem, held)
-        candidates = (best, exact, Solution(sharp, missing if systems else np.inf, *how))
-        chosen = min(candidates, key=lambda each: each.residual)
-        return Solution(chosen.x, chosen.residual, *how)
+        return Solution(exact.x, exact.residual, *how)
 
     def _set_up(self) -> None:
         weights, price, equal, right, rows, bounds = self._example
@@ -154,10 +148,10 @@ class QuadraticProgram:
 
 
 @compiled
-def _solved(problem: Problem, held: Flags) -> tuple[Array, Array, float, int]:
-    """Return the answer of `solve_problem`, its multipliers, its residual and its systems."""
+def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
+    """Return the answer of `solve_problem`, its residual, infinite without one, and its systems."""
     x, multipliers, systems = solve_problem(problem, held)
-    return x, multipliers, residual(problem, x, multipliers), systems
+    return x, residual(problem, x, multipliers) if systems else np.inf, systems
 
 
 @compiled

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,18 @@ from tactile_hand_ros.errors import CollinearContactsError, MessageError
 Array = NDArray[np.float64]
 
 
-Known = TypeVar("Known")
-
 AGE = 20_000_000
 """What is gone back to is at least so old, where there is something, and at most twice [ns]."""
 
 
-class RollbackBuffer(Generic[Known]):
+class _Known(NamedTuple):
+    """What touch has taught: the friction, with all that belongs to it, and k_f, N."""
+
+    friction: Rows
+    grasp_force: float
+
+
+class RollbackBuffer:
     """Keeps two states of something that learns, `AGE` apart."""
 
     def __init__(self) -> None:
@@ -43,15 +48,15 @@ class RollbackBuffer(Generic[Known]):
 
     def forget(self) -> None:
         """Forget the past: time or grasp are new."""
-        self._kept: list[tuple[int, Known]] = []
+        self._kept: list[tuple[int, _Known]] = []
 
-    def pass_by(self, stamp: int, known: Callable[[], Known]) -> None:
+    def pass_by(self, stamp: int, known: Callable[[], _Known]) -> None:
         """Keep what is known at a tick [ns], when the newest state is old enough."""
         if not self._kept or stamp - self._kept[-1][0] >= AGE:
             self._kept = [*self._kept[-1:], (stamp, known())]
 
     @property
-    def before(self) -> Known | None:
+    def before(self) -> _Known | None:
         """What was known shortly before; None without a past."""
         return self._kept[0][1] if self._kept else None
 
@@ -100,13 +105,6 @@ class SlipRegulatorConfig(Config):
         return self
 
 
-class _Known(NamedTuple):
-    """What touch has taught: the friction, with all that belongs to it, and k_f, N."""
-
-    friction: Rows
-    grasp_force: float
-
-
 class SlipRegulator:
     """Chooses k_f at every tick, from touch alone.
 
@@ -137,7 +135,7 @@ class SlipRegulator:
         self._required = RequiredGraspForce(config.reflex.need, fingers)
         self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._checkpoints: RollbackBuffer[_Known] = RollbackBuffer()
+        self._checkpoints = RollbackBuffer()
         self._doubted = False
         self.reset()
 

@@ -7,7 +7,7 @@ TICK = 3_000_000
 
 
 def test_what_was_known_is_between_one_and_two_ages_old():
-    kept: RollbackBuffer[int] = RollbackBuffer()
+    kept = RollbackBuffer()
     assert kept.before is None
     for now in range(0, 20 * AGE, TICK):
         kept.pass_by(now, lambda known=now: known)
@@ -18,7 +18,7 @@ def test_what_was_known_is_between_one_and_two_ages_old():
 
 
 def test_a_new_grasp_has_no_past():
-    kept: RollbackBuffer[str] = RollbackBuffer()
+    kept = RollbackBuffer()
     kept.pass_by(0, lambda: "old")
     kept.forget()
     assert kept.before is None
