@@ -46,16 +46,6 @@ def test_good_commands_pass_to_the_bit():
     assert not made.reason and not made.holding and made.held == 0
 
 
-def test_commands_act_until_they_are_older_than_the_limit():
-    made = guard()
-    last = follow(made) - 1
-    for late in (1, 2, 3):
-        np.testing.assert_array_equal(step(made, last + late, TORQUE, answers=last), TORQUE)
-        assert not made.reason and made.age == late
-    step(made, last + 4, TORQUE, answers=last)
-    assert made.reason == command_guard.LATE and made.holds == {command_guard.LATE: 1}
-
-
 @pytest.mark.parametrize(
     ("command", "changes", "reason"),
     [
@@ -74,17 +64,6 @@ def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
     assert made.reason == reason and made.held == 1 and np.isfinite(answer).all()
 
 
-def test_a_command_that_turns_the_squeeze_around_begins_a_hold_and_one_that_lets_go_does_not():
-    weight = HAND.gravity_torque(THETA)
-    for pull, reason in ((-1.0, command_guard.PULLS), (-0.1, ""), (0.0, "")):
-        made = guard(**{"hold.reserve": 0.0})
-        answer = step(made, follow(made), weight + pull * (TORQUE - weight))
-        assert made.reason == reason
-    made = guard(**{"hold.reserve": 0.0})
-    answer = step(made, follow(made), weight - (TORQUE - weight))
-    np.testing.assert_allclose(answer, TORQUE, atol=1e-9)
-
-
 def test_joint_states_that_are_not_finite_repeat_the_last_torque():
     made = guard()
     last = follow(made)
@@ -96,23 +75,6 @@ def test_joint_states_that_are_not_finite_repeat_the_last_torque():
 def test_torques_stay_inside_the_limits_of_the_urdf():
     made = guard()
     np.testing.assert_array_equal(step(made, 0, np.full(9, 1e308)), np.full(9, 20.0))
-    assert not made.reason
-
-
-def test_a_limited_change_is_followed_at_that_rate():
-    made = guard(torque_rate=50.0)  # 0.1 N m a tick
-    last = follow(made)
-    np.testing.assert_allclose(step(made, last, TORQUE - 1.0), TORQUE - 0.1)
-    np.testing.assert_allclose(step(made, last + 1, TORQUE - 1.0), TORQUE - 0.2)
-
-
-def test_a_fast_joint_is_held_until_it_is_clearly_slower():
-    made = guard(speed_limit=1.0)
-    fast = np.where(np.arange(9) == 3, 1.1, 0.0)
-    step(made, 0, TORQUE, rates=fast)
-    step(made, 1, TORQUE, rates=0.8 * fast)
-    assert made.reason == command_guard.TOO_FAST
-    step(made, 2, TORQUE, rates=0.7 * fast)
     assert not made.reason
 
 
@@ -140,18 +102,6 @@ def test_before_the_first_command_gravity_is_carried():
     np.testing.assert_allclose(step(guard(), 0), HAND.gravity_torque(THETA), atol=1e-12)
 
 
-def test_commands_take_over_without_a_jump():
-    made = guard(blend_time=0.02)
-    tick = follow(made) + 9
-    torques = [step(made, tick, TORQUE, answers=0)]
-    wanted = TORQUE - 1.0
-    for more in range(1, 12):
-        torques.append(step(made, tick + more, wanted))
-    assert np.abs(np.diff(torques, axis=0)).max() < 0.15
-    np.testing.assert_array_equal(torques[-1], wanted)
-    assert not made.holding
-
-
 def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     made = guard()
     tick = follow(made) + 9
@@ -160,20 +110,6 @@ def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     again = step(made, tick + 2, TORQUE, answers=0)
     np.testing.assert_allclose(again, held, atol=1e-9)
     assert made.holds == {command_guard.LATE: 2}
-
-
-def test_a_torque_that_stays_the_same_while_the_joints_move_is_no_answer():
-    """New stamps on an old torque: a controller, or what is between, that is stuck."""
-    made = guard()
-    tick = follow(made)
-    for more in range(4):
-        step(made, tick + more, TORQUE, theta=THETA + 0.0006 * more)
-        assert not made.reason
-    step(made, tick + 4, TORQUE, theta=THETA + 0.0024)
-    step(made, tick + 5, TORQUE, theta=THETA + 0.0024)
-    assert made.reason == command_guard.STUCK and made.holds == {command_guard.STUCK: 1}
-    step(made, tick + 6, TORQUE + 1e-9, theta=THETA + 0.0024)
-    assert not made.reason
 
 
 def test_a_torque_may_stay_the_same_while_the_joints_rest():
@@ -216,14 +152,6 @@ def test_commands_that_are_never_good_for_long_do_not_take_over_any_more():
         held_after(made, tick, 20)
         tick += 21
     assert held_after(made, tick, 20) == 20 and made.reason == command_guard.UNSTEADY
-
-
-def test_reset_forgets_everything():
-    made = guard()
-    step(made, follow(made) + 9, TORQUE, answers=0)
-    made.reset()
-    assert not made.reason and not made.holding and made.held == 0 and made.age == -1
-    np.testing.assert_array_equal(step(made, 0, TORQUE), TORQUE)
 
 
 def moving(seed=3, ticks=8):
@@ -342,7 +270,8 @@ def test_a_reset_forgets_earlier_holds_and_their_patience():
         held_after(made, tick, 60)
         tick += 61
     made.reset()
-    assert not made.holds
+    assert not made.holds and not made.reason and not made.holding
+    assert made.held == 0 and made.age == -1
     step(made, tick, TORQUE)
     assert held_after(made, tick + 1, 20) == 0
 
@@ -382,9 +311,11 @@ def test_a_command_that_comes_again_is_judged_by_its_age_alone_unless_it_was_stu
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_joint_may_move_two_milliradians_under_the_same_torque(turned, stuck, sign):
     made = guard()
-    moved = THETA + sign * turned * (np.arange(9) == 7)
-    step(made, follow(made), TORQUE, theta=moved)
+    moved, tick = THETA + sign * turned * (np.arange(9) == 7), follow(made)
+    step(made, tick, TORQUE, theta=moved)
     assert (made.reason == command_guard.STUCK) == stuck
+    step(made, tick + 1, TORQUE + 1e-9, theta=moved)
+    assert not made.reason
 
 
 @pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, command_guard.PULLS)])

@@ -83,13 +83,6 @@ def test_a_contact_without_a_direction_does_not_count():
     np.testing.assert_array_equal(contacts.touching, [True, True, False])
 
 
-def test_a_position_with_one_bad_coordinate_does_not_count():
-    positions = np.eye(3)
-    positions[1, 2] = np.nan
-    contacts = Contacts(positions, frames(-np.eye(3)))
-    np.testing.assert_array_equal(contacts.touching, [True, False, True])
-
-
 def test_what_travels_on_a_topic_gives_the_same_frames_back():
     rotations = frames([[-1.0, 0, 0], [1.0, 0, 0], [0.0, -0.6, 0.8]])
     contacts = Contacts.from_poses(np.eye(3), quaternion_from_rotation(rotations))

@@ -9,8 +9,7 @@ from support.grasps import moved
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
-from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.control.targets import MOST_CHECKED, MOST_WAITING, Grasp, TargetQueue
+from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -50,28 +49,6 @@ def test_a_squeeze_beyond_the_joints_keeps_its_shape(bench):
     assert np.abs(40.0 * wanted / limits).max() > 1.5
     assert np.abs(given / limits).max() == pytest.approx(1.0)
     np.testing.assert_allclose(given / np.linalg.norm(given), wanted / np.linalg.norm(wanted))
-
-
-def test_a_target_takes_effect_at_the_next_tick(bench):
-    rest = bench.step().torque
-    bench.controller.command(bench.target(0.05, 0.0, 0.0))
-    command = bench.step()
-    assert np.abs(command.torque - rest).max() > 1e-2
-    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
-
-
-def test_a_target_may_come_before_the_first_tick(bench):
-    bench.controller.command(bench.target(0.05, 0.0, 0.0))
-    bench.step()
-    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
-
-
-def test_a_future_target_waits_for_its_tick(bench):
-    rest = bench.step().torque
-    bench.controller.command(bench.target(0.05, 0.0, 0.0), stamp=4 * TICK)
-    np.testing.assert_array_equal(bench.step(3).torque, rest)
-    assert bench.stamp == 4 * TICK
-    assert np.abs(bench.step().torque - rest).max() > 1e-2
 
 
 def test_of_several_targets_the_latest_due_one_counts(bench):
@@ -119,23 +96,6 @@ def test_targets_after_a_tick_can_be_forgotten(bench):
     np.testing.assert_allclose(bench.controller.target.position, bench.target(8e-3, 0, 0)[0])
 
 
-def test_of_many_targets_in_one_tick_few_are_checked_and_the_newest_in_reach_counts(bench):
-    """A target out of reach takes milliseconds to recognise."""
-    bench.step()
-    far, near = bench.target(0.0, 0.0, 2.0), bench.target(0.02, 0.0, 0.0)
-    for _ in range(MOST_CHECKED):
-        with pytest.raises(PoseError):
-            bench.controller.command(far)
-    for target in (far, near, far):
-        bench.controller.command(target)  # not checked any more
-    command = bench.step()
-    assert command.mode is Mode.DRIVE and "out of reach" in command.reason
-    assert bench.step().reason == ""
-    np.testing.assert_array_equal(bench.controller.target.position, near.position)
-    with pytest.raises(PoseError):
-        bench.controller.command(far)
-
-
 def test_a_law_without_a_finite_torque_gives_the_hold(bench):
     good = bench.step()
     command = bench.step(rates=np.full(9, np.inf))
@@ -152,22 +112,6 @@ def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
     np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
     bench.controller.schedule(bench.target(0.0, 0.0, 2.0), 0, judged=False)
     assert "out of reach" in bench.step().reason
-
-
-def test_a_target_that_is_out_of_reach_when_due_is_refused_with_its_reason(bench):
-    """Before the first tick nothing is known of the grasp: it is checked when it is due."""
-    bench.controller.command(bench.target(0.0, 0.0, 2.0))
-    command = bench.step()
-    assert command.mode is Mode.DRIVE and "out of reach" in command.reason
-    assert bench.controller.accepted is None
-    np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
-    assert bench.step().reason == ""
-
-
-def test_nan_is_out_of_reach(bench):
-    bench.step()
-    with pytest.raises(PoseError):
-        bench.controller.command(Target(np.array([np.nan, 0.0, 0.4]), np.eye(3)))
 
 
 @pytest.mark.parametrize(
@@ -712,10 +656,3 @@ def test_an_object_outlives_its_controller_and_the_blind_start_of_the_next():
         loop.advance(held.torque)
     assert loop.state.contacts.all_touching
     assert np.linalg.norm(loop.state.position - before) < 1e-3
-
-
-def test_a_new_queue_judges_the_first_pose_that_it_is_given(bench):
-    queue = TargetQueue(bench.controller.hand)
-    grasp = Grasp(bench.theta, bench.contacts, AuxiliaryPose(bench.centroid, np.eye(3)))
-    with pytest.raises(PoseError):
-        queue.command(bench.target(0.0, 0.0, 2.0), 0, None, grasp)

@@ -6,7 +6,7 @@ import pytest
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.plausibility import ForceTorqueCheck, _noticeable
+from tactile_hand_ros.control.plausibility import ForceTorqueCheck
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -216,12 +216,6 @@ def test_a_finger_may_repeat_its_force_for_forty_milliseconds():
     """From the tick on at which the comparison began, 1 ms."""
     assert not any(frozen(1.0, (20.0, 40.9)))
     assert [bool(each) for each in frozen(1.0, (20.0, 41.1))] == [False, False, False, True]
-
-
-def test_what_a_skin_must_notice_is_a_share_and_three_of_its_steps_at_the_longest_lever():
-    linear = 0.1 * np.array([[3.0, 1.0, 0.0], [4.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
-    assert _noticeable(2.0, linear, 0.001) == pytest.approx(0.002 + 0.02 + 3.0 * 0.5 * 0.001)
-    assert _noticeable(2.0, linear, 0.1) == _noticeable(2.0, linear, np.inf) == 0.05 + 0.1
 
 
 @pytest.mark.parametrize(("factor", "found"), [(0.999, False), (1.001, True)])

@@ -10,7 +10,6 @@ from tactile_hand_ros.control.holds import (
     GuardHoldConfig,
     JointTerms,
     joint_torque,
-    split_forces,
     tip_forces,
 )
 from tactile_hand_ros.hand.hand import Hand
@@ -30,17 +29,6 @@ def hold(tick=0.002, **changes) -> GuardHold:
 
 def terms(theta, rates) -> JointTerms:
     return JointTerms(*HAND.dynamics(theta, rates))
-
-
-def test_tip_forces_are_those_of_the_torque():
-    assert_allclose(tip_forces(TIPS, PRESSED), SQUEEZE, atol=1e-12)
-
-
-def test_a_load_is_told_from_a_squeeze():
-    load = np.tile([0.0, 0.0, -2.0], (3, 1))
-    carried, squeezing = split_forces(SQUEEZE + load)
-    assert_allclose(carried, [0.0, 0.0, -6.0], atol=1e-12)
-    assert_allclose(squeezing, SQUEEZE, atol=1e-12)
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.001, 0.002, 0.005, 0.01])
@@ -63,13 +51,6 @@ def test_braking_begins_without_a_step_of_the_torque():
     made.engage(THETA, rates, STILL)
     model = terms(THETA, rates)
     assert_allclose(made.step(THETA, rates, model, STILL), model.bias, atol=1e-12)
-
-
-def test_the_squeeze_has_its_reserve_at_once():
-    made = hold(reserve=0.3)
-    made.engage(THETA, STILL, PRESSED)
-    torque = made.step(THETA, STILL, terms(THETA, STILL), PRESSED)
-    assert_allclose(torque, 1.3 * PRESSED, atol=1e-12)
 
 
 def squeeze_under(made, load: float, ticks: int = 50) -> float:

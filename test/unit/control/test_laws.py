@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from support.equations import grasp_map, hand_jacobian, rotation_error
 from support.grasps import moved
 
@@ -163,42 +162,6 @@ def test_the_squeeze_does_no_work_when_the_grasp_moves_as_one(name, seed):
         rates = rigid_rates(grip, twist)
         assert squeeze @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
     assert np.linalg.norm(squeeze) > 0.1
-
-
-@pytest.mark.parametrize(("name", "fingers"), [("optimal", 1), ("contact", 1), ("kawamura", 3)])
-def test_stiffness_against_a_shift_is_k_p_once_or_once_per_finger(grip, name, fingers):
-    law = ManipulationLaw(LawConfig(name=name, k_p=3.0, k_o=0.0), RADII)
-    pose = law.auxiliary_pose(grip.tips, grip.contacts)
-    shift = np.array([1e-3, -2e-3, 3e-3])
-    drive = grip.torque(name, Target(pose.position + shift, pose.orientation), law).drive
-    points = grip.tips.positions if name == "kawamura" else grip.contacts.positions
-    jacobian = hand_jacobian(*grip.tips, points)
-    for axis in np.eye(3):
-        rates = np.linalg.solve(jacobian, np.tile(axis, 3))
-        assert drive @ rates == pytest.approx(fingers * 3.0 * shift @ axis, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ["optimal", "contact"])
-def test_stiffness_against_a_small_turn_is_twice_k_o(grip, name):
-    law = ManipulationLaw(LawConfig(name=name, k_p=3.0, k_o=0.5), RADII)
-    pose = law.auxiliary_pose(grip.tips, grip.contacts)
-    turn = 1e-4 * np.array([1.0, 2.0, -1.0])
-    wanted = Rotation.from_rotvec(turn).as_matrix() @ pose.orientation
-    drive = grip.torque(name, Target(pose.position, wanted), law).drive
-    for axis in np.eye(3):
-        work = drive @ rigid_rates(grip, np.concatenate([np.zeros(3), axis]))
-        assert work == pytest.approx(2.0 * 0.5 * turn @ axis, rel=1e-6, abs=1e-10)
-
-
-@pytest.mark.parametrize("name", ["optimal", "contact", "kawamura"])
-def test_at_its_target_and_at_rest_only_the_squeeze_remains(grip, name):
-    law = ManipulationLaw(LawConfig(name=name), RADII)
-    pose = law.auxiliary_pose(grip.tips, grip.contacts)
-    grip.rates = np.zeros(9)
-    parts = grip.torque(name, Target(pose.position, pose.orientation), law)
-    np.testing.assert_allclose(parts.drive, 0.0, atol=1e-13)
-    np.testing.assert_array_equal(parts.damping, 0.0)
-    np.testing.assert_allclose(parts.total, parts.internal, atol=1e-13)
 
 
 def integral_law(**integral):

@@ -36,14 +36,6 @@ def settled(config):
     return observer
 
 
-def test_what_is_carried_is_the_net_force_of_the_contacts_on_the_object():
-    """At rest hat w = f = -w_e: it points against the load, and is about the centroid."""
-    config = ObserverConfig(time=TIME, **UNLIMITED)
-    carried = settled(config).wrench
-    np.testing.assert_allclose(carried, net(), rtol=1e-12)
-    assert np.abs(carried[:3]).min() > 0.1 and np.abs(carried[3:]).min() > 0.01
-
-
 def test_a_step_is_met_as_by_a_low_pass():
     """After n ticks 1 - exp(-n dt / T) of the step is there, however long the ticks are."""
     config = ObserverConfig(time=TIME, **UNLIMITED)
@@ -145,13 +137,3 @@ def test_limiting_shortens_and_never_lengthens(values, limit):
     assert np.linalg.norm(vector) == pytest.approx(min(length, limit), rel=1e-12, abs=1e-100)
     scaled = np.array(values) * np.linalg.norm(vector)
     np.testing.assert_allclose(vector * length, scaled, rtol=1e-9, atol=1e-100)
-
-
-def test_a_length_at_its_limit_and_nothing_at_all_stay_to_the_bit():
-    for values, limit in (([3.0, 0.0, 4.0], 5.0), ([0.0, 0.0, 0.0], 0.0)):
-        vector = np.array(values)
-        limit_length(vector, limit)
-        np.testing.assert_array_equal(vector, values)
-    vector = np.array([3.0, 0.0, -4.0])
-    limit_length(vector, 2.5)
-    np.testing.assert_allclose(vector, [1.5, 0.0, -2.0], rtol=1e-15)

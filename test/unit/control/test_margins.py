@@ -192,12 +192,6 @@ def test_a_slip_uses_up_the_time_to_react_even_across_intervals(grasp):
     assert watch.time_left == REACTION
 
 
-def test_unknown_is_not_well(grasp):
-    watch = SlipMonitor()
-    note(watch, 0, grasp[1], grip=LOOSE)
-    assert np.isnan(watch.evidence) and np.isnan(watch.cone)
-
-
 def test_rounding_beyond_opposite_and_equal_directions_is_no_angle():
     longer = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]]) * (1.0 + 1e-12)
     np.testing.assert_array_equal(angles_between(longer, -longer), np.pi)

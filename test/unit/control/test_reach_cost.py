@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.grasps import moved
 from support.hands import prism_grasp, write_hand
 from support.plants import plant
 
@@ -211,16 +210,6 @@ def bench():
     return Bench()
 
 
-def test_a_pose_is_judged_when_it_is_said_and_never_again(bench, checks):
-    bench.step()
-    bench.controller.command(bench.target(0.05), stamp=4 * TICK)
-    assert len(checks) == 1
-    moving = moved(bench.contacts, np.eye(3), np.array([0.0, 0.002, 0.0]))
-    for _ in range(5):
-        bench.step(moving)
-    assert len(checks) == 1 and bench.wanted == pytest.approx(0.05)
-
-
 def test_of_several_poses_each_is_judged_once(bench, checks):
     bench.step()
     for ticks in (3, 5):
@@ -244,16 +233,6 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
         bench.controller.command(other)
         bench.step()
     assert len(checks) == 3
-
-
-def test_a_refused_pose_is_judged_anew_when_it_is_said_again(bench, checks):
-    """Meanwhile the hand may have come nearer."""
-    bench.step()
-    for _ in range(2):
-        with pytest.raises(PoseError):
-            bench.controller.command(bench.target(*FAR))
-        bench.step()
-    assert len(checks) == 2
 
 
 def test_one_tick_judges_one_pose_the_newest_first(bench, checks):

@@ -60,29 +60,6 @@ def test_there_must_be_a_grasp_to_let_go_of():
         loop.controller.release()
 
 
-def test_after_an_interruption_the_fingers_go_on_and_do_not_jump():
-    """Closing, then three seconds without touch: the posture is that of the last tick."""
-    loop = ClosedLoop(load_scenario("paper", {"targets": []}))
-    record = Record.empty(200, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    for row in range(200):
-        if row == 50:
-            loop.controller.release()
-        loop.tick(record, row)
-    controller = loop.controller
-    controller.grasp()
-    theta, rates = record.theta[-1], np.zeros(9)
-    nothing = Contacts(np.full((3, 3), np.nan), np.full((3, 3, 3), np.nan))
-    silent = np.full((3, 3), np.nan)
-    stamp = int(record.stamps[-1]) + 2_000_000
-    before = controller.step(stamp, theta, rates, nothing, silent, 10.0).torque
-    controller.hold(theta, rates, "no touch")
-    later = stamp + 3_000_000_000
-    after = controller.step(later, theta, rates, nothing, silent, 10.0).torque
-    np.testing.assert_allclose(after, before, atol=1e-6)
-    gap = controller.step(later + 3_000_000_000, theta, rates, nothing, silent, 10.0).torque
-    assert np.abs(gap - after).max() < 0.2  # a millimetre, of a few ten N m/rad
-
-
 CONFIG = RegraspConfig(opening=0.012, speed=0.02, overtravel=0.008)
 THETA = np.tile([1.047, 0.0, 1.571], 3) + np.linspace(-0.2, 0.2, 9)
 DT = 0.05  # 1 mm at that speed

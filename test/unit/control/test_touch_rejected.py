@@ -223,18 +223,6 @@ def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
         bench.controller.command(far)
 
 
-def test_fingers_that_were_disabled_while_they_opened_wait_where_they_are():
-    bench = Bench()
-    bench.step()
-    bench.controller.release()
-    bench.step(5)
-    bench.controller.enabled = False
-    bench.step()
-    bench.stamp += 10_000_000_000
-    bench.controller.enabled = True
-    np.testing.assert_allclose(bench.step().torque, REST, atol=1e-4)
-
-
 def test_open_fingers_take_no_torque_over_though_the_grasp_was_forgotten():
     bench = Bench()
     bench.step()

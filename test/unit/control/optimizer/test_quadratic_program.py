@@ -56,16 +56,6 @@ def test_what_is_optimal_proves_it(contacts, friction, seed, minimum):
     assert forces[:, 1].min() > minimum - 1e-10 * size
 
 
-@pytest.mark.parametrize("friction", [0.15, 0.3, 0.6])
-def test_osqp_gives_the_same_where_it_converges(friction):
-    load = np.array([[0.1, 0.05, 0.2], [-0.1, 0.02, 0.1], [0.0, 0.1, 0.1]])
-    cones = Cones(np.full(3, friction), load)
-    forces, _ = shaped(three_faces(), cones)
-    other, missing = shaped(three_faces(), cones, exact=False)
-    assert missing < 1e-4
-    np.testing.assert_allclose(forces, other, atol=1e-4)
-
-
 def test_a_load_that_changes_little_takes_one_system():
     contacts, load = three_faces(), np.array([[0.1, 0.05, 0.2], [-0.1, 0.02, 0.1], [0.0, 0.1, 0.1]])
     problem = corner(np.vstack([-np.eye(3), [[1.0, -1.0, 0.0]]]), np.zeros(4), [-4.0, 0.0, 3.0])
@@ -109,22 +99,6 @@ def test_where_inequalities_contradict_each_other_there_is_no_answer():
     problem = corner([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0], [0.0, 0.0])
     assert solve_problem(problem, held)[2] == 0
     assert not held.any()
-
-
-@pytest.mark.parametrize("part", ["x", "equation", "inequality", "multiplier"])
-def test_a_violation_is_seen(part):
-    problem = corner(-np.eye(2), np.zeros(2), [4.0, 0.0])
-    x, y, _ = solve_problem(problem, np.zeros(2, dtype=bool))
-    assert residual(problem, x, y) < 1e-15
-    if part == "x":
-        x = x + [0.01, -0.01]
-    elif part == "equation":
-        problem = problem._replace(right=np.array([1.01]))
-    elif part == "inequality":
-        problem = problem._replace(bounds=np.array([-0.01, 0.0]))
-    else:
-        y = y + [0.0, 0.01, 0.0]
-    assert residual(problem, x, y) > 5e-3
 
 
 def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_worse():

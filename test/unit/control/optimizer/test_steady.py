@@ -22,40 +22,12 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 
 GRASP = three_faces()
-BALANCE = scaled_balance(GRASP.positions, GRASP.rotations)
-MU = np.full(3, 0.5)
 NO_LOAD = np.zeros((3, 3))
 
 
 def optimum(friction):
     config = ForceOptimizerConfig(shape_time=0.0)
     return ForceOptimizer(config, 3).solve(GRASP, Cones(np.full(3, friction), NO_LOAD)).forces
-
-
-def test_forces_near_a_grasp_are_brought_to_balance_and_no_farther():
-    best = optimum(0.5)
-    off = best + 1e-3 * np.random.default_rng(0).standard_normal((3, 3))
-    found, ok = balanced(off, BALANCE)
-    assert ok and np.abs(found.ravel() @ BALANCE).max() < 1e-12
-    assert found[:, 1].sum() == pytest.approx(1.0)
-    assert np.linalg.norm(found - off) <= np.linalg.norm(best - off)
-
-
-def test_it_goes_its_share_of_the_way():
-    start, end = optimum(0.5), optimum(0.05)
-    found, ok = followed(start, end, BALANCE, NO_LOAD, MU, 0.25)
-    assert ok
-    np.testing.assert_allclose(found, start + 0.25 * (end - start), atol=1e-9)
-
-
-def test_it_goes_as_far_as_the_learned_cones_ask():
-    """Friction has fallen: the old f* would slip."""
-    start, end, friction = optimum(0.5), optimum(0.05), np.full(3, 0.07)
-    found, _ = followed(start, end, BALANCE, NO_LOAD, friction, 0.0)
-    assert reaches(start, friction).max() > 0.0
-    assert reaches(found, friction).max() < 1e-9
-    back, _ = followed(start, end, BALANCE, NO_LOAD, friction + 0.01, 0.0)
-    assert np.linalg.norm(back - start) < np.linalg.norm(found - start)
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.001, 0.002, 0.004])
