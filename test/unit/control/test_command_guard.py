@@ -79,7 +79,7 @@ def test_torques_stay_inside_the_limits_of_the_urdf():
 
 
 def test_at_rest_the_hold_answers_with_the_torque_that_was_there():
-    """Gravity is carried and the squeeze is kept, apart from its reserve."""
+    """Gravity is carried and the grasp force is kept, apart from its reserve."""
     made = guard(**{"hold.reserve": 0.0})
     last = follow(made) - 1
     np.testing.assert_allclose(step(made, last + 9, TORQUE, answers=last), TORQUE, atol=1e-12)
@@ -130,7 +130,7 @@ def held_after(made, tick, good):
 
 
 def test_holds_that_follow_each_other_last_longer_and_longer():
-    """On a computer that is too busy the hand stands still, and is not passed to and fro."""
+    """On a computer that is too busy the hand rests instead of switching to and fro."""
     made = guard(patience=0.1)
     tick = follow(made)
     held = []
@@ -163,7 +163,7 @@ def moving(seed=3, ticks=8):
 
 
 def test_what_the_contacts_press_with_follows_from_the_last_ticks():
-    """From as many as may be late and two; of a hold that goes on, from the last one alone."""
+    """From as many as may be late and two; of a hold that continues, from the last one alone."""
     made, (rates, torques) = guard(age_limit=1), moving()
     for tick in range(6):
         step(made, tick, torques[tick], rates=rates[tick])
@@ -319,8 +319,8 @@ def test_a_joint_may_move_two_milliradians_under_the_same_torque(turned, stuck, 
 
 
 @pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, command_guard.PULLS)])
-def test_a_command_may_pull_with_a_fifth_of_the_squeeze(pull, reason):
-    """Under weight and bias, which are no squeeze; a load on all tips alike is none either."""
+def test_a_command_may_pull_with_a_fifth_of_the_grasp_force(pull, reason):
+    """Under weight and bias, which are no grasp force; a load on all tips alike is none either."""
     weight, load = HAND.gravity_torque(THETA), np.tile([0.3, -2.0, 1.0], (3, 1))
     carry = joint_torque(HAND.fingertips(THETA), load)
     made = guard()
@@ -341,10 +341,10 @@ def test_to_let_go_step_by_step_is_no_jump():
 
 
 def test_fingers_that_hardly_press_may_be_pulled_anywhere():
-    for squeeze, reason in ((0.049, ""), (0.051, command_guard.PULLS)):
+    for force, reason in ((0.049, ""), (0.051, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
-        share = squeeze / np.linalg.norm(presses, axis=1).sum()
+        share = force / np.linalg.norm(presses, axis=1).sum()
         for tick in range(6):
             step(made, tick, weight + share * (TORQUE - weight))
         step(made, 6, weight - (TORQUE - weight))

@@ -76,7 +76,7 @@ def test_a_finger_without_contact_does_not_touch():
 
 
 def test_a_contact_without_a_direction_does_not_count():
-    """A zero quaternion beside a good position: nothing can be pushed along no direction."""
+    """A zero quaternion next to a good position: nothing can be pushed along no direction."""
     quaternions = quaternion_from_rotation(frames([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]))
     quaternions[2] = 0.0
     contacts = Contacts.from_poses(np.eye(3), quaternions)

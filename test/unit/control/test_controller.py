@@ -40,7 +40,7 @@ def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
     np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
 
 
-def test_a_squeeze_beyond_the_joints_keeps_its_shape(bench):
+def test_a_grasp_force_beyond_the_joints_keeps_its_shape(bench):
     """A joint that saturates alone would bend the shape and throw the object."""
     bench.grasp_force = 10.0
     wanted = bench.step().torque
@@ -136,7 +136,7 @@ def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, re
     drive = bench.step()
     held = bench.step(**given(bench))
     assert held.mode is Mode.HOLD and reason in held.reason
-    # At rest and at the target the drive is the squeeze alone, and holding keeps exactly that.
+    # At rest and at the target the drive is the grasp force alone, and holding keeps exactly that.
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-9)
     away = bench.theta + 0.01
     pushed = bench.step(theta=away, **given(bench)).torque
@@ -162,7 +162,7 @@ def test_no_grasp_force_at_all_is_a_grasp_force(bench):
     np.testing.assert_allclose(command.torque, REST, atol=1e-12)
 
 
-def test_a_hold_from_the_first_tick_has_no_squeeze_to_keep(bench):
+def test_a_hold_from_the_first_tick_has_no_grasp_force_to_keep(bench):
     command = bench.step(contacts=bench.without_finger(0))
     assert command.mode is Mode.HOLD and command.pose is None
     np.testing.assert_array_equal(command.torque, REST)
@@ -191,7 +191,7 @@ def test_disabled_means_damping_only_and_enabled_drives_again(bench):
 
 
 @pytest.mark.parametrize("silent", [False, True])
-def test_after_disabling_a_hold_keeps_neither_the_old_squeeze_nor_the_old_posture(silent):
+def test_after_disabling_a_hold_keeps_neither_the_old_grasp_force_nor_the_old_posture(silent):
     """Held, disabled, moved by hand, enabled: the fingers stay where the hand has put them."""
     bench = Bench(law__observer__time=0.02)
     bench.step(10, forces=FORCES)
@@ -208,15 +208,15 @@ def test_after_disabling_a_hold_keeps_neither_the_old_squeeze_nor_the_old_postur
     np.testing.assert_array_equal(held.torque, REST)
 
 
-def test_a_hold_keeps_what_it_carries_and_only_the_squeeze_rises_with_the_grasp_force():
+def test_a_hold_keeps_what_it_carries_and_only_the_grasp_force_rises_with_the_grasp_force():
     bench, plain = Bench(law__observer__time=0.02), Bench()
-    squeeze = plain.step(forces=FORCES).torque
+    force = plain.step(forces=FORCES).torque
     drive = bench.step(50, forces=FORCES).torque
-    assert np.linalg.norm(drive - squeeze) > 0.1  # the observed load
+    assert np.linalg.norm(drive - force) > 0.1  # the observed load
     lost = {"contacts": bench.without_finger(1), "forces": FORCES}
     np.testing.assert_allclose(bench.step(**lost).torque, drive, atol=1e-9)
     risen = bench.step(grasp_force=15.0, **lost).torque
-    np.testing.assert_allclose(risen - drive, 0.5 * squeeze, atol=1e-9)
+    np.testing.assert_allclose(risen - drive, 0.5 * force, atol=1e-9)
     bench.step(forces=FORCES)
     held = bench.controller.hold(bench.theta, REST, "silence").torque
     np.testing.assert_allclose(held, drive, atol=1e-2 * np.linalg.norm(drive))
@@ -402,7 +402,7 @@ def test_closing_fingers_open_again_also_when_the_grasp_is_forgotten():
     assert bench.step(5).mode is Mode.OPEN and bench.controller.is_open
 
 
-def test_reset_forgets_a_hold_with_its_posture_and_squeeze():
+def test_reset_forgets_a_hold_with_its_posture_and_grasp_force():
     bench = strained(miss)
     bench.controller.reset()
     there = bench.theta + np.linspace(-0.2, 0.3, 9)
@@ -454,7 +454,7 @@ def test_to_close_a_hand_that_is_not_open_changes_nothing(bench):
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_squeeze(again):
+def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_grasp_force(again):
     bench = Bench(law__observer__time=0.02)
     bench.step(20, forces=FORCES)
     if again:
@@ -507,7 +507,7 @@ def test_an_interruption_of_the_opening_is_not_made_up_for():
 
 
 def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
-    """They stay where they were put, and go on opening from there at their speed."""
+    """They stay where they were put, and continue opening from there at their speed."""
     bench.step()
     bench.controller.release()
     bench.step(5)
@@ -523,7 +523,7 @@ def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
 
 @pytest.mark.parametrize("wound_up", ["integral", "reference"])
 def test_while_the_joints_are_held_nothing_winds_up(wound_up):
-    """After 400 held ticks the torque is that of the first one, and then it goes on."""
+    """After 400 held ticks the torque is that of the first one, and then it continues."""
     values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
     bench = Bench(**values)
     bench.controller.command(bench.target(0.05, 0.0, 0.0))
@@ -556,7 +556,7 @@ def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
 
 @pytest.mark.parametrize("held", [False, True])
 def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
-    """A lost contact is no missing input: only the regulator's squeeze may get it back."""
+    """A lost contact is no missing input: only the regulator's grasp force may get it back."""
     bench = Bench()
     bench.step()
     bench.controller.joints_held = held
@@ -594,13 +594,13 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
     assert bench.step(**wrong).do_not_send  # a doubt that is new
 
 
-def test_a_squeeze_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
+def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     bench = Bench()
     bench.step()
     lost = {"contacts": bench.without_finger(2)}
     base = bench.step(**lost).torque
     twice = bench.step(grasp_force=20.0, **lost).torque
-    np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is squeeze
+    np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is grasp force
     for k_f in (10.0, float("nan"), 0.0):
         np.testing.assert_array_equal(bench.step(grasp_force=k_f, **lost).torque, twice)
     silent = bench.controller.hold(bench.theta, REST, "touch is late")
@@ -622,7 +622,7 @@ def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
     np.testing.assert_allclose(without.torque, left, atol=1e-12)
 
 
-def test_a_controller_that_has_squeezed_keeps_its_own_squeeze(bench):
+def test_a_controller_that_has_pressed_keeps_its_own_grasp_force(bench):
     drive = bench.step()
     held = bench.controller.hold(bench.theta, REST, "silence", applied=np.full(9, 0.3))
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-12)

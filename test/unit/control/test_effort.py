@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The share of a squeeze that the joints can bear."""
+"""The fraction of a grasp force that the joints can bear."""
 
 import numpy as np
 import pytest
@@ -12,33 +12,33 @@ TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
 
 
 def test_the_joint_with_the_least_room_decides():
-    squeeze, rest = np.array([10.0, -30.0, 0.0]), np.array([5.0, -5.0, 3.0])
-    assert bearable_fraction(squeeze, rest, np.full(3, 20.0)) == pytest.approx(0.5)
-    assert bearable_fraction(squeeze, 0.0 * rest, np.full(3, 40.0)) == 1.0
+    force, rest = np.array([10.0, -30.0, 0.0]), np.array([5.0, -5.0, 3.0])
+    assert bearable_fraction(force, rest, np.full(3, 20.0)) == pytest.approx(0.5)
+    assert bearable_fraction(force, 0.0 * rest, np.full(3, 40.0)) == 1.0
 
 
 @given(TORQUES, TORQUES)
-def test_it_is_the_largest_share_within_the_limits_where_the_rest_is(squeeze, rest):
+def test_it_is_the_largest_share_within_the_limits_where_the_rest_is(force, rest):
     limits = np.full(9, 20.0)
     rest = np.clip(rest, -19.0, 19.0)
-    share = bearable_fraction(squeeze, rest, limits)
-    assert (np.abs(share * squeeze + rest) <= limits * (1.0 + 1e-12)).all()
+    share = bearable_fraction(force, rest, limits)
+    assert (np.abs(share * force + rest) <= limits * (1.0 + 1e-12)).all()
     if share < 1.0:
-        assert (np.abs((share + 1e-6) * squeeze + rest) > limits).any()
+        assert (np.abs((share + 1e-6) * force + rest) > limits).any()
 
 
 @pytest.mark.parametrize(
-    ("squeeze", "rest", "share"),
+    ("force", "rest", "share"),
     [
         (10.0, 10.0, 1.0),  # just at the limit
         (-10.0, -10.0, 1.0),
         (10.0, 15.0, 0.5),
         (-10.0, -15.0, 0.5),
         (5.0, 30.0, 0.0),  # already beyond it
-        (-5.0, 30.0, 1.0),  # a squeeze that relieves the joint
+        (-5.0, 30.0, 1.0),  # a grasp force that relieves the joint
         (0.0, 30.0, 1.0),
     ],
 )
-def test_a_joint_gives_what_its_limit_leaves(squeeze, rest, share):
-    others = np.array([1.0, squeeze, -1.0]), np.array([0.0, rest, 0.0])
+def test_a_joint_gives_what_its_limit_leaves(force, rest, share):
+    others = np.array([1.0, force, -1.0]), np.array([0.0, rest, 0.0])
     assert bearable_fraction(*others, np.array([5.0, 20.0, 5.0])) == pytest.approx(share)

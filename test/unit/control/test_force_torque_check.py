@@ -49,7 +49,7 @@ def test_forces_of_a_late_skin_are_compared_with_the_torques_of_their_time(late)
 
 
 def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
-    """The torques of 15 ms ago are still believed, those of 30 ms ago are not."""
+    """The torques of 15 ms ago are still accepted, those of 30 ms ago are not."""
     found = first_doubt(noisy, doubles(50), latency=0.015)
     assert 50 + 8 <= found <= 50 + 17
     halved = lambda tick: noisy(tick) / (1.0 if tick < 50 else 2.0)  # noqa: E731
@@ -58,7 +58,7 @@ def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
 
 
 def test_one_finger_that_is_later_than_the_others_is_doubted():
-    """A finger whose skin is stuck while the squeeze grows: no time fits all three."""
+    """A finger whose skin is stuck while the grasp force grows: no time fits all three."""
 
     def grows(tick):
         return noisy(tick) * (4.0 if tick >= 50 else 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hold brakes smoothly, is stable at every tick, and squeezes with the load."""
+"""The hold brakes smoothly, is stable at every tick, and raises the grasp force with the load."""
 
 import numpy as np
 import pytest
@@ -18,9 +18,9 @@ HAND = Hand.load("paper")
 THETA = np.tile([1.047, 0.0, 1.571], 3)
 STILL = np.zeros(9)
 TIPS = HAND.fingertips(THETA)
-# Towards the middle of the tips: forces in balance that only squeeze.
-SQUEEZE = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
-PRESSED = joint_torque(TIPS, SQUEEZE)
+# Towards the middle of the tips: forces in balance that only press the tips together.
+INTERNAL = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
+PRESSED = joint_torque(TIPS, INTERNAL)
 
 
 def hold(tick=0.002, **changes) -> GuardHold:
@@ -53,8 +53,8 @@ def test_braking_begins_without_a_step_of_the_torque():
     assert_allclose(made.step(THETA, rates, model, STILL), model.bias, atol=1e-12)
 
 
-def squeeze_under(made, load: float, ticks: int = 50) -> float:
-    """Return how many times the first squeeze the hold answers to a load on each tip [N]."""
+def grasp_force_under(made, load: float, ticks: int = 50) -> float:
+    """Return how many times the first grasp force the hold answers to a load on each tip [N]."""
     made.engage(THETA, STILL, PRESSED)
     pressed = PRESSED + joint_torque(TIPS, np.tile([0.0, 0.0, load], (3, 1)))
     for _ in range(ticks):
@@ -62,21 +62,21 @@ def squeeze_under(made, load: float, ticks: int = 50) -> float:
     return float(torque @ PRESSED / (PRESSED @ PRESSED))
 
 
-def test_the_squeeze_grows_with_the_load_and_never_falls():
-    total = np.linalg.norm(SQUEEZE, axis=1).sum()
+def test_the_grasp_force_grows_with_the_load_and_never_falls():
+    total = np.linalg.norm(INTERNAL, axis=1).sum()
     made = hold(reserve=0.0, friction=0.5)
-    assert squeeze_under(made, -1.0) == pytest.approx(1.0 + 3.0 / (0.5 * total), rel=1e-3)
+    assert grasp_force_under(made, -1.0) == pytest.approx(1.0 + 3.0 / (0.5 * total), rel=1e-3)
     torque = made.step(THETA, STILL, terms(THETA, STILL), PRESSED)
     assert torque @ PRESSED / (PRESSED @ PRESSED) > 1.0 + 2.7 / (0.5 * total)
 
 
-def test_the_squeeze_ends_at_its_limit_and_at_the_joints():
-    total = np.linalg.norm(SQUEEZE, axis=1).sum()
+def test_the_grasp_force_ends_at_its_limit_and_at_the_joints():
+    total = np.linalg.norm(INTERNAL, axis=1).sum()
     limited = hold(squeeze_limit=1.5 * total)
-    assert squeeze_under(limited, -50.0) == pytest.approx(1.5, rel=1e-6)
+    assert grasp_force_under(limited, -50.0) == pytest.approx(1.5, rel=1e-6)
     above = hold(squeeze_limit=0.5 * total)
-    assert squeeze_under(above, -50.0) == pytest.approx(1.0)
-    joints = squeeze_under(hold(squeeze_limit=1e4), -500.0)
+    assert grasp_force_under(above, -50.0) == pytest.approx(1.0)
+    joints = grasp_force_under(hold(squeeze_limit=1e4), -500.0)
     assert joints * np.abs(PRESSED).max() == pytest.approx(HAND.effort_limits.max(), rel=1e-6)
 
 
@@ -118,18 +118,18 @@ def test_moving_joints_follow_a_smooth_way_to_rest():
 
 def test_a_load_is_felt_with_its_time_constant():
     """5 ms: after n ticks of 2 ms 1 - exp(-0.4 n) of it is there."""
-    total = np.linalg.norm(SQUEEZE, axis=1).sum()
+    total = np.linalg.norm(INTERNAL, axis=1).sum()
     for ticks in (1, 2, 5):
         made = hold(reserve=0.0, friction=0.5)
         felt = 3.0 * (1.0 - np.exp(-0.4 * ticks))
         expected = 1.0 + felt / (0.5 * total)
-        squeeze = made.engage(THETA, STILL, PRESSED) or squeeze_under(made, -1.0, ticks)
-        assert squeeze == pytest.approx(expected, rel=1e-9)
+        force = made.engage(THETA, STILL, PRESSED) or grasp_force_under(made, -1.0, ticks)
+        assert force == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("total", [0.049, 0.051])
-def test_a_twentieth_of_a_newton_in_all_is_the_least_squeeze(total):
-    share = total / np.linalg.norm(SQUEEZE, axis=1).sum()
+def test_a_twentieth_of_a_newton_in_all_is_the_least_grasp_force(total):
+    share = total / np.linalg.norm(INTERNAL, axis=1).sum()
     made = hold(reserve=0.5)
     made.engage(THETA, STILL, share * PRESSED)
     pressed = share * PRESSED + joint_torque(TIPS, np.tile([0.0, 0.0, -2.0], (3, 1)))
@@ -139,8 +139,8 @@ def test_a_twentieth_of_a_newton_in_all_is_the_least_squeeze(total):
     assert_allclose(found, factor * share * PRESSED, rtol=1e-9, atol=1e-12)
 
 
-def test_the_squeeze_is_kept_in_the_room_that_each_joint_has():
-    """Of which one presses already; a joint that does not squeeze limits nothing."""
+def test_the_grasp_force_is_kept_in_the_room_that_each_joint_has():
+    """Of which one presses already; a joint without torque of the internal force limits nothing."""
     load = joint_torque(TIPS, np.tile([0.0, 0.0, 3.0], (3, 1)))
     made = hold(reserve=2.0, squeeze_limit=1e4)
     made.engage(THETA, STILL, 4.0 * PRESSED + load)
@@ -155,7 +155,7 @@ def test_the_squeeze_is_kept_in_the_room_that_each_joint_has():
     assert np.abs(found).max() == pytest.approx(HAND.effort_limits.max())
 
 
-def test_it_brakes_again_from_another_posture_with_the_squeeze_as_it_is():
+def test_it_brakes_again_from_another_posture_with_the_grasp_force_as_it_is():
     made = hold(reserve=0.5)
     made.engage(THETA, np.full(9, 0.1), PRESSED)
     for _ in range(3):

@@ -110,7 +110,7 @@ def test_equation_10_to_the_letter(grip):
 
 
 def test_equation_8_to_the_letter(grip):
-    """Law (8) knows fingertips only: its centroid and frame are those of their centres."""
+    """Law (8) knows fingertips only: its centroid and frame are those of their centers."""
     tips = grip.tips.positions
     turn = rotation_error(tips, grip.target.orientation)
     expected = -0.07 * grip.rates
@@ -155,13 +155,13 @@ def rigid_rates(grip, twist):
 
 @pytest.mark.parametrize("name", ["optimal", "contact"])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_squeeze_does_no_work_when_the_grasp_moves_as_one(name, seed):
+def test_the_grasp_force_does_no_work_when_the_grasp_moves_as_one(name, seed):
     grip = Grip(seed)
-    squeeze = grip.torque(name).internal
+    force = grip.torque(name).internal
     for twist in np.eye(6):
         rates = rigid_rates(grip, twist)
-        assert squeeze @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
-    assert np.linalg.norm(squeeze) > 0.1
+        assert force @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
+    assert np.linalg.norm(force) > 0.1
 
 
 def integral_law(**integral):
@@ -214,7 +214,7 @@ def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
 
 @pytest.mark.parametrize(("off", "part"), [("k_p", slice(0, 3)), ("k_o", slice(3, 6))])
 def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
-    """Its part is forgotten at the next tick; the other one goes on as if nothing had happened."""
+    """Its part is forgotten at the next tick; the other one continues unchanged."""
     gains = {"k_p": 2.0, "k_o": 0.4}
     law, both = integral_law(**gains), integral_law(**gains)
     target = offset(law, grip, (0.01, 0.03, -0.02), (0.2, 0.1, -0.1))
@@ -274,7 +274,7 @@ def test_a_load_observer_that_is_switched_off_forgets(grip):
 
 
 def test_reset_forgets_frame_integral_and_load(grip):
-    """A grasp may be taken upside down: the side of its plane is chosen anew, along palm +z."""
+    """A grasp may be taken upside down: the side of its plane is chosen again, along palm +z."""
     config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
     law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
     for _ in range(20):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces as load and squeeze, what the cones are told of them, and the squeeze that holds."""
+"""Forces as load and internal force, what the cones get of them, and the k_f that holds."""
 
 import math
 
@@ -35,15 +35,15 @@ def thin(margin):
     return contacts_at(points, [[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def per_squeeze(contacts, forces):
-    """Return the load per squeeze by the pseudoinverse of G~ in contact frames."""
+def per_grasp_force(contacts, forces):
+    """Return the load per grasp force by the pseudoinverse of G~ in contact frames."""
     balance = balance_in_frames(contacts)
     load = (np.linalg.pinv(balance) @ balance @ forces.ravel()).reshape(-1, 3)
     return load / (forces - load)[:, 1].sum()
 
 
 @given(grasps(), st.integers(0, 2**32 - 1))
-def test_the_load_is_the_smallest_with_the_net_wrench_and_the_squeeze_balances(contacts, seed):
+def test_the_load_is_the_smallest_with_the_net_wrench_and_the_grasp_force_balances(contacts, seed):
     forces = np.random.default_rng(seed).normal(size=contacts.positions.shape)
     parts = split(contacts, forces)
     balance = balance_in_frames(contacts)
@@ -60,16 +60,16 @@ def test_contacts_closer_to_a_line_than_a_thousandth_have_no_load():
         split(thin(0.99e-3), FORCES)
 
 
-def test_the_cones_are_told_the_load_per_squeeze_and_the_friction_of_each_finger():
+def test_the_cones_are_told_the_load_per_newton_and_the_friction_of_each_finger():
     cones = cone_watch().step(0, GRASP, FORCES, MU)
     np.testing.assert_array_equal(cones.usable_friction, MU)
-    np.testing.assert_allclose(cones.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+    np.testing.assert_allclose(cones.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
 
 
-def test_f_is_made_for_less_squeeze_than_there_is_and_for_a_reserve():
+def test_f_is_made_for_less_grasp_force_than_there_is_and_for_a_reserve():
     reserve = LoadMarginConfig(floor=0.6, share=0.0)
     cones = cone_watch(reserve=reserve).step(0, GRASP, FORCES, MU)
-    expected = per_squeeze(GRASP, FORCES)
+    expected = per_grasp_force(GRASP, FORCES)
     expected[:, 1] -= 0.2 * np.sqrt(1.0 + 1.0 / MU**2) / split(GRASP, FORCES).grasp_force
     np.testing.assert_allclose(cones.goal, reaches(expected / 0.7, MU), atol=1e-12)
 
@@ -80,9 +80,9 @@ def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
     watch = cone_watch(reserve=none, load_memory=1.0)
     one, two = watch.step(0, GRASP, FORCES, MU), watch.step(1000 * MS, GRASP, HEAVY, MU)
     three = watch.step(1001 * MS, GRASP, FORCES, MU)
-    squeeze = [split(GRASP, forces).grasp_force for forces in (FORCES, HEAVY, FORCES)]
-    felt = [k * reaches(c.load, MU) for k, c in zip(squeeze, (one, two, three), strict=True)]
-    found = [0.7 * k * c.goal for k, c in zip(squeeze, (one, two, three), strict=True)]
+    force = [split(GRASP, forces).grasp_force for forces in (FORCES, HEAVY, FORCES)]
+    felt = [k * reaches(c.load, MU) for k, c in zip(force, (one, two, three), strict=True)]
+    found = [0.7 * k * c.goal for k, c in zip(force, (one, two, three), strict=True)]
     faded = felt[1] + math.exp(-1.0) * (felt[0] - felt[1])
     np.testing.assert_allclose(found[1], np.maximum(felt[1], faded), atol=1e-12)
     faded = felt[2] + math.exp(-0.001) * (found[1] - felt[2])
@@ -95,7 +95,7 @@ def test_the_load_is_followed_by_the_time_that_has_passed():
     watch = cone_watch()
     expected = watch.step(7 * MS, GRASP, FORCES, MU).load
     for stamp, passed, forces in ((12, 5, HEAVY), (22, 10, HEAVY), (62, 40, FORCES)):
-        goal = per_squeeze(GRASP, forces)
+        goal = per_grasp_force(GRASP, forces)
         expected = goal + math.exp(-passed / 20.0) * (expected - goal)
         found = watch.step(stamp * MS, GRASP, forces, MU[::-1])
         np.testing.assert_allclose(found.load, expected, atol=1e-12)
@@ -110,7 +110,7 @@ def lost(watch):
 
 INTERRUPTIONS = {
     "a finger is lost": lost,
-    "nothing is squeezed": lambda watch: watch.step(4 * MS, GRASP, 1e-3 * FORCES, MU),
+    "nothing is pressed": lambda watch: watch.step(4 * MS, GRASP, 1e-3 * FORCES, MU),
     "the fingers pull": lambda watch: watch.step(4 * MS, GRASP, -FORCES, MU),
     "the contacts are in line": lambda watch: watch.step(4 * MS, thin(0.005), 9.0 * FORCES, MU),
     "all starts anew": lambda watch: watch.reset(),
@@ -123,7 +123,7 @@ def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(
     watch.step(3 * MS, GRASP, HEAVY, MU)
     assert happens(watch) is None
     found = watch.step(5 * MS, GRASP, FORCES, MU)
-    np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+    np.testing.assert_allclose(found.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
 
 
 def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
@@ -139,11 +139,11 @@ def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
     np.testing.assert_array_equal(found.wanted, fresh.wanted)
 
 
-def test_a_squeeze_below_a_tenth_of_a_newton_bears_no_ratio():
+def test_a_grasp_force_below_a_tenth_of_a_newton_bears_no_ratio():
     total = split(GRASP, FORCES).grasp_force
     assert cone_watch().step(0, GRASP, 0.0999 / total * FORCES, MU) is None
     found = cone_watch().step(0, GRASP, 0.1001 / total * FORCES, MU)
-    np.testing.assert_allclose(found.load, per_squeeze(GRASP, FORCES), atol=1e-12)
+    np.testing.assert_allclose(found.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
 
 
 def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
@@ -172,7 +172,7 @@ def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
         ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4, math.inf),
     ],
 )
-def test_the_squeeze_that_holds_a_load_has_the_values_computed_by_hand(
+def test_the_grasp_force_that_holds_a_load_has_the_values_computed_by_hand(
     load, shape, friction, expected
 ):
     assert required_grasp_force(load, shape, friction) == pytest.approx(expected)
@@ -190,7 +190,7 @@ def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share,
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     st.floats(0.05, 1.5),
 )
-def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
+def test_the_grasp_force_that_holds_is_the_least(load, shape, friction):
     """How far inside the cone a force is, is concave in k: it holds on one interval or nowhere."""
     load, shape = np.array(load), np.array(shape)
     assume(abs(shape[0] ** 2 + shape[2] ** 2 - friction**2 * shape[1] ** 2) > 1e-2)
@@ -213,7 +213,7 @@ def test_the_squeeze_that_holds_is_the_least(load, shape, friction):
 def test_a_tick_of_the_optimizer_uses_its_fraction_of_the_learned_friction():
     config = ForceOptimizerConfig(cones=True, cone_share=0.5, shape_time=0.0)
     optimal = ForceOptimizer(config, 3).step(7, GRASP, MU, FORCES)
-    load = per_squeeze(GRASP, FORCES)
+    load = per_grasp_force(GRASP, FORCES)
     for friction, found in ((0.5 * MU, optimal.cone_margin), (MU, optimal.learned_margin)):
         assert found == pytest.approx(cone_margin(optimal.forces, load, friction), abs=1e-12)
 

@@ -43,7 +43,7 @@ def shifted(*shift):
         ({"optimal": 3.0 * OPTIMAL}, "add up to 3 instead of 1"),
     ],
 )
-def test_what_does_not_fit_is_answered_with_the_squeeze_that_was_there(wrong, reason):
+def test_what_does_not_fit_is_answered_with_the_grasp_force_that_was_there(wrong, reason):
     before, held, after = answers(**wrong)
     assert before.mode is Mode.DRIVE and held.mode is Mode.HOLD and reason in held.reason
     np.testing.assert_allclose(held.torque, before.torque, atol=1e-9)

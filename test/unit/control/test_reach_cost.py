@@ -65,7 +65,7 @@ def checks(monkeypatch):
 
 
 class Grasp:
-    """The first grasp of a plant, and what the hand believes of it."""
+    """The first grasp of a plant, and what the hand estimates of it."""
 
     def __init__(self, world):
         self.hand, self.theta, self.contacts = world.hand, world.state.theta, world.state.contacts

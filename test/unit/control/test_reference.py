@@ -18,7 +18,7 @@ TARGET = Target(END, AFTER.as_matrix())
 
 
 def shares(ticks):
-    """Return which share of the way x'' = (1 - x) / T^2 - 2 x' / T has gone after each tick."""
+    """Return which fraction of the way x'' = (1 - x) / T^2 - 2 x' / T has gone after each tick."""
     x, speed, out = 0.0, 0.0, []
     for _ in range(ticks):
         speed += DT * ((1.0 - x) / TIME**2 - 2.0 * speed / TIME)

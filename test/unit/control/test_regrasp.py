@@ -42,7 +42,7 @@ def test_every_finger_leaves_and_the_object_stays_where_it_was(story):
     assert np.linalg.norm(moved, axis=1).max() < 0.02
 
 
-def test_it_is_held_again_with_the_squeeze_that_was_asked_for(story):
+def test_it_is_held_again_with_the_grasp_force_that_was_asked_for(story):
     assert np.isfinite(story.true_positions[-500:]).all()
     assert story.true_forces[-1, :, 1].sum() == pytest.approx(story.grasp_force[-1], rel=1e-2)
     assert np.abs(story.rates[-1]).max() < 1e-2

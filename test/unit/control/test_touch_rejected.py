@@ -24,7 +24,7 @@ def pressing(bench, forces=FORCES):
 
 
 def felt(bench, share=1.0):
-    """Return measured forces, and torques that press with a share of them."""
+    """Return measured forces, and torques that press with a fraction of them."""
     return {"forces": FORCES, "applied": pressing(bench, share * FORCES)}
 
 
@@ -157,22 +157,22 @@ def test_a_forgotten_grasp_force_raises_nothing(risen):
     np.testing.assert_allclose(held.torque, left, atol=1e-12)
 
 
-def test_a_held_squeeze_rises_as_far_as_the_joints_can_bear_and_keeps_its_shape():
+def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_shape():
     bench = Bench(gravity_compensation=True)
     limits, weight = (
         bench.controller.hand.effort_limits,
         bench.controller.hand.gravity_torque(bench.theta),
     )
-    squeeze = bench.step().torque - weight
+    force = bench.step().torque - weight
     given = bench.step(contacts=bench.without_finger(0), grasp_force=1e4).torque
     assert np.abs(given / limits).max() == pytest.approx(1.0)
-    share = (given - weight) @ squeeze / (squeeze @ squeeze)
+    share = (given - weight) @ force / (force @ force)
     assert share > 3.0
-    np.testing.assert_allclose(given - weight, share * squeeze, atol=1e-9)
+    np.testing.assert_allclose(given - weight, share * force, atol=1e-9)
 
 
-def test_the_squeeze_has_the_room_that_weight_load_drive_and_damping_leave():
-    """Each of them has another sign in another joint; the squeeze alone gives way."""
+def test_the_grasp_force_has_the_room_that_weight_load_drive_and_damping_leave():
+    """Each of them has another sign in another joint; the grasp force alone gives way."""
     values = {"gravity_compensation": True, "law__integral__k_p": 30.0, "law__damping": 3.0}
     rates, torques = np.linspace(-1.0, 1.5, 9), []
     for force in (0.0, 10.0, 1e3):
@@ -180,13 +180,13 @@ def test_the_squeeze_has_the_room_that_weight_load_drive_and_damping_leave():
         bench.controller.command(bench.target(-0.1, 0.15, 0.0, turn=(0.1, 0.0, -0.1)))
         assert bench.step(20, rates=rates, grasp_force=0.0).reason == ""
         torques.append(bench.step(rates=rates, grasp_force=force).torque)
-    rest, squeezed, most = torques
+    rest, forced, most = torques
     limits = bench.controller.hand.effort_limits
-    assert np.abs(rest).max() > 2.0 and np.abs(squeezed / limits).max() < 1.0
-    squeeze = squeezed - rest
-    used = np.abs(squeeze) > 1e-9
-    room = (limits - np.sign(squeeze) * rest)[used] / np.abs(squeeze)[used]
-    np.testing.assert_allclose(most, rest + room.min() * squeeze, atol=1e-9)
+    assert np.abs(rest).max() > 2.0 and np.abs(forced / limits).max() < 1.0
+    force = forced - rest
+    used = np.abs(force) > 1e-9
+    room = (limits - np.sign(force) * rest)[used] / np.abs(force)[used]
+    np.testing.assert_allclose(most, rest + room.min() * force, atol=1e-9)
     assert np.abs(most / limits).max() == pytest.approx(1.0)
 
 

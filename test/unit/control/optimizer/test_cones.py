@@ -22,7 +22,7 @@ def turned(size, angle):
 
 
 def bears(force, friction=0.5, finger=1, load=(0.0, 0.0, 0.0)):
-    """Return whether one of three contacts bears a force, beside two that bear theirs anyway."""
+    """Return whether one of three contacts bears a force, next to two that bear theirs anyway."""
     forces, loads = np.tile([0.0, 1.0, 0.0], (3, 1)), np.zeros((3, 3))
     forces[finger], loads[finger] = force, load
     mu = np.full(3, 0.1)

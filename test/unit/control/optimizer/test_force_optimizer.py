@@ -19,9 +19,9 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
 
 W = np.tile([10.0, 1.0, 10.0], 3)
-# Fingers 1 and 2 oppose each other and carry the push of finger 3 by friction. With t its share
-# on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), and the cost (1 - 2t)^2/2 + 4t^2 + 20t^2 is least at
-# t = 1/26. Finger 1 sees +y as its x, finger 2 as its -x.
+# Fingers 1 and 2 oppose each other and carry the push of finger 3 by friction. With t its fraction
+# on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), of cost (1 - 2t)^2/2 + 4t^2 + 20t^2, minimal
+# at t = 1/26. Finger 1 sees +y as its x, finger 2 as its -x.
 THREE_FACES = np.array([[1 / 26, 6 / 13, 0.0], [-1 / 26, 6 / 13, 0.0], [0.0, 1 / 13, 0.0]])
 # Nothing but the normals can balance along y: the thumb pushes as much as both others.
 PINCH = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.5, 0.0]])
@@ -66,7 +66,7 @@ def test_a_least_share_is_kept_exactly():
 
 
 def beside():
-    """Finger 3 beside two opposed ones: the bound on its normal force is active."""
+    """Finger 3 next to two opposed ones: the bound on its normal force is active."""
     points = np.array([[HALF, 0.0, 0.0], [-HALF, 0.0, 0.0], [0.0, HALF, 0.05]])
     return contacts_at(points, [[-1.0, 0, 0.1], [1.0, 0, 0.1], [0, -0.1, 1.0]])
 

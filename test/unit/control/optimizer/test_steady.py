@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""f* from tick to tick: steady under noise, balanced, and at once where a cone asks for it."""
+"""f* from tick to tick: steady under noise, balanced, and immediately where a cone asks for it."""
 
 import numpy as np
 import pytest

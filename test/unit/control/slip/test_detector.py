@@ -138,7 +138,7 @@ def test_one_sample_counts_for_a_quarter_of_the_threshold_and_for_a_third_at_the
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 40.0])
-def test_the_direction_of_the_squeeze_counts_and_not_its_length(scale):
+def test_the_direction_of_the_grasp_force_counts_and_not_its_length(scale):
     axes = scale * np.array([[0.3, 2.0, -0.4], [-0.5, 1.0, 0.2], [0.1, 0.5, 0.7]])
     units = axes / np.linalg.norm(axes, axis=1)[:, None]
     np.testing.assert_array_equal(kinked(0.5 * units, axes).evidence, 0.0)
@@ -148,7 +148,7 @@ def test_the_direction_of_the_squeeze_counts_and_not_its_length(scale):
     np.testing.assert_allclose(along, evidence(3.3**2), rtol=0.08)  # the floor moves with f_n
 
 
-def test_without_a_squeeze_every_direction_counts():
+def test_without_a_grasp_force_every_direction_counts():
     """Also that of the normal."""
     kinks = 3.3 * FLOOR[:, None] * np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0]])
     found = kinked(kinks, np.zeros((3, 3))).evidence
@@ -163,7 +163,7 @@ def test_slip_is_told_above_the_threshold_and_until_three_quarters_of_it():
     told = run(jerks, detector)  # a quarter of the threshold each; four of them are not above it
     np.testing.assert_array_equal(told, [STICK] * 4 + [SLIP] * 6)
     assert detector.evidence == pytest.approx(1.2 * 28.0) and detector.likelihood == 1.0
-    last = jerks[-1] + np.arange(1, 12)[:, None] * [1 / 1024, 0.0, -8.0]  # goes on evenly
+    last = jerks[-1] + np.arange(1, 12)[:, None] * [1 / 1024, 0.0, -8.0]  # continues evenly
     told = run(last, detector)
     # ln 9 less each time: 33.6 falls to 21 after 5.7 of them.
     np.testing.assert_array_equal(told, [SLIP] * 5 + [STICK] * 6)
@@ -233,10 +233,10 @@ def test_sliding_is_found_within_ten_samples_at_any_rate(rate):
 
 
 def pulled(late, seed, slides=False):
-    """Return what is said at 500 Hz of a load that rises by 4 N within some 20 ms.
+    """Return what is reported at 500 Hz of a load that rises by 4 N within some 20 ms.
 
     Args:
-        late: Most ticks by which the hand's answer to it is late, each time at random.
+        late: Maximum number of ticks by which the hand's answer to it is late, each time at random.
         seed: Of delays and noise.
         slides: Whether it slides from the beginning of the load on.
     """

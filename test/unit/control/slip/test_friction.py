@@ -58,7 +58,7 @@ def test_without_contact_nothing_is_learned():
 
 
 def test_what_sticks_again_says_nothing_of_friction():
-    """The squeeze catches it for a while in the middle; the detector still says slip."""
+    """The grasp force catches it for a while in the middle; the detector still says slip."""
     plain, caught = still(), still()
     feel(plain, [0.3] * 6, ContactState.SLIP, 22.0, noise=0.0)
     feel(caught, [0.3] * 3, ContactState.SLIP, 22.0, noise=0.0)

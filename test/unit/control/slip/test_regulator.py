@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The squeeze that a user asks for: inside limits and without jumps."""
+"""The grasp force that a user asks for: inside limits and without jumps."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def regulator(**values):
     return SlipRegulator(SlipRegulatorConfig(**values), 3)
 
 
-def squeezes(slip, ticks, start=0):
+def grasp_forces(slip, ticks, start=0):
     """Return k_f at each of the ticks."""
     return np.array([slip.step((start + i) * TICK) for i in range(ticks)])
 
@@ -28,9 +28,9 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0, smoothing=0.05)
     slip.step(0)
     slip.request(20.0)
-    up = squeezes(slip, 1000, start=1)
+    up = grasp_forces(slip, 1000, start=1)
     slip.request(5.0)
-    down = squeezes(slip, 2000, start=1001)
+    down = grasp_forces(slip, 2000, start=1001)
     for force, goal, rate in ((up, 20.0, 50.0), (down, 5.0, 20.0)):
         steps = np.abs(np.diff(force))
         assert steps.max() == pytest.approx(rate * 0.002)
@@ -48,7 +48,7 @@ def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
     slip.step(0)
     with pytest.raises(MessageError, match=r"outside 0.5 to 40.0 N"):
         slip.request(force)
-    np.testing.assert_array_equal(squeezes(slip, 10, start=1), 10.0)
+    np.testing.assert_array_equal(grasp_forces(slip, 10, start=1), 10.0)
 
 
 def test_limits_themselves_may_be_asked_for():
@@ -56,7 +56,9 @@ def test_limits_themselves_may_be_asked_for():
     slip.step(0)
     for goal in (30.0, 1.0):
         slip.request(goal)
-        assert squeezes(slip, 3000, start=round(goal) * 3000)[-1] == pytest.approx(goal, abs=1e-6)
+        assert grasp_forces(slip, 3000, start=round(goal) * 3000)[-1] == pytest.approx(
+            goal, abs=1e-6
+        )
 
 
 def test_the_result_does_not_depend_on_ticks_that_were_missed():
@@ -68,11 +70,11 @@ def test_the_result_does_not_depend_on_ticks_that_were_missed():
 
 def test_a_clock_that_starts_again_makes_no_jump():
     slip = regulator()
-    squeezes(slip, 10, start=1000)
+    grasp_forces(slip, 10, start=1000)
     slip.request(20.0)
     before = slip.grasp_force
     assert abs(slip.step(0) - before) <= 50.0 * 0.002
-    assert squeezes(slip, 2000, start=1)[-1] == pytest.approx(20.0)
+    assert grasp_forces(slip, 2000, start=1)[-1] == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(
@@ -84,18 +86,18 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
     slip = regulator(grasp_force=10.0)
     slip.step(0)
     slip.request(asked)
-    assert squeezes(slip, 1500, start=1)[-1] == pytest.approx(asked)
+    assert grasp_forces(slip, 1500, start=1)[-1] == pytest.approx(asked)
     slip.configure(SlipRegulatorConfig(**limits))
-    np.testing.assert_array_equal(squeezes(slip, 20, start=1501), bound)
+    np.testing.assert_array_equal(grasp_forces(slip, 20, start=1501), bound)
     slip.configure(SlipRegulatorConfig())
-    lifted = np.array([bound, *squeezes(slip, 1500, start=1521)])
+    lifted = np.array([bound, *grasp_forces(slip, 1500, start=1521)])
     assert np.diff(lifted).max() <= 50.0 * 0.002 + 1e-12
     assert np.diff(lifted).min() >= -20.0 * 0.002 - 1e-12
     assert lifted[-1] == pytest.approx(asked)
 
 
 def test_the_limits_hold_for_what_the_object_needs_too():
-    """One that needs less than the least squeeze, and one that needs more than the largest."""
+    """One that needs less than the minimum, and one that needs more than the maximum."""
     contacts = three_faces()
     light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
     heavy = np.array([[0.0, 1.0, 4.0]] * 3)
@@ -115,9 +117,9 @@ def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
     rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
     for i in range(ticks):
         now = forces + rms * random.standard_normal((3, 3))
-        squeeze = slip.step(i * TICK, contacts or three_faces(), now)
+        force = slip.step(i * TICK, contacts or three_faces(), now)
         likelihood = slip.slip_likelihood
-        told.append([squeeze, slip.needed, *slip.learned_friction, *slip.state, *likelihood])
+        told.append([force, slip.needed, *slip.learned_friction, *slip.state, *likelihood])
     return np.array(told)
 
 
@@ -159,7 +161,7 @@ def test_a_start_outside_the_limits_is_refused():
 
 
 def test_touch_does_not_change_what_the_user_asked_for():
-    """In the mode `user` a regulator that feels a heavy load still gives what was asked."""
+    """In the mode `user` a regulator that measures a heavy load still gives what was asked."""
     from support.plants import plant
 
     contacts = plant().state.contacts
@@ -169,7 +171,7 @@ def test_touch_does_not_change_what_the_user_asked_for():
 
 
 def test_a_change_of_mode_makes_no_jump():
-    """The squeeze falls to what the user asks for, and rises to it, at the user's rates."""
+    """The grasp force falls to what the user asks for, and rises to it, at the user's rates."""
     from support.plants import plant
 
     contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
@@ -198,21 +200,21 @@ def test_the_detector_gets_the_sharpest_bend_of_the_last_four_or_of_four_millise
     """Up and down in turns; a detector that is told as much says the same."""
     slip = regulator(grasp_force=5.0, rise_rate=400.0, fall_rate=250.0, smoothing=0.01)
     detector = SlipDetector(SlipDetectorConfig(), 3)
-    random, squeezed, normals = np.random.default_rng(5), [5.0], np.tile([0.0, 1.0, 0.0], (3, 1))
+    random, forced, normals = np.random.default_rng(5), [5.0], np.tile([0.0, 1.0, 0.0], (3, 1))
     bent = []
     for i in range(400):
         if i % 37 == 0:
             slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
         forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.learned_friction
-        squeezed.append(slip.step(i * tick, three_faces(), forces))
-        newest = np.abs(np.diff(squeezed[:-1][-bends - 2 :], n=2))
+        forced.append(slip.step(i * tick, three_faces(), forces))
+        newest = np.abs(np.diff(forced[:-1][-bends - 2 :], n=2))
         bent.append(max(newest, default=0.0))
         detector.step(forces, normals, bent[-1], 1e-9 * tick if i else 0.0, friction)
         np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
     assert max(bent) > 0.07 and np.count_nonzero(bent) > 60
 
 
-def test_with_a_contact_lost_the_squeeze_grows_while_the_others_are_at_their_edge():
+def test_with_a_contact_lost_the_grasp_force_grows_while_the_others_are_at_their_edge():
     """It doubles once; then again every 10 ms only where what is left cannot bear its load.
 
     Of the friction of 0.4 it trusts 0.4 / 1.15, so that 2 N bear 0.69 N.
@@ -234,7 +236,7 @@ def test_with_a_contact_lost_the_squeeze_grows_while_the_others_are_at_their_edg
         assert max(found[strained]) == pytest.approx(40.0 / held, rel=1e-6)
 
 
-def test_jerks_along_the_squeeze_of_each_finger_are_no_slip():
+def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
     """It has a tangential part at fingers 1 and 2, as f* may have."""
     shape = np.array([[1 / 8, 3 / 8, 0.0], [-1 / 8, 3 / 8, 0.0], [0.0, 1 / 4, 0.0]])
     slip, random = regulator(mode="auto"), np.random.default_rng(6)
@@ -281,7 +283,7 @@ def test_a_rejected_touch_never_raises_the_grasp_force():
 
 @pytest.mark.parametrize("late", [1, 8])
 def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(late):
-    """After it the squeeze and the friction are those of a hand that has felt nothing meanwhile."""
+    """After it the grasp force and the friction are those of a hand that has measured nothing."""
     config = {"mode": "auto", "maximum": 60.0}
     misled, blind = regulator(**config), regulator(**config)
     wrong = FELT * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
@@ -330,7 +332,7 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 1.0
 
 
-def test_a_regulator_without_a_past_keeps_its_squeeze_while_touch_is_doubted():
+def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted():
     slip = regulator(mode="auto", grasp_force=7.0)
     slip.reject_touch(True)
     assert {slip.step(i * TICK, three_faces(), 9.0 * FELT) for i in range(100)} == {7.0}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The squeeze that a touched object needs: steady under noise, quick under load."""
+"""The grasp force that a touched object needs: steady under noise, quick under load."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ NO_RESERVE = LoadMarginConfig(floor=0.0, share=0.0)
 LAG = DT / np.expm1(DT / 0.005)  # of a ramp behind its low-pass
 
 
-def felt(load, squeeze):
-    return Split(load, squeeze, squeeze[:, 1].sum())
+def felt(load, force):
+    return Split(load, force, force[:, 1].sum())
 
 
 def fresh():
@@ -29,10 +29,10 @@ def required(reserve, time=0.05):
     return RequiredGraspForce(RequiredGraspForceConfig(reserve=reserve, reserve_time=time), 3)
 
 
-def follow(need, load, ticks, squeeze=6.0, noise=0.0, seed=0):
+def follow(need, load, ticks, force=6.0, noise=0.0, seed=0):
     random = np.random.default_rng(seed)
     shake = noise * random.standard_normal((ticks, 3, 3))
-    return [need.step(felt(load, squeeze * SHAPE + shake[i]), MU, DT)[0] for i in range(ticks)]
+    return [need.step(felt(load, force * SHAPE + shake[i]), MU, DT)[0] for i in range(ticks)]
 
 
 def test_it_is_the_load_over_share_and_friction():
@@ -83,7 +83,7 @@ def test_what_will_be_there_after_the_lead_counts_where_the_trend_is_more_than_n
 
 
 def test_a_load_that_presses_is_foreseen_as_well():
-    """Along the normal it takes load off the squeeze; 8 N/s in each direction."""
+    """Along the normal it takes load off the grasp force; 8 N/s in each direction."""
     need, load = fresh(), np.zeros((3, 3))
     for i in range(100):
         load[1] = [0.0, 1.0 + 0.008 * i, 2.0 + 0.008 * i]
@@ -137,7 +137,7 @@ def at_once(floor, share=0.0):
     return required(LoadMarginConfig(floor=floor, share=share), 0.0)
 
 
-def test_with_a_reserve_every_load_within_its_radius_finds_the_squeeze_ready():
+def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready():
     """Checked by brute force: loads on a sphere about the present one."""
     need = at_once(floor=1.5)
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
@@ -182,7 +182,7 @@ def reserves(need, ticks, load=CARRIED, first=0):
 
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
-    """In even steps, from nothing to all of it, and the need is there at once."""
+    """In even steps, from nothing to all of it, and the need is there immediately."""
     need = required(LoadMarginConfig(floor=3.0, share=0.0), 0.08)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
@@ -206,7 +206,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
-    """After its time another load, and another radius, count at once."""
+    """After its time another load, and another radius, count immediately."""
     need, at = RequiredGraspForce(RequiredGraspForceConfig(), 3), at_once(floor=3.0, share=0.2)
     for each in (need, at):
         reserves(each, 101)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the squeeze rises on slip and loss, and comes back, on signals made by hand."""
+"""How the grasp force rises on slip and loss, and comes back, on signals made by hand."""
 
 import math
 
@@ -13,14 +13,14 @@ ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False]
 
 
 def held(**values):
-    """Return a reflex that has held with the squeeze of the start for a while."""
+    """Return a reflex that has held with the grasp force of the start for a while."""
     reflex = SlipResponse(SlipResponseConfig(**values), START)
     run(reflex, 200, needed=START)
     return reflex
 
 
 def run(reflex, ticks, needed=math.nan, slips=False, slides=False, touching=ALL):
-    """Return the squeeze at each of some ticks."""
+    """Return the grasp force at each of some ticks."""
     return np.array([reflex.step(needed, slips, slides, touching, LIMIT, DT) for _ in range(ticks)])
 
 
@@ -62,7 +62,7 @@ def test_it_falls_by_its_least_rate_or_a_share_of_the_excess(needed, fall):
 
 
 @pytest.mark.parametrize(("ticks", "settled"), [(4, START), (5, 10.0)])
-def test_after_a_twentieth_of_a_second_a_slip_is_met_from_the_present_squeeze(ticks, settled):
+def test_after_a_twentieth_of_a_second_a_slip_is_met_from_the_present_grasp_force(ticks, settled):
     reflex = fresh(first_rise=1.5)
     for _ in range(ticks):  # four of them are 50 ms, to the bit
         assert step(reflex, 10.0) == 10.0
@@ -82,7 +82,7 @@ def test_over_a_pause_it_doubles_twice_at_most(dt, growth):
     assert step(reflex, slips=True, slides=True, dt=dt) == pytest.approx(growth * 1.5 * START)
 
 
-def test_a_slide_grows_from_the_present_squeeze_and_another_begins_again():
+def test_a_slide_grows_from_the_present_grasp_force_and_another_begins_again():
     reflex = fresh(first_rise=1.5, doubling_time=0.0125, release_time=0.5, release_rate=1.0)
     assert step(reflex, 10.0) == 10.0
     assert step(reflex, 6.0, slips=True, slides=True) == pytest.approx(20.0)
@@ -103,7 +103,7 @@ def test_a_contact_is_lost_until_all_are_back_or_none_is_left():
     assert step(reflex, none, touching=TWO) == none
 
 
-def test_it_starts_over_from_another_squeeze():
+def test_it_starts_over_from_another_grasp_force():
     reflex = fresh(first_rise=1.5)
     step(reflex, START)
     step(reflex, slips=True, slides=True)
