@@ -101,7 +101,7 @@ def test_where_inequalities_contradict_each_other_there_is_no_answer():
     assert not held.any()
 
 
-@pytest.mark.parametrize("part", ["x", "equation", "inequality", "multiplier"])
+@pytest.mark.parametrize("part", ["x", "equation", "inequality", "inactive", "multiplier"])
 def test_a_violation_is_seen(part):
     problem = corner(-np.eye(2), np.zeros(2), [4.0, 0.0])
     x, y, _ = solve_problem(problem, np.zeros(2, dtype=bool))
@@ -112,6 +112,8 @@ def test_a_violation_is_seen(part):
         problem = problem._replace(right=np.array([1.01]))
     elif part == "inequality":
         problem = problem._replace(bounds=np.array([-0.01, 0.0]))
+    elif part == "inactive":
+        problem = problem._replace(bounds=np.array([0.0, -1.01]))
     else:
         y = y + [0.0, 0.01, 0.0]
     assert residual(problem, x, y) > 5e-3
