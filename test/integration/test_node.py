@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node survives bad messages, says so on /diagnostics, and its process ends as it should."""
 
-import signal
-import sys
-import textwrap
-
 import psutil
 import pytest
 import rclpy
@@ -25,7 +21,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import checked_number
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.processes import start_executable, wait_until
 
 
 class ExampleConfig(Config):
@@ -202,128 +198,14 @@ def test_a_sensor_subscription_may_be_made_best_effort(domain):
         node.destroy_node()
 
 
-PROGRAM = '''
-import sys
-from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import HandModelError, TactileHandError
-from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_nodes
-
-class ExampleConfig(Config):
-    gain: float = param(1.0, "Gain", ge=0.0, live=True)
-    end: str = param("", "How to end")
-
-class Example(TactileNode[ExampleConfig]):
-    """Does this and that."""
-
-    fatal = (HandModelError,)
-
-    def __init__(self, name="example"):
-        super().__init__(name, ExampleConfig)
-        if self.config.end == "construction":
-            raise TactileHandError("no hand is attached, attach one.")
-        self.create_timer(0.01, self.step)
-
-    def step(self):
-        print("stepping", self.get_name(), flush=True)
-        if self.config.end == "fatal":
-            raise HandModelError("the hand fell off, put it back.")
-        if self.config.end == "bug":
-            raise ZeroDivisionError
-        if self.config.end == "shutdown":
-            self.context.shutdown()
-
-    def close(self):
-        print("closed", self.get_name(), flush=True)
-        if self.config.end == "close":
-            raise TactileHandError("the bag is not finished, recover it.")
-
-def make():
-    yield Example()
-    yield Example("second")
-
-sys.exit(run_nodes(make, described=[Example]))
-'''
-
-
-@pytest.fixture
-def run(tmp_path, domain):
-    path = tmp_path / "program.py"
-    path.write_text(textwrap.dedent(PROGRAM))
-    return lambda *arguments: CapturedProcess([sys.executable, str(path), *arguments])
-
-
-def complaints(process):
-    """Return what a process wrote to stderr, without its lines about a normal start."""
-    lines = process.stderr.splitlines(keepends=True)
-    return "".join(line for line in lines if not line.endswith(": ready\n"))
-
-
-def end(how):
-    return ("--ros-args", "-p", f"end:={how}")
-
-
-def test_two_nodes_share_a_process_and_both_are_closed(run):
-    with run() as process:
-        process.wait_for_output("stepping example")
-        process.wait_for_output("stepping second")
-        process.send(signal.SIGTERM)
-        assert process.wait() == 0
-        assert process.stdout.splitlines()[-2:] == ["closed second", "closed example"]
-        assert complaints(process) == ""
-
-
 @pytest.mark.parametrize(
-    ("how", "code", "stderr"),
+    ("parameter", "words"),
     [
-        ("construction", 2, "no hand is attached, attach one.\n"),
-        ("fatal", 1, "the hand fell off, put it back.\n"),
-        ("shutdown", 0, ""),
+        ("minimum_norma:=1.0", "unknown parameter 'minimum_norma', did you mean 'minimum_normal'"),
+        ("qos_overrides./q.subscription.depth:=3", "unknown parameter 'qos_overrides./q"),
     ],
 )
-def test_the_exit_code_tells_how_it_ended(run, how, code, stderr):
-    with run(*end(how)) as process:
-        assert process.wait() == code
-        assert complaints(process) == stderr
-
-
-def test_a_bug_is_logged_once_with_its_place_and_the_node_goes_on(run):
-    with run(*end("bug")) as process:
-        wait_until(lambda: process.stdout.count("stepping example") > 20, message="more steps")
-        process.send(signal.SIGTERM)
-        assert process.wait() == 0
-        assert process.stderr.count("ZeroDivisionError at program.py:") == 2  # one for each node
-        assert "Traceback" not in process.stderr
-        assert "closed example" in process.stdout
-
-
-def test_an_error_while_closing_is_shown_and_the_others_are_closed(run):
-    with run(*end("close")) as process:
-        process.wait_for_output("stepping")
-        process.send_to_group(signal.SIGINT)
-        assert process.wait() == 1
-        assert "the bag is not finished" in process.stderr
-        assert "closed second" in process.stdout and "closed example" in process.stdout
-
-
-def test_help_has_the_words_of_the_node_and_its_arguments(run):
-    with run("--help") as process:
-        assert process.wait() == 0
-        for words in ("Does this and that.", "--priority N", "--params-file FILE"):
-            assert words in process.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--ros-args", "-p", "gian:=1.0"), "unknown parameter 'gian', did you mean 'gain'"),
-        (("--ros-args", "--params-file", "/absent.yaml"), "Couldn't parse params file"),
-        (("--fast",), "unknown argument '--fast'"),
-        (("--ros-args", "-p", "qos_overrides./q.subscription.depth:=3"), "unknown parameter 'qos"),
-    ],
-)
-def test_a_wrong_command_line_is_refused_in_a_sentence(run, arguments, words):
-    with run(*arguments) as process:
+def test_a_wrong_parameter_ends_the_start_with_a_sentence(domain, parameter, words):
+    with start_executable("force_optimizer", "--ros-args", "-p", parameter) as process:
         assert process.wait() == 2
-        assert words in process.stderr
-        assert "Traceback" not in process.stderr
+        assert words in process.stderr and "Traceback" not in process.stderr

@@ -65,9 +65,9 @@ def bring(node: Any, topic: str, data: bytes, number: int) -> None:
 
 
 def modules_of_a_tick(node: Any) -> list[str]:
-    """Return the modules of this package in which code runs during one tick of a node, sorted.
+    """Return the modules of this package in which code runs during a tick of an unserved node.
 
-    From the callbacks of the subscriptions to the bytes of the answer; docs/architecture.md draws
+    Sorted, from the callbacks of the subscriptions to the bytes of the answer; the document draws
     them. Compiled functions count for nothing, the modules that call them do.
     """
     found: set[str] = set()
@@ -95,8 +95,10 @@ def modules_of_a_tick(node: Any) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "most"), [(ManipulationControllerNode, 14), (SlipRegulatorNode, 12)]
+    ("kind", "maximum"), [(ManipulationControllerNode, 14), (SlipRegulatorNode, 12)]
 )
-def test_a_tick_passes_through_few_modules(here: Process, kind: Any, most: int) -> None:
-    found = modules_of_a_tick(here.make(kind, composed=False))
-    assert len(found) <= most, f"{len(found)}: {', '.join(found)}"
+def test_a_tick_passes_through_few_modules(here: Process, kind: Any, maximum: int) -> None:
+    node = kind(context=here.context)
+    found = modules_of_a_tick(node)
+    node.destroy_node()
+    assert len(found) <= maximum, f"{len(found)}: {', '.join(found)}"
