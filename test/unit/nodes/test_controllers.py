@@ -34,7 +34,7 @@ TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
 STATE, HAND = PLANT.state, PLANT.hand
 JOINTS = Joints(STATE.theta, STATE.rates, STATE.torque)
-SHARE = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
+FRACTIONS = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
 PUSH = np.array([[0.3, 2.0, -0.1], [0.1, 3.0, 0.2], [-0.2, 2.5, 0.4]])
 FRICTION = np.array([0.5, 0.6, 0.7])
 ODD = Contacts(STATE.contacts.positions + 0.5, STATE.contacts.rotations)
@@ -52,7 +52,7 @@ def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
         return node.step(stamp, STATE.contacts, forces)
     if isinstance(node, ForceOptimizerNode):
         return node.step(stamp, changes.get("contacts", STATE.contacts), FRICTION, forces)
-    shape = changes.get("shape", SHARE)
+    shape = changes.get("shape", FRACTIONS)
     contacts = changes.get("contacts", STATE.contacts)
     return node.step(stamp, JOINTS.theta, JOINTS.rates, contacts, shape, 10.0, None, JOINTS.applied)
 
@@ -159,7 +159,7 @@ def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
     assert list(grip.name) == ["finger_1", "finger_2", "finger_3"]
 
 
-def test_the_user_s_hand_is_told_every_20_ms_of_the_ticks(here: Process) -> None:
+def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here: Process) -> None:
     node = here.make(SlipRegulatorNode, grasp_force=10.0, maximum=40.0, mode="user")
     here.receive(JoyFeedbackArray, names.HAPTIC_FEEDBACK)
     for stamp in (0, 10_000_000, 19_999_999, 20_000_000, 39_000_000, 40_000_000):
@@ -237,7 +237,7 @@ def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here: Proce
     limits = HAND.effort_limits
     tick(node, 0)
     assert level(node)[0] == OK
-    command = tick(node, TICK, shape=1000.0 * SHARE)
+    command = tick(node, TICK, shape=1000.0 * FRACTIONS)
     assert (np.abs(command.torque) <= limits).all()
     assert command.do_not_send or level(node)[0] == WARN
     assert (np.abs(torque(sent)[1]) <= limits).all()
@@ -329,7 +329,7 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here: Pro
     assert accepted.pose == pose_message(position, np.eye(3), 0).pose
 
 
-def test_services_change_the_controller_and_say_what_became_of_it(here: Process) -> None:
+def test_services_change_the_controller_and_report_the_result(here: Process) -> None:
     node = here.make(ManipulationControllerNode)
     topic = names.accepted_requests(names.CONTROLLER)
     here.receive(DiagnosticArray, topic)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a callback throws is counted, told in a line, and makes the node safe if need be."""
+"""What a callback throws is counted, logged in a line, and makes the node safe if need be."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_what_goes_well_is_passed_on() -> None:
     assert list(inspect.signature(wrapped).parameters) == ["message"]
 
 
-def test_a_refused_message_is_told_once_and_the_node_goes_on() -> None:
+def test_a_rejected_message_is_logged_once_and_the_node_continues() -> None:
     node = Node()
     callback = CallbackGuard(node).wrap("pose", throwing(MessageError("not\n  a pose")))
     assert callback(1) is None and callback(2) is None
@@ -95,7 +95,7 @@ def test_a_refused_message_is_told_once_and_the_node_goes_on() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("x"), UnsafeOutputError("x")])
-def test_what_was_not_foreseen_is_told_once_and_makes_the_node_safe(error: Exception) -> None:
+def test_what_was_not_foreseen_is_logged_once_and_makes_the_node_safe(error: Exception) -> None:
     node = Node()
     callback = CallbackGuard(node).wrap("timer", throwing(error))
     callback()
@@ -114,7 +114,7 @@ def test_what_ends_the_node_is_not_caught(kind: str) -> None:
     assert node.said == [] and node.diagnostics.errors == {}
 
 
-def test_a_service_says_no_in_the_words_of_its_type() -> None:
+def test_a_service_rejects_in_the_fields_of_its_type() -> None:
     guard = CallbackGuard(Node())
     for kind in (Trigger, SetBool):
         answer = guard.wrap_service("~/reset", throwing(MessageError("no")))(

@@ -7,10 +7,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
+from support.spinning import spinning
 
+from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros import qos
@@ -69,6 +73,29 @@ def node(context: Any) -> Iterator[Example]:
     made = Example(context=context, namespace="/left")
     yield made
     made.destroy_node()
+
+
+def test_health_is_reported_when_a_peer_comes_or_goes(node: Example) -> None:
+    statuses: list[DiagnosticStatus] = []
+    user = Node("user", context=node.context)
+    user.create_subscription(
+        DiagnosticArray, names.DIAGNOSTICS, lambda m: statuses.extend(m.status), qos.user_qos()
+    )
+    node.create_publisher(Float64, "x", 1)
+    key = "publications /left/x"
+
+    def is_reported(count: str) -> bool:
+        facts = {pair.key: pair.value for pair in statuses[-1].values} if statuses else {}
+        return facts.get(key) == count
+
+    with spinning(node, user):
+        reader = user.create_subscription(Float64, "/left/x", print, 1)
+        wait_until(lambda: is_reported("1"))
+        user.destroy_subscription(reader)
+        wait_until(lambda: is_reported("0"))
+    assert {status.name for status in statuses} == {"/left/example"}
+    assert node.calls[-1] == "report"
+    user.destroy_node()
 
 
 def test_peers_are_counted_by_topic_and_end(node: Example, context: Any) -> None:
