@@ -22,29 +22,29 @@ def warnings_of(name: str, seconds: int) -> list[str]:
     optimizer, regulator = Diagnostics("optimizer"), Diagnostics("regulator")
     optimizer_report = OptimizerReport(optimizer)
     regulator_report = RegulatorReport(regulator, fingers)
-    feel, solve = loop.regulator.step, loop.optimizer.step
+    regulate, solve = loop.regulator.step, loop.optimizer.step
 
-    def felt(stamp, contacts, forces):
-        squeeze = feel(stamp, contacts, forces)
+    def regulated(stamp, contacts, forces):
+        grasp_force = regulate(stamp, contacts, forces)
         r = loop.regulator
         state = GripState(r.learned_friction, r.slip_likelihood, r.state)
         regulator_report.note(r, stamp, contacts, forces, state)
-        return squeeze
+        return grasp_force
 
     def solved(stamp, contacts, friction, forces):
         optimal = solve(stamp, contacts, friction, forces)
         optimizer_report.note(optimal)
         return optimal
 
-    loop.regulator.step, loop.optimizer.step = felt, solved  # type: ignore[method-assign]
-    said = []
+    loop.regulator.step, loop.optimizer.step = regulated, solved  # type: ignore[method-assign]
+    texts = []
     for _ in range(seconds):
         loop.run(SECOND)
         optimizer_report.report()
         regulator_report.report(loop.regulator)
         for status in (optimizer.status(), regulator.status()):
-            said += [status.message] if status.level != DiagnosticStatus.OK else []
-    return said
+            texts += [status.message] if status.level != DiagnosticStatus.OK else []
+    return texts
 
 
 @pytest.mark.parametrize("name", ["crush_limit", "lost_contact"])
