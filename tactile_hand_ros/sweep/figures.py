@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a sweep: success over two parameters, metrics against parameters, sensitivities."""
+"""Figures of a sweep: success over two parameters, and metrics against parameters."""
 
 from __future__ import annotations
 
@@ -36,8 +36,6 @@ def figures(results: Results) -> dict[str, Figure]:
     if len(paths) > 1:
         pairs = list(itertools.combinations(paths, 2))[:_MOST_MAPS]
         drawn["success"] = success_figure(results, pairs)
-    if any(not math.isnan(effect.value) for effect in results.effects()):
-        drawn["sensitivity"] = sensitivity_figure(results)
     tail = f"_{results.scenario}" if results.scenario else ""
     return {name + tail: figure for name, figure in drawn.items()}
 
@@ -137,30 +135,6 @@ def _against(axes: Axes, results: Results, path: str, name: str) -> None:
         axes.set_ylim(-0.05, 1.05)
     elif (known := y[np.isfinite(y)]).size and known.min() > 0.0 and known.max() > 50 * known.min():
         axes.set_yscale("log")
-
-
-def sensitivity_figure(results: Results) -> Figure:
-    """Draw the effect of each parameter, one panel for each metric."""
-    effects = [effect for effect in results.effects() if not math.isnan(effect.value)]
-    names = list(dict.fromkeys(effect.metric for effect in effects))
-    paths = list(dict.fromkeys(effect.parameter for effect in effects))[::-1]
-    across = min(3, len(names))
-    rows = math.ceil(len(names) / across)
-    with look():
-        figure = new_figure(PAGE, rows * (0.6 + 0.22 * len(paths)))
-        panels = figure.subplots(rows, across, squeeze=False, sharey=True, sharex=True).ravel()
-        for axes, name in zip(panels, names, strict=False):
-            for effect in (e for e in effects if e.metric == name):
-                at = paths.index(effect.parameter)
-                axes.barh(at, effect.value, color=run_color(0), height=0.6)
-                axes.plot([effect.low, effect.high], [at, at], color=FAINT)
-            axes.set_title(_label(name), loc="left")
-            axes.axvline(0.0, color=FAINT, linewidth=0.6)
-            axes.set_yticks(range(len(paths)), paths)
-        for axes in panels[len(names) :]:
-            axes.set_visible(False)
-        figure.supxlabel("rank correlation", fontsize=8.0)
-    return figure
 
 
 def _is_log(results: Results, path: str) -> bool:
