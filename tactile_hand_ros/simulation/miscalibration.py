@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import contact_frame
-from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,
 )
 from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileReading
+
+if TYPE_CHECKING:  # a skin that is right does without the model
+    from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 

@@ -67,8 +67,8 @@ def bring(node: Any, topic: str, data: bytes, number: int) -> None:
 def modules_of_a_tick(node: Any) -> list[str]:
     """Return the modules of this package in which code runs during a tick of an unserved node.
 
-    Sorted, from the callbacks of the subscriptions to the bytes of the answer; the document draws
-    them. Compiled functions count for nothing, the modules that call them do.
+    Sorted, from the callbacks of the subscriptions to the bytes of the answer. Compiled functions
+    do not count, the modules that call them do.
     """
     found: set[str] = set()
     answers: list[set[str]] = []
