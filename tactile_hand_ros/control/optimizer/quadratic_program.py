@@ -156,7 +156,7 @@ def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
 
 @compiled
 def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
-    """Return the optimum and the number of linear systems that it took.
+    """Return the optimum, of (13) for example, and how many linear systems it took.
 
     Args:
         problem: The problem.
