@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -94,11 +95,26 @@ def modules_of_a_tick(node: Any) -> list[str]:
     return sorted(answers[-1])
 
 
+def drawn(heading: str) -> set[str]:
+    """Return the modules in the diagram of docs/architecture.md below a line."""
+    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text("utf-8")
+    diagram = page.split(heading, 1)[1].split("```")[1]
+    words = set(re.findall(r"[a-z_]+(?:/[a-z_]+)*", diagram))
+    return {word for word in words if (PACKAGE / f"{word}.py").is_file()}
+
+
 @pytest.mark.parametrize(
-    ("kind", "maximum"), [(ManipulationControllerNode, 14), (SlipRegulatorNode, 12)]
+    ("kind", "maximum", "heading"),
+    [
+        (ManipulationControllerNode, 14, "A tick, from"),
+        (SlipRegulatorNode, 12, "A slip, from"),
+    ],
 )
-def test_a_tick_passes_through_few_modules(here: Process, kind: Any, maximum: int) -> None:
+def test_a_tick_passes_through_few_modules_and_all_are_drawn(
+    here: Process, kind: Any, maximum: int, heading: str
+) -> None:
     node = kind(context=here.context)
     found = modules_of_a_tick(node)
     node.destroy_node()
     assert len(found) <= maximum, f"{len(found)}: {', '.join(found)}"
+    assert set(found) <= drawn(heading)
