@@ -24,7 +24,7 @@ from rosbags.rosbag2 import Reader
 from support.messages import pose_message
 from support.spinning import spinning
 
-from tactile_hand_ros.bag.reader import summarize
+from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
@@ -241,7 +241,13 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
     for topic in TICK_TOPICS:
         assert counts[f"/left/{topic}"] >= 151, topic
     assert "/joint_states" not in counts
-    told = {each.name: each.values["scheduling_cpus"] for each in Run(latest(tmp_path)).diagnostics}
+    told = {
+        status.name: value.value
+        for each in read_messages(latest(tmp_path) / "bag", ["/diagnostics"])
+        for status in each.message.status
+        for value in status.values
+        if value.key == "scheduling_cpus"
+    }
     assert told.pop("/left/recorder") == ",".join(map(str, sorted(os.sched_getaffinity(0))))
     assert set(told.values()) == {cpu}
 
