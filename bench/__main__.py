@@ -51,6 +51,8 @@ def bench(
     from bench.workload import Workload
 
     chosen, hertz = _chosen(only), parse_rates(rates)
+    if out.is_dir():
+        raise ConfigurationError(f"--out: {out} is a folder, expected the name of a file.")
     check_writable(out.parent)
     results: list[Result] = []
     with Progress("measuring", len(chosen)) as advance:

@@ -87,7 +87,7 @@ def test_a_recorded_configuration_imports_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "law", "message"),
     [
-        ("nowhere:MyLaw", LAW, "there is no module 'nowhere'; expected it beside the scenario"),
+        ("nowhere:MyLaw", LAW, "there is no module 'nowhere'; expected it next to the scenario"),
         ("my_law:Mine", LAW, "its module has no 'Mine'"),
         ("my_law:MyLaw", "import missing_thing", "it needs the module 'missing_thing'"),
         ("my_law:MyLaw", "1 / 0", "its module fails with ZeroDivisionError: division by zero"),
