@@ -21,7 +21,7 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     Target,
 )
-from tactile_hand_ros.control.plausibility import InputCheck, implausible_shape
+from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implausible_shape
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
@@ -309,7 +309,9 @@ class Controller:
         pressing = None
         if self._compares_forces and forces is not None and applied is not None:
             pressing = forces, applied
-        tips, problem = self._inputs.step(stamp, theta, rates, contacts, self.config, pressing)
+        c = self.config
+        limits = Tolerances(c.touch_tolerance, c.force_tolerance, c.touch_latency)
+        tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
         self.touch_rejected = bool(problem)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.hand.hand import Fingertips, Hand
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.control.controller import ControllerConfig
 
 Array = NDArray[np.float64]
 
@@ -227,6 +224,20 @@ def _noticeable(torque: float, linear: Array, finest: float) -> float:
     return min(fine, _SMALL + _FROZEN_FRACTION * torque)
 
 
+class Tolerances(NamedTuple):
+    """How far joints and touch may differ.
+
+    Attributes:
+        touch: Distance of a contact from its fingertip, m.
+        force: Difference between measured forces and joint torques, a fraction.
+        latency: Age of measured forces, s.
+    """
+
+    touch: float
+    force: float
+    latency: float
+
+
 class InputCheck:
     """The one check of joints against touch: inconsistent or frozen inputs of either."""
 
@@ -250,7 +261,7 @@ class InputCheck:
         theta: Array,
         rates: Array,
         contacts: Contacts,
-        limits: ControllerConfig,
+        limits: Tolerances,
         pressing: tuple[Array, Array] | None,
     ) -> tuple[Fingertips, str]:
         """Return the fingertips, and why joints and touch do not fit; empty if they do.
@@ -260,7 +271,7 @@ class InputCheck:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             contacts: Contact points and frames; all must touch.
-            limits: Tolerances.
+            limits: How far they may differ.
             pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
                 since the last tick, shape (m,), N m; None where they are not compared.
         """
@@ -269,8 +280,8 @@ class InputCheck:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips, allowed = terms[0], (limits.force_tolerance, limits.touch_latency)
+            tips, allowed = terms[0], (limits.force, limits.latency)
             problem = self._forces.step(stamp, rates, terms, contacts, *pressing, *allowed)
-        gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch_tolerance)
-        frozen = self._joints.step(theta, contacts, _STANDING * limits.touch_tolerance)
+        gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch)
+        frozen = self._joints.step(theta, contacts, _STANDING * limits.touch)
         return tips, problem or gap or frozen

@@ -118,10 +118,17 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
+def _ignore_signals() -> None:
+    """Finish what is being closed: when a parent dies, the kernel signals once per thread of it."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _note_signal(number: int, frame: FrameType | None) -> None:
     """Let rclpy shut down; a second signal interrupts code that does not return."""
     global _was_signalled
     if _was_signalled:
+        _ignore_signals()
         raise KeyboardInterrupt
     _was_signalled = True
 
@@ -174,6 +181,7 @@ def _announce(node: Node) -> None:
 
 def _stop(nodes: Sequence[Node], code: int) -> int:
     """Close and destroy the nodes and leave rclpy as before."""
+    _ignore_signals()
     for node in reversed(nodes):
         try:
             getattr(node, "close", _nothing)()

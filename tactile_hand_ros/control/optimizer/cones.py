@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,11 @@ from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.loads import (
     LoadMargin,
+    LoadMarginConfig,
     Split,
     measured_split,
     shift,
 )
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 
 Array = NDArray[np.float64]
 
@@ -104,6 +102,15 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
     return beyond
 
 
+class TrackerConfig(Protocol):
+    """What a `ConeTracker` takes of the parameters of (13)."""
+
+    reserve: LoadMarginConfig
+    load_time: float
+    load_memory: float
+    squeeze_share: float
+
+
 class ConeTracker:
     """Follows what the contacts carry, slowly enough that noise does not shake f*.
 
@@ -112,7 +119,7 @@ class ConeTracker:
     is not followed, and afterwards all starts with the load that is measured then.
     """
 
-    def __init__(self, config: ForceOptimizerConfig, contacts: int) -> None:
+    def __init__(self, config: TrackerConfig, contacts: int) -> None:
         """Follow the load of k contacts."""
         self._reserve = LoadMargin(config.reserve, contacts)
         self._doubted = False
@@ -125,7 +132,7 @@ class ConeTracker:
             self.reset()
         self._doubted = doubted
 
-    def configure(self, config: ForceOptimizerConfig) -> None:
+    def configure(self, config: TrackerConfig) -> None:
         """Take other parameters; what is known of the load stays."""
         self._config = config
         self._reserve.configure(config.reserve)

@@ -188,7 +188,8 @@ def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: S
 
 def end_writer() -> None:
     """Kill the process that writes the bag."""
-    (writer,) = psutil.Process(os.getpid()).children()
+    children = psutil.Process(os.getpid()).children()
+    (writer,) = (each for each in children if "writer_process" in " ".join(each.cmdline()))
     writer.send_signal(signal.SIGKILL)
     writer.wait()
 
