@@ -31,7 +31,9 @@ from tactile_hand_ros.cli.output import (
 )
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.report.tables import markdown, rich_table
+from tactile_hand_ros.scenario.scenario import scenario_names
 from tactile_hand_ros.sweep.engine import workers
+from tactile_hand_ros.sweep.table import read_table
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, columns and rows."""
@@ -60,7 +62,7 @@ def slip(
     kinds = folder_for_results(out, formats)
     with progress("holding") as watch, workers(jobs):
         s.run_study(runs, seed, out, watch)
-    table = s.read_table(out)
+    table = read_table(out)
     files = save(s.figure(table), out, "study_detection", kinds)
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
     _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
@@ -105,10 +107,10 @@ def loads(
     kinds = folder_for_results(out, formats)
     reserves = load_study.RESERVES
     if floor:
-        reserves = tuple((value, load_study.DEFAULT[1]) for value in floor)
+        reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
     with progress("loading") as watch, workers(jobs):
         load_study.run_loads(runs, seed, out, reserves, watch)
-    curve = load_study.trade_offs(load_study.read_table(out))
+    curve = load_study.trade_offs(read_table(out))
     files = save(load_study.figure(curve), out, "study_loads", kinds)
     _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))
 
@@ -201,14 +203,14 @@ def robustness(
     """Map how far each scenario survives that the hand knows something wrongly."""
     from studies import robustness as r
     from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.report.tables import rich_table
 
     kinds = folder_for_results(out, formats)
-    names = tuple(scenario or r.all_scenarios())
+    names = tuple(scenario or scenario_names())
     with workers(jobs, cluster), progress("robustness") as watch:
         tally = r.run_map(names, out, seed, watch)
-    files = save(r.figure(out, names), out, "robustness", kinds)
-    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(out)))
+    table = read_table(out)
+    files = save(r.figure(table), out, "robustness", kinds)
+    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(table)))
     print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 

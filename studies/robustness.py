@@ -17,24 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import tactile_hand_ros
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.report.style import PAGE, look, new_figure
-from tactile_hand_ros.run.metrics import metrics
-from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, scenario_names
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.sweep.engine import Point, Study
-from tactile_hand_ros.sweep.metrics import measures, outcome
-from tactile_hand_ros.sweep.space import Choice, Space
-from tactile_hand_ros.sweep.table import (
-    FAILED,
-    LAST_COLUMNS,
-    LOST,
-    MISSED,
-    REACHED,
-    Store,
-    Tally,
-    keep,
-    read_column,
-)
+from tactile_hand_ros.sweep.space import Choice
+from tactile_hand_ros.sweep.sweep import measured
+from tactile_hand_ros.sweep.table import FAILED, LOST, MISSED, REACHED, Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,11 +104,9 @@ _RANKS = (2, 1, 0)  # the largest errors first, so that an early look shows most
 
 def run_one(point: Point) -> dict[str, Any]:
     """Run a scenario with one error and return what came of it."""
-    scenario = scenario_of(point)
-    record = ClosedLoop(scenario).run()
-    found = metrics(record, scenario)
-    numbers = {n: m(record, scenario, found) for n, m in measures(MEASURES).items()}
-    return {**numbers, "outcome": outcome(record, found)}
+    error = _BY_NAME[point.values["error"]]
+    size = {"size": error.sizes[point.values["rank"]], "unit": error.unit}
+    return {**size, **measured(scenario_of(point), MEASURES)}
 
 
 def scenario_of(point: Point) -> Scenario:
@@ -140,13 +126,8 @@ def _base(name: str) -> Scenario:
 
 def study_of(scenarios: tuple[str, ...], seed: int) -> Study:
     """Return the map of some scenarios as a study."""
-    space = Space(
-        {
-            "rank": Choice(_RANKS),
-            "error": Choice(tuple(_BY_NAME)),
-            "scenario": Choice(scenarios),
-        }
-    )
+    errors = Choice(tuple(_BY_NAME))
+    space = {"rank": Choice(_RANKS), "error": errors, "scenario": Choice(scenarios)}
     return Study(space, "grid", run_one, seed=seed)
 
 
@@ -170,31 +151,19 @@ def run_map(
     """
     for name in scenarios:
         _base(name)
-    columns: dict[str, type] = {"scenario": str, "error": str, "size": float, "unit": str}
-    columns |= {"rank": int, "seed": int} | {name: float for name in measures(MEASURES)}
-    description = {
-        "version": tactile_hand_ros.__version__,
-        "scenarios": list(scenarios),
-        "seed": seed,
-    }
-
-    def parameters(point: Point) -> dict[str, Any]:
-        error = _BY_NAME[point.values["error"]]
-        size = error.sizes[point.values["rank"]]
-        return {**point.values, "size": size, "unit": error.unit, "seed": point.seed}
-
-    store = Store(folder, {**columns, **LAST_COLUMNS}, {})
-    return keep(study_of(scenarios, seed), store, description, parameters, watch)
+    version = tactile_hand_ros.__version__
+    description = {"version": version, "scenarios": list(scenarios), "seed": seed}
+    return keep(study_of(scenarios, seed), folder, description, watch)
 
 
-def figure(folder: Path, scenarios: tuple[str, ...] = ()) -> Figure:
+def figure(table: Table) -> Figure:
     """Draw what became of each scenario under each error of three sizes, from a map's table."""
-    read = {name: read_column(folder, name) for name in ("scenario", "error", "rank", "outcome")}
-    rows = scenarios or tuple(dict.fromkeys(read["scenario"].tolist()))
+    columns = [table[name].tolist() for name in ("scenario", "error", "rank", "outcome")]
+    rows = list(dict.fromkeys(columns[0]))
     with look():
         made = new_figure(PAGE, 0.9 + 0.22 * len(rows))
         axes = made.subplots()
-        for scenario, error, rank, came in zip(*(read[n].tolist() for n in read), strict=True):
+        for scenario, error, rank, came in zip(*columns, strict=True):
             x = list(_BY_NAME).index(error) + 0.28 * (rank - 1)
             y = rows.index(scenario)
             axes.barh(y, 0.27, 0.82, x - 0.135, color=COLORS[came], linewidth=0.0)
@@ -212,21 +181,15 @@ def figure(folder: Path, scenarios: tuple[str, ...] = ()) -> Figure:
     return made
 
 
-def rows_of(folder: Path) -> list[list[str]]:
+def rows_of(table: Table) -> list[list[str]]:
     """Return how many scenarios reach their goal, or hold the object, under each error."""
-    error, rank, came = (read_column(folder, name) for name in ("error", "rank", "outcome"))
     rows = []
     for kind in ERRORS:
         for index, size in enumerate(kind.sizes):
-            some = came[(error == kind.name) & (rank == index)]
+            some = table["outcome"][(table["error"] == kind.name) & (table["rank"] == index)]
             counts = [str(int((some == name).sum())) for name in COLORS]
             rows.append([f"{kind.name}, {size:g} {kind.unit}", *counts])
     return rows
 
 
 COLUMNS = ("error", *MEANINGS.values())
-
-
-def all_scenarios() -> tuple[str, ...]:
-    """Return the names of all scenarios of the package."""
-    return tuple(scenario_names())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,19 +24,9 @@ from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import Point, Study
-from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of
-from tactile_hand_ros.sweep.table import (
-    FAILED,
-    LAST_COLUMNS,
-    LOST,
-    MISSED,
-    REACHED,
-    Store,
-    Tally,
-    keep,
-    read_column,
-)
+from tactile_hand_ros.sweep.table import FAILED, LOST, MISSED, REACHED, Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,32 +38,11 @@ LAYOUTS = ("three_faces", "pinch")
 DEFAULT = (3.0, 0.2)
 """The reserve of a hand by default: floor, N, and fraction of the largest recent load."""
 
-RESERVES = tuple((floor, part) for floor in (0.0, 1.0, 2.0, 3.0, 5.0) for part in (0.1, 0.2, 0.4))
-"""Floors, N, and fractions of the reserves that are compared."""
+RESERVES = {"floor": (0.0, 1.0, 2.0, 3.0, 5.0), "fraction": (0.1, 0.2, 0.4)}
+"""Floors, N, and fractions of the reserves that are compared, each with each."""
 
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
-MEASURED: dict[str, type] = {"grasp_force": float, "need": float, "survivable": bool, "slip": float}
-"""k_f before the load [N], minimum grasp force then [N], whether a grasp inside the crush limit can
-carry the load, and the largest distance that a contact slid because of it [m]."""
-
-COLUMNS: dict[str, type] = {
-    "load": int,
-    "layout": str,
-    "mass": float,
-    "friction": float,
-    "kind": str,
-    "duration": float,
-    "force": str,
-    "torque": str,
-    "floor": float,
-    "fraction": float,
-    **MEASURED,
-    **LAST_COLUMNS,
-}
-UNITS = {"mass": "kg", "duration": "s", "force": "N", "torque": "N m", "slip": "m"}
-UNITS |= {name: "N" for name in ("floor", "grasp_force", "need")}
-
 _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
 _RESERVED = ("slip_regulator.reflex.need", "force_optimizer")  # who keep a reserve
 _RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
@@ -167,7 +136,11 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
 
 
 def run_load(case: LoadCase, floor: float, fraction: float = DEFAULT[1]) -> dict[str, Any]:
-    """Let a load act on a relaxed grasp; return `MEASURED` and the outcome."""
+    """Let a load act on a relaxed grasp and return what came of it.
+
+    That is k_f before the load [N], minimum grasp force then [N], whether a grasp inside the crush
+    limit can carry the load, the largest distance that a contact slid because of it [m], outcome.
+    """
     scenario = scenario_of(case, floor, fraction)
     record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
@@ -211,7 +184,7 @@ def run_loads(
     runs: int,
     seed: int,
     folder: Path,
-    reserves: Sequence[tuple[float, float]] = RESERVES,
+    reserves: Mapping[str, tuple[float, ...]] = RESERVES,
     watch: Callable[[Tally], None] = lambda _: None,
 ) -> Tally:
     """Let the same loads act on grasps with each reserve, where `workers` says; write the table.
@@ -226,24 +199,17 @@ def run_loads(
     Raises:
         StudyError: If the folder holds another study or cannot be written.
     """
-    cases = Choice(tuple(sample_loads(runs, seed)))
-    study = Study(Space({"case": cases, "reserve": Choice(tuple(reserves))}), "grid", run_one)
-    description = {"loads": runs, "seed": seed, "reserves": [list(r) for r in reserves]}
-    return keep(study, Store(folder, COLUMNS, UNITS), description, _parameters, watch)
+    space = {"case": Choice(tuple(sample_loads(runs, seed)))}
+    space |= {name: Choice(values) for name, values in reserves.items()}
+    description = {"loads": runs, "seed": seed, "reserves": dict(reserves)}
+    return keep(Study(space, "grid", run_one), folder, description, watch)
 
 
 def run_one(point: Point) -> dict[str, Any]:
     """Let the load of a point act on a grasp with its reserve."""
-    return run_load(point.values["case"], *point.values["reserve"])
+    return run_load(**point.values)
 
 
-def _parameters(point: Point) -> dict[str, Any]:
-    case = asdict(point.values["case"])
-    floor, fraction = point.values["reserve"]
-    return {"load": case.pop("index"), **case, "floor": floor, "fraction": fraction}
-
-
-COLUMNS_SHOWN = ("floor", "fraction", *MEASURED, "outcome")
 HEADS = ("floor", "fraction", "loads", "grasp force before", "over need", "lost", "slid over 5 mm")
 
 
@@ -270,12 +236,7 @@ class TradeOff:
     slid: int
 
 
-def read_table(folder: Path) -> dict[str, NDArray[Any]]:
-    """Return the columns of a study's table that the trade-offs follow from."""
-    return {name: read_column(folder, name) for name in COLUMNS_SHOWN}
-
-
-def trade_offs(table: Mapping[str, NDArray[Any]]) -> list[TradeOff]:
+def trade_offs(table: Table) -> list[TradeOff]:
     """Return comfort and safety for each reserve; a run that failed counts as a loss."""
     failed = table["outcome"] == FAILED
     possible = failed | (table["survivable"] == True)  # noqa: E712, missing where it failed

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,18 +29,9 @@ from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import Point, Study
-from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval, rank
-from tactile_hand_ros.sweep.table import (
-    LAST_COLUMNS,
-    LOST,
-    MISSED,
-    REACHED,
-    Store,
-    Tally,
-    keep,
-    read_column,
-)
+from tactile_hand_ros.sweep.table import LOST, MISSED, REACHED, Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,33 +55,6 @@ _INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
 _NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
 _LONGEST = 40.0  # ms that are drawn
 
-MEASURED = {
-    "onset": "s",
-    "detection": "s",
-    "reaction": "s",
-    "slip": "m",
-    "early_slip": "m",
-    "false_alarms": "",
-    "excess": "",
-    "survivable": "",
-    "lost": "",
-    "caught": "",
-    "peak": "",
-    "ratio": "",
-    "estimate": "",
-}
-"""Measured columns and their units.
-
-Onset: first tick with a sliding contact after the event, NaN if it slid already. Detection: from
-there to the first alarm of that contact, infinite where none came. Reaction: from there to the
-grasp force that the plant acts on rising; below zero if the load had been foreseen. Slip and early
-slip: largest distance that a contact slid since the event, and before it. Excess: minimum grasp
-force after the event against the one that was held at it. Survivable: whether a grasp inside the
-crush limit can carry the load after the event. Peak: largest sum of normal forces since the event
-against the minimum after it. Ratio and estimate, of a run without an event: sum of normal forces at
-the end against the minimum, and largest estimated friction against the true one.
-"""
-
 
 @dataclass(frozen=True)
 class SlipCase:
@@ -106,6 +70,7 @@ class SlipCase:
         rate: Samples per second, Hz.
         load: Minimum grasp force after the event against that before it.
         pull: Direction of the pull.
+        kind: ``event``, ``pull`` where many share one pull, or one of `HELD`, without an event.
     """
 
     index: int
@@ -117,6 +82,7 @@ class SlipCase:
     rate: float
     load: float
     pull: tuple[float, float, float]
+    kind: str = "event"
 
 
 def sample_cases(runs: int, seed: int) -> list[SlipCase]:
@@ -150,7 +116,8 @@ def _between(low: float, high: float, fraction: float) -> float:
 def pull_of(case: SlipCase) -> SlipCase:
     """Return a step of 10 N on 0.2 kg with mu = 0.5, at 1 kHz with a case's noise and latency."""
     load, down = 1.0 + 10.0 / (9.81 * 0.2), (0.0, 0.0, -1.0)
-    return replace(case, event="step", friction=0.5, mass=0.2, rate=1000.0, load=load, pull=down)
+    same = replace(case, friction=0.5, mass=0.2, rate=1000.0, load=load, pull=down)
+    return replace(same, kind="pull", event="step")
 
 
 @functools.cache
@@ -198,14 +165,13 @@ def _event(case: SlipCase) -> dict[str, Any]:
     return {"plant.disturbances": [push]}
 
 
-def tasks_of(runs: int, seed: int) -> list[tuple[str, SlipCase]]:
-    """Return kind and case of all runs: a few held for longer, some with one pull, the events."""
+def all_cases(runs: int, seed: int) -> list[SlipCase]:
+    """Return the cases of all runs: a few held for longer, some with one pull, the events."""
     cases = sample_cases(runs, seed)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
     # The longest first, so that no core waits for one at the end.
-    tasks = [(kind, case) for kind in ("unknown", "known") for case in long]
-    tasks += [("pull", pull_of(case)) for case in same]
-    return tasks + [("event", case) for case in cases]
+    held = [replace(case, kind=kind) for kind in ("unknown", "known") for case in long]
+    return held + [pull_of(case) for case in same] + cases
 
 
 def run_study(
@@ -219,25 +185,15 @@ def run_study(
         folder: Of the results; holds those of an earlier, unfinished call.
         watch: Called after each run.
     """
-    kinds = {"int": int, "float": float}
-    columns: dict[str, type] = {"kind": str}
-    columns |= {field.name: kinds.get(str(field.type), str) for field in fields(SlipCase)}
-    columns |= dict.fromkeys(MEASURED, float)
-    study = Study(Space({"task": Choice(tuple(tasks_of(runs, seed)))}), "grid", run_one)
-    store = Store(folder, {**columns, **LAST_COLUMNS}, MEASURED)
-    return keep(study, store, {"runs": runs, "seed": seed}, _parameters, watch)
-
-
-def _parameters(point: Point) -> dict[str, Any]:
-    kind, case = point.values["task"]
-    return {"kind": kind, **vars(case)}
+    study = Study({"case": Choice(tuple(all_cases(runs, seed)))}, "grid", run_one)
+    return keep(study, folder, {"runs": runs, "seed": seed}, watch)
 
 
 def run_one(point: Point) -> dict[str, Any]:
     """Make a run and return its measured columns and its outcome."""
-    kind, case = point.values["task"]
-    if kind in HELD:
-        return {**hold_case(case, kind), "outcome": REACHED}
+    case = point.values["case"]
+    if case.kind in HELD:
+        return {**hold_case(case), "outcome": REACHED}
     scenario = scenario_of(case)
     found = measure(ClosedLoop(scenario).run(), scenario)
     outcome = LOST if found["lost"] else REACHED if found["caught"] else MISSED
@@ -245,7 +201,19 @@ def run_one(point: Point) -> dict[str, Any]:
 
 
 def measure(record: Record, scenario: Scenario) -> dict[str, float]:
-    """Return what a run with an event shows, see `MEASURED`."""
+    """Return what a run with an event shows.
+
+    onset: Time of the first tick with a sliding contact after the event, s; NaN if it slid already.
+    detection: From there to the first alarm of that contact, s; infinite where none came.
+    reaction: From there to the grasp force that the plant acts on rising, s; below zero if the load
+    had been foreseen.
+    slip, early_slip: Largest distance that a contact slid since the event, and before it, m.
+    false_alarms: Alarms before the event while nothing slid.
+    excess: Minimum grasp force after the event against the one that was held at it.
+    survivable: Whether a grasp inside the crush limit can carry the load after the event.
+    lost, caught: Whether the object is gone or slid far, and whether it rests at the end.
+    peak: Largest sum of normal forces since the event against the minimum after it.
+    """
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slides = record.true_sliding > SLIDING
     after = slides[event:].any(axis=1)
@@ -293,19 +261,19 @@ def false_alarms(record: Record) -> int:
     return int((begins & ~recent[1:, None]).sum())
 
 
-def hold_case(case: SlipCase, kind: str) -> dict[str, float]:
+def hold_case(case: SlipCase) -> dict[str, float]:
     """Hold the object of a case without an event and compare the grasp force at the end.
 
-    Args:
-        case: What is varied.
-        kind: ``known``: as in the short runs; ``unknown``: friction and grasp force by default.
+    With ``known`` friction the hand starts as in the short runs, with ``unknown`` as by default.
+    Ratio: sum of normal forces at the end against the minimum; estimate: largest estimated friction
+    against the true one; slip: largest distance that a contact slid, m.
     """
     changes: dict[str, Any] = {
-        "duration": HELD[kind],
+        "duration": HELD[case.kind],
         "plant.friction_changes": [],
         "plant.disturbances": [],
     }
-    if kind == "unknown":
+    if case.kind == "unknown":
         base = _base().slip_regulator
         changes["slip_regulator.friction.prior"] = base.friction.prior
         changes["slip_regulator.grasp_force"] = base.grasp_force
@@ -319,18 +287,8 @@ def hold_case(case: SlipCase, kind: str) -> dict[str, float]:
     }
 
 
-Table = dict[str, NDArray[Any]]
-"""Columns by name, of some runs."""
-
-
-def read_table(folder: Path) -> Table:
-    """Return the columns of a study's runs that are looked at."""
-    return {
-        n: read_column(folder, n) for n in ("kind", "event", "noise", "latency", "rate", *MEASURED)
-    }
-
-
 def _some(table: Table, chosen: NDArray[np.bool_]) -> Table:
+    """Return the columns of some runs."""
     return {name: column[chosen] for name, column in table.items()}
 
 

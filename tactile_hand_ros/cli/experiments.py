@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -118,7 +118,6 @@ class SweepOptions:
             TactileHandError: If the options do not go together, or a value is refused.
         """
         from tactile_hand_ros.config.plain_yaml import parse_changes
-        from tactile_hand_ros.sweep.metrics import METRICS
         from tactile_hand_ros.sweep.sweep import make_sweep, read_sweep
 
         if self.is_study:
@@ -134,7 +133,7 @@ class SweepOptions:
             self.targets,
             self.over,
             parse_changes(self.changes),
-            self.metric or list(METRICS),
+            self.metric,
             sampler=self.sampler,
             runs=self.runs,
             seed=self.seed,
@@ -217,16 +216,15 @@ def _clock(seconds: float) -> str:
 def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.report.tables import rich_table
-    from tactile_hand_ros.sweep import tables
+    from tactile_hand_ros.sweep import results as tables
     from tactile_hand_ros.sweep.figures import figures
-    from tactile_hand_ros.sweep.results import each_scenario
 
-    results = each_scenario(wanted, out)
+    results = tables.read_results(wanted, out)
     pictures = []
     for each in results:
         for name, figure in figures(each).items():
             pictures.append(save(figure, out, name, formats)[0])
-    page = tables.write(results, out, pictures)
+    page = tables.write_summary(results, out, pictures)
     print_table(rich_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results)))
     print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
     if rows := tables.effect_rows(results):
@@ -242,12 +240,12 @@ def _rerun(wanted: Sweep, folder: Path, index: int) -> int:
     from tactile_hand_ros.sweep.table import read_description
 
     point = wanted.study.point(index)
-    scenario = wanted.trial.scenario(point)
+    scenario = wanted.scenario(point)
     before = read_description(folder)["build"]
     if before != build():
         text = f"note: the study was made by {before}, this is {build()}: results may differ."
         print(text, file=sys.stderr)
-    values: dict[str, Any] = wanted.trial.changes(point)[1]
+    values = {"seed": point.seed, **point.values}
     listed = " ".join(f"{path}={json.dumps(value)}" for path, value in values.items())
     print(f"run {index}: {listed}", flush=True)
     file = folder / f"run_{index}.yaml"

@@ -43,14 +43,12 @@ def run(
         TactileHandError: If a name, path, range or value cannot be used.
     """
     from tactile_hand_ros.sweep.engine import workers
-    from tactile_hand_ros.sweep.metrics import METRICS
     from tactile_hand_ros.sweep.results import Results
     from tactile_hand_ros.sweep.sweep import make_sweep
+    from tactile_hand_ros.sweep.table import read_table
 
-    names = [scenarios] if isinstance(scenarios, str) else list(scenarios)
-    asked = make_sweep(
-        names, over, changes or {}, metrics or list(METRICS), sampler=sampler, runs=runs, seed=seed
-    )
+    names = [scenarios] if isinstance(scenarios, str) else scenarios
+    asked = make_sweep(names, over, changes or {}, metrics, sampler=sampler, runs=runs, seed=seed)
     with workers(jobs):
         asked.carry_out(Path(folder))
-    return Results(asked, Path(folder))
+    return Results(asked, read_table(Path(folder)))

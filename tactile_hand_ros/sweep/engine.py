@@ -84,7 +84,8 @@ class Study:
                 f"there is no run {index}, expected a number from 0 to {len(self.fractions) - 1}."
             )
         seed = int(np.random.SeedSequence([self.seed, index]).generate_state(1)[0])
-        return Point(index, seed, self.space.values(self.fractions[index]))
+        pairs = zip(self.space.items(), self.fractions[index].tolist(), strict=True)
+        return Point(index, seed, {name: p.value(fraction) for (name, p), fraction in pairs})
 
     def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
         """Make some runs, or all, and yield each with what came of it, in any order.

@@ -30,7 +30,7 @@ _MOST_MAPS = 6  # pairs of parameters that are drawn
 def figures(results: Results) -> dict[str, Figure]:
     """Draw the figures of one scenario, by name; none without a parameter that is a number."""
     paths = list(results.parameters)
-    if not paths or not len(results.column("outcome")):
+    if not paths or not len(results.table["outcome"]):
         return {}
     drawn = {"metrics": metric_figure(results, paths[:4])}
     if len(paths) > 1:

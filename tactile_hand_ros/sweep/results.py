@@ -1,30 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a sweep, column by column, and what it shows: fractions, medians, sensitivities."""
+"""What a sweep shows: fractions, medians and sensitivities, as numbers and as a page of text."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import files
 from tactile_hand_ros.extras import optional
+from tactile_hand_ros.report import tables
 from tactile_hand_ros.sweep.metrics import measures
-from tactile_hand_ros.sweep.space import Choice, Parameter
+from tactile_hand_ros.sweep.space import Choice, Space
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
 from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
-from tactile_hand_ros.sweep.table import OUTCOMES, REACHED, read_column
+from tactile_hand_ros.sweep.table import OUTCOMES, REACHED, Table, read_table
 
 Array = NDArray[np.float64]
+Interval = tuple[float, float, float]
+"""A value and the ends of its 95 % interval."""
 
 
-@dataclass(frozen=True)
-class Effect:
+class Effect(NamedTuple):
     """How much a parameter moves a metric.
 
     Attributes:
@@ -48,80 +50,141 @@ class Results:
     Attributes:
         sweep: What was asked.
         scenario: Name of the scenario, empty for all.
+        table: All columns.
     """
 
-    def __init__(self, sweep: Sweep, folder: Path, scenario: str = "") -> None:
-        """Open the table in the folder of a sweep."""
+    def __init__(self, sweep: Sweep, table: Table, scenario: str = "") -> None:
+        """Choose the rows of a scenario."""
         self.sweep, self.scenario = sweep, scenario
-        self._folder = folder
-
-    @functools.cached_property
-    def _chosen(self) -> Any:
-        if not self.scenario:
-            return slice(None)
-        return read_column(self._folder, SCENARIO).astype(str) == self.scenario
+        chosen = table[SCENARIO] == scenario if scenario else slice(None)
+        self.table = {name: column[chosen] for name, column in table.items()}
 
     def column(self, name: str) -> Any:
-        """Return a column of the table; ``reached`` is 1 where the goal was reached, else 0."""
+        """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
         if name == REACHED:
-            return (self.column("outcome").astype(str) == REACHED).astype(float)
-        return read_column(self._folder, name)[self._chosen]
+            return (self.table["outcome"] == REACHED).astype(float)
+        found = self.table.get(name)  # a metric that no run knows has no column
+        return np.full(len(self.table["outcome"]), math.nan) if found is None else found
 
-    @property
-    def parameters(self) -> dict[str, Parameter]:
+    @functools.cached_property
+    def parameters(self) -> Space:
         """The parameters that are numbers, by path."""
-        found = self.sweep.space.parameters
-        return {path: p for path, p in found.items() if _is_number(p)}
+        return {path: p for path, p in self.sweep.space.items() if _is_number(p)}
 
     @property
     def metrics(self) -> list[str]:
         """The columns that were asked for."""
         return list(measures(self.sweep.metrics))
 
-    def fractions(self) -> list[tuple[str, int, int, tuple[float, float, float]]]:
+    def fractions(self) -> list[tuple[str, int, int, Interval]]:
         """Return outcome, count, number of runs, and fraction with Wilson's interval."""
-        found = self.column("outcome").astype(str)
+        found = self.table["outcome"]
         counts = {name: int((found == name).sum()) for name in OUTCOMES}
         return [(name, n, len(found), fraction_of(n, len(found))) for name, n in counts.items()]
 
-    def medians(self) -> list[tuple[str, int, tuple[float, float, float]]]:
+    def medians(self) -> list[tuple[str, int, Interval]]:
         """Return metric, number of runs that know it, and median with bootstrap interval."""
-        out = []
-        for name in self.metrics:
-            values = self.column(name)
-            out.append((name, int(np.isfinite(values).sum()), median_interval(values)))
-        return out
+        columns = {name: self.column(name) for name in self.metrics}
+        return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
 
     def effects(self) -> list[Effect]:
         """Return the effect of each parameter on reaching the goal and on each metric."""
         return [
-            _correlation(path, name, self.column(path), self.column(name))
+            Effect(path, name, *_correlation(self.column(path), self.column(name)))
             for name in (REACHED, *self.metrics)
             for path in self.parameters
         ]
 
 
-def _is_number(parameter: Parameter) -> bool:
-    if not isinstance(parameter, Choice):
-        return True
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in parameter.values)
+def _is_number(parameter: Any) -> bool:
+    values = parameter.values if isinstance(parameter, Choice) else ()
+    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def _correlation(path: str, metric: str, x: Array, y: Array) -> Effect:
+def _correlation(x: Array, y: Array) -> Interval:
     """Return Spearman's rank correlation, with the interval of Bonett and Wright, 2000."""
     known = np.isfinite(y)
     x, y, n = x[known], y[known], int(known.sum())
     if n < 4 or not np.ptp(x) or not np.ptp(y):
-        return Effect(path, metric, math.nan, math.nan, math.nan)
+        return math.nan, math.nan, math.nan
     r = float(optional("scipy.stats", "A rank correlation").spearmanr(x, y).statistic)
-    z, half = (
-        math.atanh(max(-0.999999, min(0.999999, r))),
-        1.96 * math.sqrt((1.0 + 0.5 * r * r) / (n - 3)),
-    )
-    return Effect(path, metric, r, math.tanh(z - half), math.tanh(z + half))
+    z = math.atanh(max(-0.999999, min(0.999999, r)))
+    half = 1.96 * math.sqrt((1.0 + 0.5 * r * r) / (n - 3))
+    return r, math.tanh(z - half), math.tanh(z + half)
 
 
-def each_scenario(sweep: Sweep, folder: Path) -> list[Results]:
+def read_results(sweep: Sweep, folder: Path) -> list[Results]:
     """Return the results of each scenario."""
-    names: Sequence[str] = tuple(sweep.scenarios)
-    return [Results(sweep, folder, name if len(names) > 1 else "") for name in names]
+    names, table = tuple(sweep.scenarios), read_table(folder)
+    return [Results(sweep, table, name if len(names) > 1 else "") for name in names]
+
+
+SUMMARY = "summary.md"
+FRACTION_COLUMNS = ("scenario", "outcome", "runs", "fraction", "95 % interval")
+EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation", "95 % interval")
+METRIC_COLUMNS = ("scenario", "metric", "runs", "median", "95 % interval")
+
+
+def fraction_rows(results: Sequence[Results]) -> list[list[str]]:
+    """Return outcomes as text, columns as in `FRACTION_COLUMNS`."""
+    return [
+        [_name(each), outcome, f"{count} of {runs}", *_texts(fraction, _percent)]
+        for each in results
+        for outcome, count, runs, fraction in each.fractions()
+    ]
+
+
+def metric_rows(results: Sequence[Results]) -> list[list[str]]:
+    """Return metrics as text, columns as in `METRIC_COLUMNS`."""
+    return [
+        [_name(each), metric, str(count), *_texts(median, _number)]
+        for each in results
+        for metric, count, median in each.medians()
+    ]
+
+
+def effect_rows(results: Sequence[Results]) -> list[list[str]]:
+    """Return sensitivities as text, the strongest first; what is unknown is left out."""
+    return [
+        [_name(each), parameter, metric, *_texts(interval, _number)]
+        for each in results
+        for parameter, metric, *interval in sorted(
+            (effect for effect in each.effects() if not math.isnan(effect.value)),
+            key=lambda effect: -abs(effect.value),
+        )
+    ]
+
+
+def write_summary(results: Sequence[Results], folder: Path, pictures: Sequence[Path]) -> Path:
+    """Write the summary of a sweep with its figures; return the file."""
+    sweep = results[0].sweep
+    text = [
+        f"# {', '.join(sweep.scenarios)} over {', '.join(sweep.space)}\n",
+        f"{sweep.runs} runs asked for, sampler {sweep.sampler}, seed {sweep.seed}. Each row of "
+        "`runs.parquet` and `runs.csv` is a run.\n",
+        tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
+        tables.markdown(METRIC_COLUMNS, metric_rows(results)),
+        tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
+        *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
+    ]
+    files.replace_text(folder / SUMMARY, "\n".join(text))
+    return folder / SUMMARY
+
+
+def _name(results: Results) -> str:
+    return results.scenario or next(iter(results.sweep.scenarios))
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, str]:
+    """Return a value and its interval as text."""
+    if math.isnan(values[0]):
+        return "unknown", ""
+    return text(values[0]), f"{text(values[1])} to {text(values[2])}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,22 +66,8 @@ class Choice:
 
 
 Parameter = Range | Choice
-
-
-@dataclass(frozen=True)
-class Space:
-    """The parameters of a study by name, in a fixed order."""
-
-    parameters: Mapping[str, Parameter]
-
-    def __len__(self) -> int:
-        """Return the number of parameters."""
-        return len(self.parameters)
-
-    def values(self, fractions: NDArray[np.float64] | Sequence[float]) -> dict[str, Any]:
-        """Return the values at a point of the unit cube, one fraction for each parameter."""
-        pairs = zip(self.parameters.items(), fractions, strict=True)
-        return {name: parameter.value(float(fraction)) for (name, parameter), fraction in pairs}
+Space = Mapping[str, Parameter]
+"""The parameters of a study by name, in a fixed order."""
 
 
 def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Parameter]:
@@ -94,11 +80,11 @@ def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Paramete
     Raises:
         ConfigurationError: If it is none of these, or the range or list is empty.
     """
-    path, separator, values = text.partition("=")
-    if not separator or not path or not values:
+    path, _, values = text.partition("=")
+    if not path or not values:
         raise ConfigurationError(f"--over got '{text}', expected PATH= and {_FORMS}.")
     if ".." in values:
-        return path, _range(path, values, is_whole)
+        return path, _range(f"--over {path} got '{values}', expected", values, is_whole)
     inner = values if values.startswith("[") else f"[{values}]"
     found = parse_yaml(inner, f"--over {path}")
     if not isinstance(found, list) or not found:
@@ -106,66 +92,54 @@ def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Paramete
     return path, Choice(tuple(found))
 
 
-def _range(path: str, text: str, is_whole: bool) -> Range:
+def _range(refusal: str, text: str, is_whole: bool) -> Range:
     bounds, _, kind = text.partition(":")
     bounds, _, levels = bounds.partition("/")
     low, _, high = bounds.partition("..")
     try:
         found = Range(float(low), float(high), kind == "log", is_whole, int(levels or 0))
     except ValueError:
-        raise ConfigurationError(f"--over {path} got '{text}', expected {_FORMS}.") from None
-    if kind not in ("", "log") or not np.isfinite([found.low, found.high]).all():
-        raise ConfigurationError(f"--over {path} got '{text}', expected {_FORMS}.")
-    if not found.low < found.high:
-        raise ConfigurationError(
-            f"--over {path} got the empty range {low}..{high}, expected the lower bound first."
-        )
-    if found.is_log and found.low <= 0.0:
-        raise ConfigurationError(f"--over {path} got {text}, expected bounds above 0 with :log.")
-    if levels and found.levels < 2:
-        raise ConfigurationError(f"--over {path} got {levels} levels, expected 2 or more.")
-    if is_whole and not (found.low.is_integer() and found.high.is_integer()):
-        raise ConfigurationError(f"--over {path} got {text}, expected whole numbers.")
+        raise ConfigurationError(f"{refusal} {_FORMS}.") from None
+    wrong = {
+        _FORMS: kind not in ("", "log") or not np.isfinite([found.low, found.high]).all(),
+        "the lower bound first": not found.low < found.high,
+        "bounds above 0 with :log": found.is_log and found.low <= 0.0,
+        "2 or more levels": bool(levels) and found.levels < 2,
+        "whole numbers": is_whole and not (found.low.is_integer() and found.high.is_integer()),
+    }
+    for expected, is_wrong in wrong.items():
+        if is_wrong:
+            raise ConfigurationError(f"{refusal} {expected}.")
     return found
 
 
 def grid(space: Space, runs: int, seed: int) -> Array:
     """Return all combinations of levels; ranges without levels divide what `runs` leaves."""
     del seed
-    fixed = math.prod(p.levels for p in space.parameters.values() if p.levels)
-    free = sum(not p.levels for p in space.parameters.values())
+    fixed = math.prod(p.levels for p in space.values() if p.levels)
+    free = sum(not p.levels for p in space.values())
     each = max(2, round((runs / fixed) ** (1.0 / free))) if free else 0
-    shape = tuple(p.levels or each for p in space.parameters.values())
+    shape = tuple(p.levels or each for p in space.values())
     levels = np.indices(shape).reshape(len(shape), -1).T
     return np.asarray(levels / np.maximum(1, np.array(shape) - 1))
 
 
-def latin(space: Space, runs: int, seed: int) -> Array:
-    """Return a Latin hypercube: every n-th of each parameter holds one of n runs."""
-    qmc = optional("scipy.stats.qmc", "Sampling a study")
-    # `seed` is the name that all supported versions of scipy know.
-    drawn = qmc.LatinHypercube(d=len(space), seed=np.random.default_rng(seed)).random(runs)
-    return np.asarray(drawn)
+def _by_scipy(name: str) -> Callable[[Space, int, int], Array]:
+    def sample(space: Space, runs: int, seed: int) -> Array:
+        qmc = optional("scipy.stats.qmc", "Sampling a study")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # Sobol' prefers powers of two
+            # `seed` is the name that all supported versions of scipy know.
+            sampler = getattr(qmc, name)(d=len(space), seed=np.random.default_rng(seed))
+            return np.asarray(sampler.random(runs))
 
-
-def sobol(space: Space, runs: int, seed: int) -> Array:
-    """Return a scrambled Sobol' sequence, which fills the space evenly from the first run on."""
-    qmc = optional("scipy.stats.qmc", "Sampling a study")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the number need not be a power of two
-        drawn = qmc.Sobol(d=len(space), seed=np.random.default_rng(seed)).random(runs)
-    return np.asarray(drawn)
-
-
-def random(space: Space, runs: int, seed: int) -> Array:
-    """Return independent points; those of a longer study begin with those of a shorter one."""
-    return np.random.default_rng(seed).random((runs, len(space)))
+    return sample
 
 
 SAMPLERS: dict[str, Callable[[Space, int, int], Array]] = {
     "grid": grid,
-    "latin": latin,
-    "sobol": sobol,
-    "random": random,
+    "latin": _by_scipy("LatinHypercube"),
+    "sobol": _by_scipy("Sobol"),
+    "random": lambda space, runs, seed: np.random.default_rng(seed).random((runs, len(space))),
 }
 """Each returns the points of a study in the unit cube, shape (n, d)."""

@@ -3,48 +3,84 @@
 
 from __future__ import annotations
 
+import copy
 import functools
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.compiled import ensure_compiled
-from tactile_hand_ros.config.explanation import did_you_mean, unit_of
+from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.config.model import leaves, validate
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
-from tactile_hand_ros.sweep.engine import Point, Study
-from tactile_hand_ros.sweep.metrics import measures, outcome
-from tactile_hand_ros.sweep.space import (
-    SAMPLERS,
-    Choice,
-    Parameter,
-    Range,
-    Space,
-    parse_parameter,
-)
-from tactile_hand_ros.sweep.table import LAST_COLUMNS, Store, Tally, keep, read_description
+from tactile_hand_ros.sweep.engine import Point, Study, StudyError
+from tactile_hand_ros.sweep.metrics import METRICS, measures, outcome
+from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Parameter, Range, Space, parse_parameter
+from tactile_hand_ros.sweep.table import Tally, keep, read_description
 
 SCENARIO, SEED = "scenario", "seed"
 
 
+def measured(scenario: Scenario, asked: Sequence[str]) -> dict[str, Any]:
+    """Run a scenario through the closed loop; return what is asked, see `measures`, and outcome."""
+    record = ClosedLoop(scenario).run()
+    found = metrics(record, scenario)
+    numbers = {name: measure(record, scenario, found) for name, measure in measures(asked).items()}
+    return {**numbers, "outcome": outcome(record, found)}
+
+
+_compile_once = functools.cache(ensure_compiled)
+
+
 @dataclass(frozen=True)
-class Trial:
-    """Makes one run of a sweep: a scenario with some values changed, through the closed loop.
+class Sweep:
+    """What the user asked for; called with a point, it makes that run.
 
     Attributes:
-        scenarios: Plain data of each scenario by name, as `plain` gives it.
-        metrics: What is asked, see `measures`.
+        sampler: Name of one of `SAMPLERS`.
+        runs: Number of runs.
+        seed: Of the sampler and of all runs.
+        over: Parameters as on the command line.
+        metrics: What is asked of each run, see `measures`.
+        scenarios: Plain data of each scenario by name, with what stays fixed.
     """
 
+    sampler: str
+    runs: int
+    seed: int
+    over: Sequence[str]
+    metrics: Sequence[str]
     scenarios: Mapping[str, Mapping[str, Any]]
-    metrics: tuple[str, ...]
+
+    @functools.cached_property
+    def space(self) -> Space:
+        """What is varied; several scenarios are a choice as well."""
+        names = tuple(self.scenarios)
+        found: dict[str, Parameter] = {SCENARIO: Choice(names)} if len(names) > 1 else {}
+        for text in self.over:
+            path, is_given, _ = text.partition("=")
+            present = _find(self.scenarios[names[0]], path)[2] if is_given else None
+            is_whole = isinstance(present, int) and not isinstance(present, bool)
+            path, found[path] = parse_parameter(text, is_whole=is_whole)
+        return found
+
+    @property
+    def study(self) -> Study:
+        """The sweep as a study."""
+        return Study(self.space, self.sampler, self, self.runs, self.seed)
+
+    def __call__(self, point: Point) -> dict[str, Any]:
+        """Make a run and return what was asked of it."""
+        _compile_once()
+        scenario = self.scenario(point)
+        take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
+        return measured(scenario, self.metrics)
 
     def scenario(self, point: Point) -> Scenario:
         """Return the scenario of a run.
@@ -52,72 +88,16 @@ class Trial:
         Raises:
             ConfigurationError: If a value is refused.
         """
-        name, changes = self.changes(point)
-        data = json.loads(json.dumps(self.scenarios[name]))
-        for path, value in changes.items():
-            _put(data, path, value)
-        return validate(Scenario, data, f"run {point.index}")
-
-    def changes(self, point: Point) -> tuple[str, dict[str, Any]]:
-        """Return the scenario's name and the values over it, the run's seed among them."""
         values = {SEED: point.seed, **point.values}
-        name = str(values.pop(SCENARIO, next(iter(self.scenarios))))
-        return name, values
+        name = values.pop(SCENARIO, next(iter(self.scenarios)))
+        return self._changed(name, values, f"run {point.index}")
 
-    def __call__(self, point: Point) -> dict[str, Any]:
-        """Make a run and return what was asked of it."""
-        _compile_once()
-        scenario = self.scenario(point)
-        take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
-        record = ClosedLoop(scenario).run()
-        found = metrics(record, scenario)
-        asked = measures(self.metrics)
-        numbers = {name: measure(record, scenario, found) for name, measure in asked.items()}
-        return {**numbers, "outcome": outcome(record, found)}
-
-
-@functools.cache
-def _compile_once() -> None:
-    ensure_compiled()
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What the user asked for.
-
-    Attributes:
-        scenarios: Plain data of each scenario by name, with what stays fixed.
-        over: Parameters as on the command line.
-        sampler: Name of one of `SAMPLERS`.
-        runs: Number of runs.
-        seed: Of the sampler and of all runs.
-        metrics: What is asked of each run.
-    """
-
-    scenarios: Mapping[str, Mapping[str, Any]]
-    over: tuple[str, ...]
-    sampler: str
-    runs: int
-    seed: int
-    metrics: tuple[str, ...]
-
-    @functools.cached_property
-    def space(self) -> Space:
-        """What is varied; several scenarios are a choice as well."""
-        names = tuple(self.scenarios)
-        found: dict[str, Parameter] = {SCENARIO: Choice(names)} if len(names) > 1 else {}
-        first = self.scenarios[names[0]]
-        for text in self.over:
-            path = text.partition("=")[0]
-            present = _get(first, path) if "=" in text else None
-            is_whole = isinstance(present, int) and not isinstance(present, bool)
-            path, found[path] = parse_parameter(text, is_whole=is_whole)
-        return Space(found)
-
-    @property
-    def trial(self) -> Trial:
-        """What makes a run."""
-        return Trial(self.scenarios, self.metrics)
+    def _changed(self, name: str, values: Mapping[str, Any], source: str) -> Scenario:
+        data = copy.deepcopy(self.scenarios[name])
+        for path, value in values.items():
+            container, key, _ = _find(data, path)
+            container[key] = value
+        return validate(Scenario, data, source)
 
     def check(self) -> None:
         """Try both ends of every parameter in every scenario, before anything is run.
@@ -129,37 +109,14 @@ class Sweep:
         if self.sampler not in SAMPLERS:
             hint = did_you_mean(self.sampler, SAMPLERS)
             raise ConfigurationError(f"--sampler is '{self.sampler}'{hint}")
-        for name in self.scenarios:
-            for path, parameter in self.space.parameters.items():
-                if path != SCENARIO:
-                    self._try_ends(name, path, parameter)
-
-    def _try_ends(self, name: str, path: str, parameter: Parameter) -> None:
-        ends = map(parameter.value, (0.0, 1.0))
-        for value in parameter.values if isinstance(parameter, Choice) else ends:
-            data = json.loads(json.dumps(self.scenarios[name]))
-            _put(data, path, value)
-            try:
-                validate(Scenario, data, f"--over {path}")
-            except ConfigurationError as error:  # once for each node that fractions the value
-                raise ConfigurationError(str(error).splitlines()[0]) from None
-
-    def description(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return {
-            "version": tactile_hand_ros.__version__,
-            "sampler": self.sampler,
-            "runs": self.runs,
-            "seed": self.seed,
-            "over": list(self.over),
-            "metrics": list(self.metrics),
-            "scenarios": dict(self.scenarios),
-        }
-
-    @property
-    def study(self) -> Study:
-        """The sweep as a study."""
-        return Study(self.space, self.sampler, self.trial, self.runs, self.seed)
+        for path, parameter in self.space.items():
+            ends = map(parameter.value, (0.0, 1.0))
+            for value in parameter.values if isinstance(parameter, Choice) else ends:
+                for name in self.scenarios if path != SCENARIO else ():
+                    try:
+                        self._changed(name, {path: value}, f"--over {path}")
+                    except ConfigurationError as error:  # once for each node that has the value
+                        raise ConfigurationError(str(error).splitlines()[0]) from None
 
     def carry_out(self, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
         """Make all runs that are not done yet and write the table of all that are.
@@ -171,20 +128,8 @@ class Sweep:
         Raises:
             StudyError: If the folder holds another study or cannot be written, or processes die.
         """
-
-        def parameters(point: Point) -> dict[str, Any]:
-            name, changes = self.trial.changes(point)
-            return {SCENARIO: name, **changes}
-
-        return keep(self.study, self._store(folder), self.description(), parameters, watch)
-
-    def _store(self, folder: Path) -> Store:
-        """Return the folder of its results."""
-        units = {path: unit_of(field) for path, field in leaves(Scenario).items()}
-        columns: dict[str, type] = {SCENARIO: str, SEED: int}
-        columns |= {path: _kind(p) for path, p in self.space.parameters.items()}
-        columns |= {name: float for name in measures(self.metrics)}
-        return Store(folder, {**columns, **LAST_COLUMNS}, units)
+        description = {"version": tactile_hand_ros.__version__, **asdict(self)}
+        return keep(self.study, folder, description, watch)
 
 
 def make_sweep(
@@ -220,10 +165,9 @@ def make_sweep(
         raise ConfigurationError(
             "nothing is varied; give --over such as --over plant.object.mass=0.05..0.5."
         )
-    made = Sweep(data, tuple(over), sampler or "grid", runs, seed, tuple(metrics))
-    ranges = any(isinstance(p, Range) for p in made.space.parameters.values())
-    if not sampler and ranges:
-        made = Sweep(data, tuple(over), "latin", runs, seed, tuple(metrics))
+    made = Sweep(sampler or "grid", runs, seed, tuple(over), tuple(metrics or METRICS), data)
+    if not sampler and any(isinstance(p, Range) for p in made.space.values()):
+        made = replace(made, sampler="latin")
     made.check()
     return made
 
@@ -235,45 +179,25 @@ def read_sweep(folder: Path) -> Sweep:
         StudyError: If it holds none.
     """
     found = read_description(folder)
-    return Sweep(
-        found["scenarios"],
-        tuple(found["over"]),
-        found["sampler"],
-        found["runs"],
-        found["seed"],
-        tuple(found["metrics"]),
-    )
+    try:
+        return Sweep(**{field.name: found[field.name] for field in fields(Sweep)})
+    except KeyError:
+        raise StudyError(f"{folder} holds another kind of study, expected a sweep.") from None
 
 
-def _kind(parameter: Parameter) -> type:
-    """Return the type of a parameter's column."""
-    if isinstance(parameter, Range):
-        return int if parameter.is_whole else float
-    kinds = {type(value) for value in parameter.values}
-    if kinds == {bool} or kinds == {int}:
-        return kinds.pop()
-    return float if kinds <= {int, float} else str
-
-
-def _get(data: Any, path: str) -> Any:
-    """Return the value at a path; a number in it counts the items of a list from 0.
+def _find(data: Any, path: str) -> tuple[Any, Any, Any]:
+    """Return container, key and value at a path; a number in it counts the items of a list from 0.
 
     Raises:
         ConfigurationError: If there is none.
     """
-    for key in path.split("."):
-        if isinstance(data, Mapping) and key in data:
-            data = data[key]
-        elif isinstance(data, list) and key.isdigit() and int(key) < len(data):
-            data = data[int(key)]
-        else:
-            hint = did_you_mean(path, leaves(Scenario))
-            raise ConfigurationError(f"--over names the unknown parameter '{path}'{hint}")
-    return data
-
-
-def _put(data: Any, path: str, value: Any) -> None:
-    *parents, last = path.split(".")
-    place = _get(data, ".".join(parents)) if parents else data
-    _get(place, last)
-    place[int(last) if isinstance(place, list) else last] = value
+    container: Any = None
+    key: Any = None
+    try:
+        for key in path.split("."):
+            container, key = data, int(key) if isinstance(data, list) and key.isdigit() else key
+            data = container[key]
+    except (LookupError, TypeError, ValueError):
+        hint = did_you_mean(path, leaves(Scenario))
+        raise ConfigurationError(f"--over names the unknown parameter '{path}'{hint}") from None
+    return container, key, data

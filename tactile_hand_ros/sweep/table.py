@@ -13,9 +13,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
@@ -32,10 +35,8 @@ OUTCOMES = (REACHED, MISSED, LOST, FAILED)
 """Of a run: the goal was reached; the object is held, but not at its target, or it has slid too
 far; a contact is missing at the end; it raised an error."""
 
-LAST_COLUMNS = {"outcome": str, "reason": str, "build": str}
-
-_SECONDS = 10.0  # after which what is new is written
-_TYPES = {float: "float64", int: "int64", bool: "bool_", str: "string"}
+Table = Mapping[str, NDArray[Any]]
+"""Columns by name; NaN where a number is missing."""
 
 
 @dataclass
@@ -79,142 +80,124 @@ class Tally:
         return f"{self.outcomes[FAILED]} failed, {speed}, {reached}"
 
 
-class Store:
-    """The folder of one study."""
-
-    def __init__(self, folder: Path, columns: Mapping[str, type], units: Mapping[str, str]) -> None:
-        """Name a folder and what a row holds.
-
-        Args:
-            folder: Of the study; created where it is missing.
-            columns: Type of each column after the first, by name.
-            units: Units of some of them.
-
-        Raises:
-            MissingLibraryError: If pyarrow is not installed.
-        """
-        pa = optional("pyarrow", "A study's table")
-        self.folder = folder
-        self._texts = {name for name, kind in columns.items() if kind is str}
-        fields = [pa.field(INDEX, pa.int64())]
-        for name, kind in columns.items():
-            unit = {"unit": units[name]} if units.get(name) else None
-            fields.append(pa.field(name, getattr(pa, _TYPES[kind])(), metadata=unit))
-        self._schema = pa.schema(fields)
-        self._new: list[str] = []
-        self._written = time.monotonic()
-
-    def begin(self, description: Mapping[str, Any]) -> set[int]:
-        """Create the folder, or continue the study in it; return the runs that are done.
-
-        Raises:
-            StudyError: If the folder holds another study, or cannot be written.
-        """
-        file = self.folder / DESCRIPTION
-        if file.exists():
-            _compare(read_description(self.folder), json.loads(json.dumps(description)), file)
-        with self._writing():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            files.replace_text(file, json.dumps(description, indent=1) + "\n")
-            rows = self.folder / ROWS
-            kept = rows.read_text("utf-8") if rows.is_file() else ""
-            whole = kept[: kept.rfind("\n") + 1]  # a kill may have torn the last line
-            if whole != kept:
-                files.replace_text(rows, whole)
-        return {int(json.loads(line)[INDEX]) for line in whole.splitlines()}
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Take a finished run; now and then what is new is written.
-
-        Raises:
-            StudyError: If it cannot be written.
-        """
-        self._new.append(json.dumps({name: self._cell(name, v) for name, v in row.items()}) + "\n")
-        if time.monotonic() > self._written + _SECONDS:
-            self.flush()
-
-    def _cell(self, name: str, value: Any) -> Any:
-        """Return a value as its column takes it: NaN as missing, structures as JSON."""
-        if isinstance(value, float) and math.isnan(value):
-            return None
-        return json.dumps(value) if name in self._texts and not isinstance(value, str) else value
-
-    def flush(self) -> None:
-        """Write what is new.
-
-        Raises:
-            StudyError: If it cannot be written; what was written before is kept.
-        """
-        self._written = time.monotonic()
-        with self._writing(), (self.folder / ROWS).open("a", encoding="utf-8") as file:
-            file.write("".join(self._new))
-        self._new = []
-
-    def finish(self) -> None:
-        """Write the tables of all finished runs.
-
-        Raises:
-            StudyError: If they cannot be written; the rows are kept.
-        """
-        self.flush()
-        pa = optional("pyarrow", "A study's table")
-        lines = (self.folder / ROWS).read_text("utf-8").splitlines()
-        rows = sorted(map(json.loads, lines), key=lambda row: int(row[INDEX]))
-        table = pa.Table.from_pylist(rows, self._schema)
-        with self._writing():
-            with files.draft_of(self.folder / TABLE) as draft:
-                optional("pyarrow.parquet", "A study's table").write_table(table, draft)
-            with files.draft_of(self.folder / TEXT) as draft:
-                optional("pyarrow.csv", "A study's table").write_csv(table, draft)
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Turn a failure to write into a sentence."""
-        try:
-            yield
-        except OSError as error:
-            raise StudyError(
-                f"the results cannot be written to {self.folder} ({error.strerror or error}); "
-                "make room there and repeat the command: what was written before is kept."
-            ) from None
-
-
 def keep(
     study: Study,
-    store: Store,
+    folder: Path,
     description: Mapping[str, Any],
-    parameters: Callable[[Point], Mapping[str, Any]],
     watch: Callable[[Tally], None] = lambda _: None,
 ) -> Tally:
-    """Make all runs that are not done yet and write the table of all that are.
+    """Make all runs that are not done yet and write the tables of all that are.
+
+    A row has number, outcome, reason of a failure, build and seed of its run, then its parameters,
+    those that are dataclasses field by field, then what the run returned.
 
     Args:
         study: Its runs return a mapping of columns, `outcome` among them.
-        store: Where results go; holds those of an earlier, unfinished call.
+        folder: Where results go; holds those of an earlier, unfinished call.
         description: Of the study, plain data; a folder holds one study.
-        parameters: Returns the columns of a run that are known before it.
         watch: Called after each run.
 
     Raises:
+        MissingLibraryError: If pyarrow is not installed.
         StudyError: If the folder holds another study or cannot be written, or processes die.
     """
+    optional("pyarrow", "A study's table")
     total = len(study.fractions)
-    done = store.begin({**description, "build": build()})
+    done = _begin(folder, {**description, "build": build()})
     tally = Tally(total, len(done))
-    if tally.before == total and (store.folder / TABLE).is_file():
+    if tally.before == total and (folder / TABLE).is_file():
         return tally
     ensure_compiled()
+    with _writing(folder):
+        rows = (folder / ROWS).open("a", encoding="utf-8", buffering=1)  # each line at once
     try:
-        for point, result in study.results(i for i in range(total) if i not in done):
-            row = {INDEX: point.index, "reason": "", "build": build(), **parameters(point)}
-            if isinstance(result, Failure):
-                result = {"outcome": FAILED, "reason": result.reason}
-            store.add({**row, **result})
-            tally.outcomes[result["outcome"]] += 1
-            watch(tally)
+        with rows:
+            for point, result in study.results(i for i in range(total) if i not in done):
+                row = _row(point, result)
+                with _writing(folder):
+                    rows.write(json.dumps(row) + "\n")
+                tally.outcomes[row["outcome"]] += 1
+                watch(tally)
     finally:
-        store.finish()
+        _write_tables(folder)
     return tally
+
+
+def _begin(folder: Path, description: Mapping[str, Any]) -> set[int]:
+    """Create the folder, or continue the study in it; return the runs that are done."""
+    file, rows = folder / DESCRIPTION, folder / ROWS
+    if file.exists():
+        _compare(read_description(folder), json.loads(json.dumps(description)), folder)
+    with _writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        files.replace_text(file, json.dumps(description, indent=1) + "\n")
+        kept = rows.read_text("utf-8") if rows.is_file() else ""
+        whole = kept[: kept.rfind("\n") + 1]  # a kill may have torn the last line
+        if whole != kept:
+            files.replace_text(rows, whole)
+    return {int(json.loads(line)[INDEX]) for line in whole.splitlines()}
+
+
+def _row(point: Point, result: Any) -> dict[str, Any]:
+    if isinstance(result, Failure):
+        result = {"outcome": FAILED, "reason": result.reason}
+    row = {INDEX: point.index, "outcome": "", "reason": "", "build": build(), "seed": point.seed}
+    for name, value in point.values.items():
+        row |= (
+            asdict(value) if is_dataclass(value) and not isinstance(value, type) else {name: value}
+        )
+    return {**row, **result}
+
+
+def _write_tables(folder: Path) -> None:
+    pa = optional("pyarrow", "A study's table")
+    cells = {name: pa.array(each, from_pandas=True) for name, each in read_table(folder).items()}
+    table = pa.table(cells)
+    with _writing(folder):
+        with files.draft_of(folder / TABLE) as draft:
+            optional("pyarrow.parquet", "A study's table").write_table(table, draft)
+        with files.draft_of(folder / TEXT) as draft:
+            optional("pyarrow.csv", "A study's table").write_csv(table, draft)
+
+
+def read_table(folder: Path) -> dict[str, NDArray[Any]]:
+    """Return all finished runs of a study by column, in the order of their numbers.
+
+    What is neither a number nor a text is a text in JSON.
+
+    Raises:
+        StudyError: If the folder holds no study.
+    """
+    try:
+        lines = (folder / ROWS).read_text("utf-8").splitlines()
+    except OSError as error:
+        raise StudyError(f"{folder / ROWS} cannot be read ({error.strerror}).") from None
+    rows = sorted(map(json.loads, lines), key=lambda row: int(row[INDEX]))
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: _column([row.get(name) for row in rows]) for name in names}
+
+
+def _column(cells: list[Any]) -> NDArray[Any]:
+    kinds = {type(cell) for cell in cells}
+    if len(kinds) == 1 and kinds <= {bool, int}:
+        return np.array(cells)
+    if kinds <= {bool, int, float, type(None)}:
+        return np.array([math.nan if cell is None else cell for cell in cells], dtype=float)
+    return np.array(
+        [c if isinstance(c, str | None) else json.dumps(c) for c in cells], dtype=object
+    )
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Turn a failure to write into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise StudyError(
+            f"the results cannot be written to {folder} ({error.strerror or error}); "
+            "make room there and repeat the command: what was written before is kept."
+        ) from None
 
 
 def read_description(folder: Path) -> dict[str, Any]:
@@ -231,17 +214,11 @@ def read_description(folder: Path) -> dict[str, Any]:
     return found
 
 
-def read_column(folder: Path, name: str) -> Any:
-    """Return a column of a study's table as an array; NaN where a number is missing."""
-    file = optional("pyarrow.parquet", "A study's table").ParquetFile(folder / TABLE)
-    return file.read([name])[name].to_numpy()
-
-
-def _compare(before: Mapping[str, Any], now: Mapping[str, Any], file: Path) -> None:
+def _compare(before: Mapping[str, Any], now: Mapping[str, Any], folder: Path) -> None:
     for key in now:
         if before.get(key) != now[key]:
             texts = [f"{json.dumps(each.get(key)):.80}" for each in (before, now)]
             raise StudyError(
-                f"{file.parent} holds another study: {key} is {texts[0]} there and {texts[1]} "
+                f"{folder} holds another study: {key} is {texts[0]} there and {texts[1]} "
                 "here; choose another --out, or repeat the first command."
             )

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import numpy as np
 import pytest
 
 from studies import robustness
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.sweep.engine import Point
-from tactile_hand_ros.sweep.table import Store
 
 
 @pytest.mark.parametrize("error", robustness.ERRORS, ids=lambda error: error.name)
@@ -23,19 +21,12 @@ def test_an_error_of_the_map_changes_its_scenario(error: robustness.Error) -> No
     assert len({right, *(changed(rank) for rank in range(3))}) == 4
 
 
-def test_the_map_is_drawn_from_its_table(tmp_path: Path) -> None:
-    names = ("paper", "pinch")
-    store_rows = []
-    study = robustness.study_of(names, 0)
-    for point in map(study.point, range(len(study.fractions))):
-        came = ("reached", "missed", "lost")[point.values["rank"]]
-        store_rows.append({"run": point.index, **point.values, "outcome": came})
-    kept = Store(tmp_path, {"scenario": str, "error": str, "rank": int, "outcome": str}, {})
-    kept.begin({})
-    for row in store_rows:
-        kept.add(row)
-    kept.finish()
-    assert robustness.figure(tmp_path) is not None
-    rows = robustness.rows_of(tmp_path)
+def test_the_map_is_drawn_from_its_table() -> None:
+    study = robustness.study_of(("paper", "pinch"), 0)
+    points = [study.point(index).values for index in range(len(study.fractions))]
+    table = {name: np.array([point[name] for point in points]) for name in points[0]}
+    table["outcome"] = np.array(["reached", "missed", "lost"])[table["rank"]]
+    assert robustness.figure(table) is not None
+    rows = robustness.rows_of(table)
     assert rows[0] == ["links longer, 1 %", "2", "0", "0", "0"]
     assert rows[2] == ["links longer, 10 %", "0", "0", "2", "0"]

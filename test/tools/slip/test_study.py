@@ -17,6 +17,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetectorConfig
 from tactile_hand_ros.sweep.engine import workers
+from tactile_hand_ros.sweep.table import read_table
 
 CASE = SlipCase(
     index=0,
@@ -164,7 +165,7 @@ def test_a_small_study_gives_its_tables_and_figure(tmp_path: Path) -> None:
     with workers(2):
         tally = study.run_study(2, 0, tmp_path)
     assert (tally.done, tally.outcomes["failed"]) == (5, 0)
-    table = study.read_table(tmp_path)
+    table = read_table(tmp_path)
     assert [row[1] for row in study.rows(table)][-4:] == ["1", "2", "1", "1"]
     assert study.fraction_rows(table)[0][:2] == ["slipped", "2"]
     assert study.figure(table) is not None

@@ -21,24 +21,18 @@ from support import trials
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.sweep import engine, table
 from tactile_hand_ros.sweep.engine import Failure, Study, StudyError, build, in_parallel, workers
-from tactile_hand_ros.sweep.space import Range, Space
-from tactile_hand_ros.sweep.table import LAST_COLUMNS, Store, Tally, keep, read_column
+from tactile_hand_ros.sweep.space import Range
+from tactile_hand_ros.sweep.table import Tally, keep, read_table
 
 TEST = Path(__file__).resolve().parents[2]
-SPACE = Space({"x": Range(0.0, 1.0), "y": Range(1.0, 2.0)})
-COLUMNS = {"x": float, "y": float, "seed": int, "xy_m": float, **LAST_COLUMNS}
+SPACE = {"x": Range(0.0, 1.0), "y": Range(1.0, 2.0)}
+COLUMNS = ["run", "outcome", "reason", "build", "seed", "x", "y", "xy_m"]
 RUNS = 300
 
 
 def kept(folder: Path, watch=lambda _: None, run=trials.product, runs: int = RUNS) -> Tally:
     """Carry out a study of the unit square in a folder."""
-    return keep(
-        Study(SPACE, "latin", run, runs, 5),
-        Store(folder, COLUMNS, {"x": "kg"}),
-        {"runs": runs},
-        lambda point: {**point.values, "seed": point.seed},
-        watch,
-    )
+    return keep(Study(SPACE, "latin", run, runs, 5), folder, {"runs": runs}, watch)
 
 
 def tables(folder: Path) -> tuple[bytes, bytes]:
@@ -58,8 +52,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
 def test_a_row_says_all_of_a_run(expected: tuple[bytes, bytes], tmp_path: Path) -> None:
     (tmp_path / "t.parquet").write_bytes(expected[0])
     found = parquet.read_table(tmp_path / "t.parquet")
-    assert found.column_names == ["run", *COLUMNS]
-    assert found.schema.field("x").metadata == {b"unit": b"kg"}
+    assert found.column_names == COLUMNS
     rows = found.to_pylist()
     assert [row["run"] for row in rows] == list(range(RUNS))
     for row in rows:
@@ -124,7 +117,7 @@ def test_a_process_that_dies_ends_the_study_and_a_second_call_goes_on(
 
 def test_a_defect_is_a_failed_run_with_its_place(tmp_path: Path) -> None:
     assert kept(tmp_path, run=trials.broken, runs=3).outcomes == {"failed": 3}
-    reason = read_column(tmp_path, "reason")[0]
+    reason = read_table(tmp_path)["reason"][0]
     assert reason.startswith("IndexError: list index out of range (trials.py:")
 
 

@@ -18,7 +18,6 @@ from tactile_hand_ros.scenario.scenario import load_scenario, plain
 from tactile_hand_ros.sweep.metrics import friction_margin, outcome
 from tactile_hand_ros.sweep.results import Results
 from tactile_hand_ros.sweep.sweep import make_sweep
-from tactile_hand_ros.sweep.table import Store
 
 MASS, FRICTION = "plant.object.mass=0.001..0.1:log", "plant.object.friction=0.2..1"
 
@@ -78,7 +77,7 @@ def test_bad_input_is_refused_in_a_sentence(
         return refused(capsys, "sweep", *words, f"--out={tmp_path / 'x'}", "--jobs=1")
 
     assert "did you mean 'plant.object.mass'" in sweep("paper", "--over=plant.object.mas=1..2")
-    assert "the empty range 2..1" in sweep("paper", "--over=plant.object.mass=2..1")
+    assert "expected the lower bound first" in sweep("paper", "--over=plant.object.mass=2..1")
     assert "expected a finite number > 0" in sweep("paper", "--over=plant.object.mass=-1..1")
     assert "nothing is varied" in sweep("paper")
     assert "did you mean 'paper'" in sweep("papr", f"--over={MASS}")
@@ -102,7 +101,7 @@ def test_paths_lead_into_lists_and_whole_numbers_stay_whole() -> None:
     points = [made.study.point(index) for index in range(10)]
     assert {type(point.values["seed"]) for point in points} == {int}
     assert sorted(point.values["seed"] for point in points) == sorted([1, 2, 3, 4, 5] * 2)
-    scenario = made.trial.scenario(points[0])
+    scenario = made.scenario(points[0])
     assert scenario.gravity == (0.0, 0.0, points[0].values["gravity.2"])
     assert scenario.seed == points[0].values["seed"] == scenario.tactile_sensor.seed
     with pytest.raises(ConfigurationError, match="unknown parameter 'gravity.3'"):
@@ -129,18 +128,16 @@ def test_the_margin_is_what_the_true_friction_leaves() -> None:
     assert outcome(record, found) == "lost"
 
 
-def test_the_parameter_that_matters_is_found(tmp_path: Path) -> None:
+def test_the_parameter_that_matters_is_found() -> None:
     """Slip = mass + 0.01 friction, put into a table by hand."""
     over = ["plant.object.mass=1..2", "plant.object.friction=1..2"]
     made = make_sweep(["paper"], over, {}, ["slip"], runs=64)
-    numbers = dict.fromkeys((*made.space.parameters, "max_slip_distance_m"), float)
-    store = Store(tmp_path, {**numbers, "outcome": str}, {})
-    store.begin(made.description())
-    for index in range(64):
-        values = made.study.point(index).values
-        slip = values["plant.object.mass"] + 0.01 * values["plant.object.friction"]
-        store.add({"run": index, **values, "outcome": "missed", "max_slip_distance_m": slip})
-    store.finish()
-    effects = {e.parameter: e for e in Results(made, tmp_path).effects() if e.metric != "reached"}
+    points = [made.study.point(index).values for index in range(64)]
+    table = {path: np.array([point[path] for point in points]) for path in made.space}
+    table["max_slip_distance_m"] = (
+        table["plant.object.mass"] + 0.01 * table["plant.object.friction"]
+    )
+    table["outcome"] = np.array(["missed"] * 64)
+    effects = {e.parameter: e for e in Results(made, table).effects() if e.metric != "reached"}
     assert effects["plant.object.mass"].value > 0.99
     assert abs(effects["plant.object.friction"].value) < 0.4
