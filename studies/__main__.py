@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import sys
@@ -133,7 +134,7 @@ def faults(
 ) -> None:
     """Let parts of the running hand fail, and measure drops, time to safety and forces.
 
-    What is in the folder already is kept: an interrupted campaign continues where it stopped.
+    Each way to run has a folder. An interrupted campaign continues where it stopped.
     """
     from studies.faults import campaign, space
     from studies.faults import tables as fault_tables
@@ -145,19 +146,12 @@ def faults(
             f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
         )
     check_writable(out)
-    among = [cell for cell in space.cells() if deaths in (None, cell.is_death)]
-    chosen = space.sample(runs, seed, ways=ways, among=among)
-    done = campaign.load(out)
-    outcomes = list(done)
-    try:
-        with Progress("injecting", len(chosen)) as advance, workers(jobs):
-            for outcome in campaign.keep(out, campaign.run_campaign(chosen, done, advance)):
-                outcomes.append(outcome)
-    except KeyboardInterrupt:
-        print(f"interrupted after {len(outcomes)} runs; the same command continues")
-    title = f"faults, {len(fault_tables.judged(outcomes))} of {len(outcomes)} runs judged"
-    table = (title, fault_tables.COLUMNS, fault_tables.rows(outcomes))
-    _finish(out, [out / campaign.RESULTS], table)
+    among = [c for c in space.cells() if c.way in ways and deaths in (None, c.is_death)]
+    with progress("injecting") as watch:
+        for way, group in itertools.groupby(space.sample(runs, seed, among), lambda run: run.way):
+            campaign.run_campaign(list(group), out / way, jobs, watch)
+    tables = [read_table(out / way) for way in ways if (out / way).is_dir()]
+    _finish(out, [], ("faults", fault_tables.COLUMNS, fault_tables.rows(tables)))
 
 
 def fuzz(
@@ -230,22 +224,28 @@ def soak(
         print(where, json.dumps(s.summary(seen), indent=2))
 
 
+def stalls(
+    out: Annotated[Path, typer.Option(help="Folder for tables and data.")] = Path("stalls"),
+    jobs: JobsOption = -1,
+) -> None:
+    """Let commands stop and come late, with the guard and without it."""
+    from studies import stalls as s
+
+    check_writable(out)
+    with progress("stalling") as watch, workers(jobs):
+        s.run_stalls(out, watch)
+    title = "moved [mm] / slid [mm] / peak of the grasp force [N]"
+    _finish(out, [], (title, s.COLUMNS, s.rows(read_table(out))))
+
+
 app = typer.Typer(
     help="Many runs on all cores, ending in figures and a table.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, detector, loads, faults, fuzz, robustness, soak):
+for _command in (slip, detector, loads, faults, fuzz, robustness, soak, stalls):
     app.command()(_command)
-
-
-@app.command()
-def stalls() -> None:
-    """Print what stalls and delays of commands do, with the guard and without."""
-    from studies.stalls import main as print_tables
-
-    print_tables()
 
 
 def main(words: list[str]) -> int:

@@ -3,22 +3,29 @@
 
 In the process, tick by tick and without a clock, so that the results are the same on every
 computer. During a stall nothing but the plant and the guard runs: no skin, no regulator, no
-controller. ``python -m studies.stalls`` prints the tables of docs/safe_hold.md.
+controller. `make study NAME=stalls` makes the table of docs/safe_hold.md.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.space import Choice
+from tactile_hand_ros.sweep.table import LOST, REACHED, Table, Tally, keep
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
 """As without a guard: the last torque acts for a second."""
@@ -35,6 +42,7 @@ class Case:
     time: float
 
 
+GUARDS = {"no": LAST_TORQUE, "yes": GuardConfig()}
 CASES = (
     Case("at rest", "paper", 9.0),
     Case("moving", "paper", 0.8),
@@ -46,33 +54,9 @@ CASES = (
     Case("a pull grows", "pull", 5.5),
     Case("shaken", "shake", 3.0),
 )
-STALLS = (0.005, 0.05, 0.2, 1.0)
-DELAYS = (1, 3, 4, 20)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of the object.
-
-    Attributes:
-        moved: Largest distance of the object from where it was when the fault began, m.
-        slid: Largest distance that a contact has slid since then, m.
-        peak: Largest sum of normal forces, N.
-        limit: The regulator's limit of it, N.
-        is_dropped: Whether a finger does not touch at the end, or the simulation has diverged.
-    """
-
-    moved: float
-    slid: float
-    peak: float
-    limit: float
-    is_dropped: bool
-
-    def __str__(self) -> str:
-        """Return a cell of the table."""
-        if self.is_dropped:
-            return "**dropped**"
-        return f"{1e3 * self.moved:.1f} / {1e3 * self.slid:.1f} / {self.peak:.0f}"
+FAULTS = {f"{1e3 * seconds:g} ms": (seconds, 0) for seconds in (0.005, 0.05, 0.2, 1.0)}
+FAULTS |= {f"{ticks} late": (0.0, ticks) for ticks in (1, 3, 4, 20)}
+"""How long all commands stop [s], or by how many ticks each is late for half a second."""
 
 
 class GuardedLoop:
@@ -96,6 +80,11 @@ class GuardedLoop:
             self._waiting.append(TorqueCommand(loop.stamp, command.torque))
         while len(self._waiting) > delay:
             self._newest = self._waiting.popleft()
+        self.act()
+
+    def act(self) -> None:
+        """Let the newest command act on the joints for a tick, if the guard lets it."""
+        loop = self.loop
         theta, rates = loop.state.theta, loop.state.rates
         loop.advance(self.guard.step(loop.stamp, theta, rates, self._newest))
 
@@ -106,7 +95,14 @@ class GuardedLoop:
 
 
 class Watch:
-    """Runs a loop and keeps the worst of what the object suffers from now on."""
+    """Runs a loop and keeps the worst of what the object suffers from now on.
+
+    Attributes:
+        moved: Largest distance of the object from where it was at the start, m.
+        slid: Largest distance that a contact has slid since then, m.
+        peak: Largest sum of normal forces, N.
+        is_diverged: Whether the simulation has diverged, because the object fell.
+    """
 
     def __init__(self, guarded: GuardedLoop) -> None:
         """Note where the object is."""
@@ -114,15 +110,19 @@ class Watch:
         state = guarded.loop.state
         self._at, self._slid = state.position, state.slid
         self.moved = self.slid = self.peak = 0.0
-        self.is_dropped = False
+        self.is_diverged = False
 
-    def run(self, seconds: float, *, answers: bool, delay: int = 0, moves: bool = False) -> None:
-        """Run on; a commanded move of the object does not count."""
+    def run(
+        self, seconds: float, *, answers: bool = True, delay: int = 0, moves: bool = False
+    ) -> None:
+        """Run on until the simulation diverges; a commanded move of the object does not count."""
         for _ in range(max(1, round(seconds * self._guarded.rate))):
+            if self.is_diverged:
+                return
             try:
                 self._guarded.tick(answers=answers, delay=delay)
             except DivergedError:
-                self.is_dropped = True
+                self.is_diverged = True
                 return
             state = self._guarded.loop.state
             if not moves:
@@ -130,55 +130,42 @@ class Watch:
             self.slid = max(self.slid, float((state.slid - self._slid).max()))
             self.peak = max(self.peak, float(state.forces[:, 1].sum()))
 
-    def outcome(self) -> Outcome:
-        """Return what became of the object."""
-        loop = self._guarded.loop
-        is_dropped = self.is_dropped or not bool(loop.state.contacts.all_touching)
-        limit = loop.scenario.slip_regulator.maximum
-        return Outcome(self.moved, self.slid, self.peak, limit, is_dropped)
+    @property
+    def is_lost(self) -> bool:
+        """Whether a finger does not touch, or the simulation has diverged."""
+        return self.is_diverged or not bool(self._guarded.loop.state.contacts.all_touching)
 
 
-def stall(case: Case, seconds: float, config: GuardConfig) -> Outcome:
-    """Return what a stall does: the distance moved in it, and the rest until half a second after.
-
-    Args:
-        case: When it begins.
-        seconds: How long it lasts.
-        config: The guard.
-    """
-    guarded = GuardedLoop(load_scenario(case.scenario), config)
+def run_one(point: Point) -> dict[str, Any]:
+    """Let commands fail in a case, watch until half a second later, and return what came of it."""
+    case, (stall, late) = point.values["case"], FAULTS[point.values["fault"]]
+    guarded = GuardedLoop(load_scenario(case.scenario), GUARDS[point.values["guard"]])
     guarded.run(case.time)
     watch = Watch(guarded)
-    watch.run(seconds, answers=False)
-    if not watch.is_dropped:
-        watch.run(_RECOVERY, answers=True, moves=True)
-    return watch.outcome()
+    if stall:
+        watch.run(stall, answers=False)
+    watch.run(_RECOVERY, delay=late, moves=bool(stall))
+    measured = {"moved_m": watch.moved, "slid_m": watch.slid, "peak_N": watch.peak}
+    return {**measured, "outcome": LOST if watch.is_lost else REACHED}
 
 
-def delayed(case: Case, ticks: int, config: GuardConfig) -> Outcome:
-    """Return what a constant delay of the commands does to the half second after its beginning."""
-    guarded = GuardedLoop(load_scenario(case.scenario), config)
-    guarded.run(case.time)
-    watch = Watch(guarded)
-    watch.run(_RECOVERY, answers=True, delay=ticks)
-    return watch.outcome()
+def run_stalls(folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
+    """Make all runs that are not done yet, where `workers` says, and write their table."""
+    space = {"case": CASES, "guard": tuple(GUARDS), "fault": tuple(FAULTS)}
+    study = Study({name: Choice(values) for name, values in space.items()}, "grid", run_one)
+    return keep(study, folder, {"version": tactile_hand_ros.__version__}, watch)
 
 
-def main() -> None:
-    """Print the tables: moved [mm] / slid [mm] / peak of the grasp force [N]."""
-    print("| | guard |", " | ".join(f"{1e3 * s:g} ms" for s in STALLS), "| limit [N] |")
-    print("|---" * (len(STALLS) + 3) + "|")
-    for case, (name, config) in itertools.product(CASES, _GUARDS.items()):
-        cells = [stall(case, seconds, config) for seconds in STALLS]
-        print(f"| {case.name} | {name} |", " | ".join(map(str, cells)), f"| {cells[0].limit:g} |")
-    print("\n| | guard |", " | ".join(f"{n} ticks" for n in DELAYS), "|")
-    print("|---" * (len(DELAYS) + 2) + "|")
-    for case, (name, config) in itertools.product(CASES, _GUARDS.items()):
-        cells = [delayed(case, ticks, config) for ticks in DELAYS]
-        print(f"| {case.name} | {name} |", " | ".join(map(str, cells)), "|")
+COLUMNS = ("", "guard", *FAULTS)
 
 
-_GUARDS = {"no": LAST_TORQUE, "yes": GuardConfig()}
-
-if __name__ == "__main__":
-    main()
+def rows(table: Table) -> list[list[str]]:
+    """Return moved [mm] / slid [mm] / peak of the grasp force [N], columns as in `COLUMNS`."""
+    numbers = zip(1e3 * table["moved_m"], 1e3 * table["slid_m"], table["peak_N"], strict=True)
+    cells = [
+        f"{moved:.1f} / {slid:.1f} / {peak:.0f}" if outcome == REACHED else f"**{outcome}**"
+        for outcome, (moved, slid, peak) in zip(table["outcome"], numbers, strict=True)
+    ]
+    heads = itertools.product([case.name for case in CASES], GUARDS)
+    starts = range(0, len(cells), len(FAULTS))
+    return [[*head, *cells[i : i + len(FAULTS)]] for head, i in zip(heads, starts, strict=True)]

@@ -1,86 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the injections of the campaign, session by session, and keeps each result immediately."""
+"""The campaign as studies, one for each way to run: what an injection does, kept as a row."""
 
 from __future__ import annotations
 
-import itertools
-import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from studies.faults import situations
 from studies.faults.in_process import run_in_process
 from studies.faults.injection import injected
-from studies.faults.outcome import (
-    Outcome,
-    failed,
-    judge,
-    recovery,
-    why_not_begun,
-)
+from studies.faults.outcome import Outcome, judge, recovery, why_not_begun
 from studies.faults.running_hand import RunningHand
 from studies.faults.space import Run
-from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.sweep.engine import in_parallel
-
-RESULTS = "faults.jsonl"
+from tactile_hand_ros.sweep.engine import Point, Study, workers
+from tactile_hand_ros.sweep.space import Choice
+from tactile_hand_ros.sweep.table import LOST, REACHED, Tally, keep
 
 _RECOVERY = 10.0  # s, longest wait for a hand that drives again
 _AFTERWARDS = 0.3  # s that are watched after it does
-
 _STARTS = 3  # of a run that does not begin, after which it is not judged
 _SLACK = 20.0  # s of real time for a second of simulated time
 
-_BROKEN = (TactileHandError, TimeoutError, OSError)
-
 
 def run_campaign(
-    runs: Sequence[Run],
-    done: Sequence[Outcome] = (),
-    progress: Callable[[str], None] = lambda _: None,
-) -> Iterator[Outcome]:
-    """Yield the outcome of each run that is not done yet.
-
-    One session of nodes serves all runs of the same way and situation that follow each other;
-    it is started again when a run has broken it.
+    runs: list[Run],
+    folder: Path,
+    jobs: int = -1,
+    watch: Callable[[Tally], None] = lambda _: None,
+) -> None:
+    """Make the runs of one way that are not done yet, and write the table of all.
 
     Args:
-        runs: The runs, in the order of their sessions.
-        done: Outcomes of an earlier campaign.
-        progress: Called with the name of each run that is done.
+        runs: The runs.
+        folder: Of the results; holds those of an earlier, unfinished call.
+        jobs: Number of processes for runs in-process; running hands come one after the other.
+        watch: Called after each run.
+
+    Raises:
+        StudyError: If the folder holds another campaign or cannot be written.
     """
-    known = {outcome.key for outcome in done}
-    waiting = [run for run in runs if run.key not in known]
-    for _, group in itertools.groupby(waiting, key=lambda run: run.session):
-        left = list(group)
-        if left[0].cell.way == "in-process":
-            for outcome in in_parallel(run_in_process, left):
-                progress(str(outcome.cell))
-                yield outcome
-            continue
-        while left:
-            for outcome in _run_session(tuple(left)):
-                progress(str(left.pop(0).cell))
-                yield outcome
+    is_live = runs[0].way != "in-process"
+    with Hands() as hands, workers(1 if is_live else jobs):
+        run = hands.run_one if is_live else run_one
+        study = Study({"injection": Choice(tuple(runs))}, "grid", run)
+        keep(study, folder, {"injections": [run.key for run in runs]}, watch)
 
 
-def _run_session(runs: Sequence[Run]) -> Iterator[Outcome]:
-    """Yield outcomes until all runs are done or one could not be judged."""
-    cell, run = runs[0].cell, runs[0]
-    scenario = situations.scenario(cell.situation, cell.way)
-    composed = cell.way == "composed"
-    with tempfile.TemporaryDirectory() as folder:
+def run_one(point: Point) -> dict[str, Any]:
+    """Make a run in-process."""
+    return _row(run_in_process(point.values["injection"]))
+
+
+def _row(outcome: Outcome) -> dict[str, Any]:
+    return {**asdict(outcome), "outcome": LOST if outcome.dropped else REACHED}
+
+
+class Hands:
+    """The running hand of the last injection, kept for the next one in the same situation."""
+
+    def __init__(self) -> None:
+        """Begin without one."""
+        self._stack, self._key = ExitStack(), ("", "")
+
+    def __enter__(self) -> Hands:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the nodes."""
+        self._stack.close()
+
+    def run_one(self, point: Point) -> dict[str, Any]:
+        """Make a run on nodes, which are started again if it breaks them."""
+        run = point.values["injection"]
+        with self._hand(run) as hand:
+            return _row(inject(hand, run))
+
+    @contextmanager
+    def _hand(self, run: Run) -> Iterator[RunningHand]:
+        if self._key != (run.way, run.situation):
+            self._stack.close()
+            folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
+            chosen = situations.scenario(run.situation, run.way)
+            hand = RunningHand(chosen, folder, composed=run.way == "composed")
+            self._current = self._stack.enter_context(hand)
+            self._key = run.way, run.situation
         try:
-            with RunningHand(scenario, Path(folder), composed=composed) as hand:
-                for run in runs:
-                    yield run_one(hand, run)
-        except _BROKEN as error:
-            yield failed(run, error)
+            yield self._current
+        except BaseException:
+            self._key = "", ""
+            raise
 
 
-def run_one(hand: RunningHand, run: Run) -> Outcome:
+def inject(hand: RunningHand, run: Run) -> Outcome:
     """Inject one fault and return what became of the object.
 
     Before anything fails it is judged whether the hand has begun to hold; if not, nothing is
@@ -89,8 +106,8 @@ def run_one(hand: RunningHand, run: Run) -> Outcome:
     Raises:
         TimeoutError: If the hand does not begin.
     """
-    moment = situations.SITUATIONS[run.cell.situation].time + run.delay
-    for starts in range(1, _STARTS + 1):
+    moment = situations.SITUATIONS[run.situation].time + run.delay
+    for _ in range(_STARTS):
         hand.begin()
         hand.wait_for_time(moment, _SLACK)
         reason = why_not_begun(hand)
@@ -110,27 +127,9 @@ def run_one(hand: RunningHand, run: Run) -> Outcome:
 
     hand.wait(is_back, "the recovery")
     _pass_time(hand, _AFTERWARDS)
-    return judge(hand, run, moment, begin, end, starts)
+    return judge(hand, run, moment, begin, end)
 
 
 def _pass_time(hand: RunningHand, seconds: float) -> None:
     until = time.monotonic() + seconds
     hand.wait(lambda: time.monotonic() >= until, "time that passes")
-
-
-def load(folder: Path) -> list[Outcome]:
-    """Return the outcomes that a campaign has kept in a folder."""
-    file = folder / RESULTS
-    if not file.exists():
-        return []
-    lines = file.read_text(encoding="utf-8").splitlines()
-    return [Outcome(**json.loads(line)) for line in lines if line.endswith("}")]
-
-
-def keep(folder: Path, outcomes: Iterator[Outcome]) -> Iterator[Outcome]:
-    """Yield outcomes, each of which is in the file before the next one begins."""
-    with (folder / RESULTS).open("a", encoding="utf-8") as file:
-        for outcome in outcomes:
-            file.write(json.dumps(outcome.data()) + "\n")
-            file.flush()
-            yield outcome

@@ -22,9 +22,9 @@ from studies.faults import space
 from studies.faults.outcome import LET_GO, Outcome, distance
 from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
 from studies.faults.space import Run
-from tactile_hand_ros.closed_loop.loop import Answer, ClosedLoop, SensingChain
-from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
+from studies.stalls import GuardedLoop
+from tactile_hand_ros.closed_loop.loop import Answer, SensingChain
+from tactile_hand_ros.control.command_guard import TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import Target
@@ -60,8 +60,8 @@ class Wires:
     def __init__(self, run: Run, tick: float) -> None:
         """Take the fault and the length of a tick [s]; all is well until `failing` is set."""
         self.failing = False
-        self._names = _WIRES.get(run.cell.component, ())
-        self._fault, self._chance, self._tick = run.cell.fault, random.Random(run.seed), tick
+        self._names = _WIRES.get(run.component, ())
+        self._fault, self._chance, self._tick = run.fault, random.Random(run.seed), tick
         self._frozen: dict[str, Any] = {}
         self._count = 0
         self._is_on, self._left = True, 0.0
@@ -194,24 +194,19 @@ class FaultyChain(SensingChain):
         return super().answer(stamp, moved[0], moved[1], moved[2], touch, measured)
 
 
-class FaultyLoop:
+class FaultyLoop(GuardedLoop):
     """A closed loop with wires that fail and a guard in front of the joints."""
 
     def __init__(self, chosen: Scenario, run: Run) -> None:
         """Build the loop of a scenario for a run."""
-        self.loop = ClosedLoop(chosen)
-        plant = chosen.plant
-        self.guard = CommandGuard(plant.guard, self.loop.plant.hand, plant.tick)
-        self.tick_time = 1e-9 * plant.tick
+        super().__init__(chosen, chosen.plant.guard)
+        self.tick_time = 1e-9 * chosen.plant.tick
         self.wires = Wires(run, self.tick_time)
         self.chain = FaultyChain(self.loop.chain, self.wires, chosen)
         self.chain.plugged.before_step = self._command
         self.loop.chain = self.chain
-        hand = self.loop.plant.hand
-        self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._run, self._chance = run, random.Random(run.seed)
-        self._newest: TorqueCommand | None = None
-        self._waiting: deque[tuple[int, TorqueCommand]] = deque()
+        self._sent: deque[tuple[int, TorqueCommand]] = deque()
         self._pause, self._late = 0.0, 0
 
     @property
@@ -219,8 +214,9 @@ class FaultyLoop:
         """Whether the controller drove the object at the last tick."""
         return bool(self.chain.plugged.drives)
 
-    def tick(self) -> None:
-        """Move one tick ahead."""
+    def tick(self, *, answers: bool = True, delay: int = 0) -> None:
+        """Move one tick ahead, as the fault of the run allows."""
+        del answers, delay
         loop = self.loop
         self.wires.begin_tick()
         self.chain.plugged.drives = True
@@ -230,19 +226,18 @@ class FaultyLoop:
             torque = self.wires.carry("torque", torque, np.negative)
             if torque is not None:
                 due = loop.stamp + (self.wires.delay + self._late) * loop.scenario.plant.tick
-                self._waiting.append((due, TorqueCommand(loop.stamp, torque)))
-        while self._waiting and self._waiting[0][0] <= loop.stamp:
-            self._newest = self._waiting.popleft()[1]
+                self._sent.append((due, TorqueCommand(loop.stamp, torque)))
+        while self._sent and self._sent[0][0] <= loop.stamp:
+            self._newest = self._sent.popleft()[1]
         self.chain.plugged.block.joints_held = self.guard.holding
-        state = loop.state
-        loop.advance(self.guard.step(loop.stamp, state.theta, state.rates, self._newest))
+        self.act()
 
     def _is_stopped(self) -> bool:
         """Return whether all blocks stand still, because of the computer or because one is dead."""
-        if not self.wires.failing or self._run.cell.component != space.COMPUTER:
+        if not self.wires.failing or self._run.component != space.COMPUTER:
             self._late = 0
             return False
-        if self._run.cell.fault == "starved":  # bursts of late answers between pauses
+        if self._run.fault == "starved":  # bursts of late answers between pauses
             self._pause -= self.tick_time
             if self._pause < -0.02:
                 self._pause = self._chance.expovariate(1.0 / 0.03)
@@ -252,7 +247,7 @@ class FaultyLoop:
 
     def _command(self) -> None:
         """Let the user send what the fault of the run makes of it; refusals are as intended."""
-        cell, loop = self._run.cell, self.loop
+        cell, loop = self._run, self.loop
         if not self.wires.failing or cell.component != space.USER or cell.fault == "garbage":
             return
         here = loop.state.position.copy()
@@ -265,7 +260,7 @@ class FaultyLoop:
 
     def restart(self) -> None:
         """Start over with a block that was killed."""
-        cell, loop = self._run.cell, self.loop
+        cell, loop = self._run, self.loop
         if cell.fault != "off":
             return
         if cell.component == space.CONTROLLER:
@@ -295,15 +290,14 @@ def _wrong_force(force: Array) -> Array:
 
 def run_in_process(run: Run) -> Outcome:
     """Inject one fault and return what became of the object."""
-    cell = run.cell
-    faulty = FaultyLoop(scenario(cell.situation, cell.way), run)
-    moment = SITUATIONS[cell.situation].time + run.delay
+    faulty = FaultyLoop(scenario(run.situation, run.way), run)
+    moment = SITUATIONS[run.situation].time + run.delay
     loop, seen = faulty.loop, _Seen(faulty)
     is_lost = False
     try:
         for _ in range(round(moment / faulty.tick_time)):
             faulty.tick()
-        faulty.wires.failing = cell.fault != space.NONE
+        faulty.wires.failing = run.fault != space.NONE
         seen.run(FAULT_TIME)
         faulty.wires.failing = False
         faulty.restart()
@@ -311,10 +305,8 @@ def run_in_process(run: Run) -> Outcome:
     except DivergedError:
         is_lost = True
     failing = round(max(FAULT_TIME, seen.held_until) / faulty.tick_time)
-    moved = distance(cell, np.array(seen.positions[:failing]), moment)
+    moved = distance(run, np.array(seen.positions[:failing]), moment)
     return Outcome(
-        *cell,
-        run.seed,
         dropped=is_lost or not bool(loop.state.contacts.all_touching) or moved > LET_GO,
         moved=moved,
         safe=seen.safe,

@@ -40,16 +40,15 @@ _STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 @contextmanager
 def injected(hand: RunningHand, run: Run) -> Iterator[None]:
     """Let a fault last as long as the block."""
-    cell = run.cell
     with ExitStack() as stack:
-        if cell.fault == space.NONE:
+        if run.fault == space.NONE:
             pass
-        elif cell.component == space.USER:
+        elif run.component == space.USER:
             stack.enter_context(_user(hand, run))
-        elif cell.component == space.COMPUTER:
-            stack.enter_context(_computer(hand, cell.fault))
+        elif run.component == space.COMPUTER:
+            stack.enter_context(_computer(hand, run.fault))
         else:
-            stack.enter_context(_process(hand, _NODE_OF[cell.component], cell.fault))
+            stack.enter_context(_process(hand, _NODE_OF[run.component], run.fault))
         yield
 
 
@@ -135,7 +134,7 @@ def _user(hand: RunningHand, run: Run) -> Iterator[None]:
 
 def _sender(hand: RunningHand, run: Run) -> Callable[[], None]:
     """Return what sends one burst of a user whose commands fail in some way."""
-    codec, chance, fault = PoseCodec(), random.Random(run.seed), run.cell.fault
+    codec, chance, fault = PoseCodec(), random.Random(run.seed), run.fault
     _, seen = hand.positions(hand.since(time.monotonic() - 1.0))
     here = seen[-1]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from studies.faults import space
 from studies.faults.running_hand import Event, RunningHand
 from studies.faults.situations import expected
-from studies.faults.space import Cell, Run
+from studies.faults.space import Run
 from tactile_hand_ros import names
 
 Array = NDArray[Any]
@@ -29,8 +29,6 @@ class Outcome:
     """What one injection did.
 
     Attributes:
-        way, situation, component, fault: The cell.
-        seed: Seed of the run.
         dropped: Whether a finger does not touch at the end, or the object is 0.1 m from where it
             may be.
         moved: Largest distance of the object from where it may be until the hand drives for good,
@@ -41,43 +39,15 @@ class Outcome:
         recovered: Time from the end of the fault until the hand drives for good, s; None if it
             does not until the end.
         declared: What was declared first.
-        starts: How often the hand was started until it had begun to hold, before the fault.
-        error: Why the run could not be judged; empty if it was.
     """
 
-    way: str
-    situation: str
-    component: str
-    fault: str
-    seed: int
-    dropped: bool = False
-    moved: float = 0.0
-    safe: float | None = None
-    peak: float = 0.0
-    limit: float = 0.0
-    recovered: float | None = None
-    declared: str = ""
-    starts: int = 1
-    error: str = ""
-
-    @property
-    def cell(self) -> Cell:
-        """The cell of the run."""
-        return Cell(self.way, self.situation, self.component, self.fault)
-
-    @property
-    def key(self) -> str:
-        """What distinguishes the run from all others of a campaign."""
-        return Run(self.cell, self.seed).key
-
-    def data(self) -> dict[str, Any]:
-        """Return plain values by name."""
-        return asdict(self)
-
-
-def failed(run: Run, error: Exception) -> Outcome:
-    """Return the outcome of a run that could not be judged."""
-    return Outcome(*run.cell, run.seed, error=f"{type(error).__name__}: {error}"[:300])
+    dropped: bool
+    moved: float
+    safe: float | None
+    peak: float
+    limit: float
+    recovered: float | None
+    declared: str
 
 
 def why_not_begun(hand: RunningHand) -> str:
@@ -95,9 +65,7 @@ def why_not_begun(hand: RunningHand) -> str:
     return "" if hand.grasp_force(before) >= _MINIMUM else "the fingers do not press"
 
 
-def judge(
-    hand: RunningHand, run: Run, moment: float, begin: float, end: float, starts: int
-) -> Outcome:
+def judge(hand: RunningHand, run: Run, moment: float, begin: float, end: float) -> Outcome:
     """Return what became of a run.
 
     Args:
@@ -106,16 +74,13 @@ def judge(
         moment: Simulated time of the fault, s.
         begin: When the fault began, by the monotonic clock, s.
         end: When it ended, s.
-        starts: How often the hand was started.
     """
     after = hand.since(begin)
     recovered = recovery(hand, after, end)
     failing = [e for e in after if recovered is None or e.time <= end + recovered]
     safe, declared = _first_declared(hand, after)
-    moved = distance(run.cell, hand.positions(failing)[1], moment)
+    moved = distance(run, hand.positions(failing)[1], moment)
     return Outcome(
-        *run.cell,
-        run.seed,
         dropped=not hand.is_touching(after) or moved > LET_GO,
         moved=moved,
         safe=None if safe is None else safe - begin,
@@ -123,21 +88,20 @@ def judge(
         limit=hand.scenario.slip_regulator.maximum,
         recovered=recovered,
         declared=declared,
-        starts=starts,
     )
 
 
-def distance(cell: Cell, seen: Array, moment: float) -> float:
+def distance(run: Run, seen: Array, moment: float) -> float:
     """Return how far an object was from where it may be, m; NaN where a user moves it.
 
     Args:
-        cell: What failed in which situation.
+        run: What failed in which situation.
         seen: Where it was, shape (n, 3), m.
         moment: Simulated time of the fault, s.
     """
-    if cell.component == space.USER and cell.fault in ("stuck", "delayed", "intermittent"):
+    if run.component == space.USER and run.fault in ("stuck", "delayed", "intermittent"):
         return math.nan  # poses in reach are orders, wherever they lead
-    return expected(cell.situation, cell.way).distance(seen, moment)
+    return expected(run.situation, run.way).distance(seen, moment)
 
 
 def _first_declared(hand: RunningHand, events: list[Event]) -> tuple[float | None, str]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.faults.space import SPREAD
-from studies.stalls import GuardedLoop, Outcome, Watch
+from studies.stalls import GuardedLoop
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
@@ -97,21 +97,6 @@ def scenario(situation: str, way: str) -> Scenario:
     if base.tactile_sensor.rate > rate:
         changes |= {"tactile_sensor.rate": rate, "tactile_sensor.bandwidth": 0.4 * rate}
     return load_scenario(chosen.scenario, changes)
-
-
-@cache
-def ideal(situation: str, way: str) -> Outcome:
-    """Return what becomes of the object when the joints are held from the fault on.
-
-    No hand that stands still can do better: where this drops the object, no hand survives there.
-    """
-    guarded = GuardedLoop(scenario(situation, way), GuardConfig(age_limit=0))
-    guarded.run(SITUATIONS[situation].time)
-    watch = Watch(guarded)
-    watch.run(FAULT_TIME, answers=False)
-    if not watch.is_dropped:
-        watch.run(0.3, answers=True, moves=True)
-    return watch.outcome()
 
 
 _STEP = 0.05  # s between two ideal holds

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 SPREAD = 0.2
@@ -42,8 +43,9 @@ FAULTS_OF = {
     COMPUTER: ("starved", STOPPED),
 }
 
+DEADLY = ("off", STOPPED)
 HAND = (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER)
-"""The nodes that are killed and stopped."""
+"""What nodes are killed and stopped by, and which ones."""
 
 
 class Cell(NamedTuple):
@@ -57,11 +59,7 @@ class Cell(NamedTuple):
     @property
     def is_death(self) -> bool:
         """Whether a node of the hand is killed or stopped."""
-        return self.component in HAND and self.fault in ("off", STOPPED)
-
-    def __str__(self) -> str:
-        """Return the cell in words."""
-        return f"{self.way}, {self.situation}: {self.component} {self.fault}"
+        return self.component in HAND and self.fault in DEADLY
 
 
 def cells() -> list[Cell]:
@@ -90,14 +88,18 @@ def _exists(way: str, component: str, fault: str) -> bool:
         at_hand = component not in (RECORDER, SENSOR)
         return at_hand and (fault != STOPPED or component == COMPUTER)
     if component in HAND or fault == STOPPED:
-        return way != "composed" and fault in ("off", STOPPED)
+        return way != "composed" and fault in DEADLY
     return component in (RECORDER, USER, COMPUTER)
 
 
-class Run(NamedTuple):
-    """One injection: a cell, and the seed of its moment and of its noise."""
+@dataclass(frozen=True)
+class Run:
+    """One injection: its cell, and the seed of its moment and of its noise."""
 
-    cell: Cell
+    way: str
+    situation: str
+    component: str
+    fault: str
     seed: int
 
     @property
@@ -106,44 +108,24 @@ class Run(NamedTuple):
         return random.Random(self.seed).uniform(0.0, SPREAD)
 
     @property
-    def session(self) -> tuple[str, str]:
-        """Runs with equal ones share the nodes, or the cores."""
-        return self.cell.way, "" if self.cell.way == "in-process" else self.cell.situation
-
-    @property
     def key(self) -> str:
         """Return what distinguishes the run from all others of a campaign."""
-        return f"{'/'.join(self.cell)}/{self.seed}"
+        return "/".join(map(str, astuple(self)))
 
 
-def sample(
-    runs: int, seed: int, *, ways: tuple[str, ...] = WAYS, among: list[Cell] | None = None
-) -> list[Run]:
+def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Run]:
     """Return a balanced sample: no cell comes twice more often than another.
 
-    The runs that share a session follow each other; the sessions come in random order, so that what
-    an interrupted campaign has done is a fair sample, too.
+    The runs that share nodes follow each other.
 
     Args:
         runs: Number of injections.
-        seed: Seed of the choice, of the order and of each run.
-        ways: Ways to run that take part.
-        among: Cells to choose from; all by default.
+        seed: Seed of the choice and of each run.
+        among: Cells to choose from.
     """
-    chance = random.Random(seed)
-    chosen = [cell for cell in (among or cells()) if cell.way in ways]
+    chance, chosen = random.Random(seed), list(among)
     drawn: list[Run] = []
     while len(drawn) < runs and chosen:
         chance.shuffle(chosen)
-        drawn += [Run(cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
-    return list(_by_session(drawn, chance))
-
-
-def _by_session(runs: list[Run], chance: random.Random) -> Iterator[Run]:
-    groups: dict[tuple[str, str], list[Run]] = {}
-    for run in runs:
-        groups.setdefault(run.session, []).append(run)
-    order = list(groups)
-    chance.shuffle(order)
-    for key in order:
-        yield from groups[key]
+        drawn += [Run(*cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
+    return sorted(drawn, key=lambda run: (run.way, run.situation))

@@ -15,7 +15,6 @@ import contextlib
 import copy
 from collections import deque
 from collections.abc import Mapping
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any
 
@@ -195,16 +194,21 @@ class ShadowLoop(Chain):
         self._inputs = inputs
         self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}
         first = {node: changes.popleft().value for node, changes in self._waiting.items()}
-        regulator = _Regulator(first[names.REGULATOR], k)
-        optimizer = _Optimizer(first[names.OPTIMIZER], k)
-        controller = _Controller(first[names.CONTROLLER], law)
-        super().__init__(regulator, optimizer, controller)
-        self._drives = inputs.answered(r.command)
-        regulator.skipped, optimizer.skipped, controller.skipped = (
-            set(r.stamps[~inputs.answered(answers)].tolist())
-            for answers in (r.grasp_force, r.optimal_forces, r.command)
+        blocks: tuple[Any, ...] = (
+            SlipRegulator(first[names.REGULATOR], k),
+            ForceOptimizer(first[names.OPTIMIZER], k),
+            Controller(first[names.CONTROLLER], law),
         )
-        self._blocks = dict(zip(CONTROLLERS, (regulator, optimizer, controller), strict=True))
+        self._blocks = dict(zip(CONTROLLERS, blocks, strict=True))
+        nothing = (
+            np.nan,
+            OptimalForces(Status.CONTACT_MISSING, "skipped", np.full((k, 3), np.nan)),
+            Command(np.full(r.theta.shape[1], np.nan), Mode.HOLD, None),
+        )
+        answers = (r.grasp_force, r.optimal_forces, r.command)
+        ticks = [set(r.stamps[inputs.answered(each)].tolist()) for each in answers]
+        super().__init__(*map(_AtItsTicks, blocks, ticks, nothing))
+        self._drives = inputs.answered(r.command)
         self._out = copy.copy(r)
         for name in _ANSWERS:  # the copy is not shared yet
             object.__setattr__(self._out, name, np.full_like(getattr(r, name), np.nan))
@@ -283,62 +287,26 @@ def _apply(change: Change, node: str, block: Any) -> None:
             block.release()
 
 
-class _Regulator(SlipRegulator):
-    """A regulator that is too slow for some ticks: it measures them without an answer."""
+class _AtItsTicks:
+    """A block that answers only the ticks that its node has answered.
 
-    skipped: AbstractSet[int] = frozenset()
-    started = False
+    The node of the regulator measures also the ticks that it is too slow to answer, from its first
+    answer on; the others skip them.
+    """
 
-    def step(
-        self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
-    ) -> float:
-        """Return k_f, NaN at a tick that the node has not answered."""
-        self.started = self.started or stamp not in self.skipped  # it answers the first it gets
-        grasp_force = super().step(stamp, contacts, forces) if self.started else np.nan
-        return np.nan if stamp in self.skipped else grasp_force
+    def __init__(self, block: Any, ticks: set[int], nothing: Any) -> None:
+        self._block, self._ticks, self._nothing = block, ticks, nothing
+        self._measures = False
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._block, name)
 
-class _Optimizer(ForceOptimizer):
-    """An optimizer that skips ticks."""
-
-    skipped: AbstractSet[int] = frozenset()
-
-    def step(
-        self,
-        stamp: int,
-        contacts: Contacts,
-        friction: Array | None = None,
-        forces: Array | None = None,
-    ) -> OptimalForces:
-        """Return f*, none at a tick that the node has skipped."""
-        if stamp in self.skipped:
-            none = np.full((len(contacts.positions), 3), np.nan)
-            return OptimalForces(Status.CONTACT_MISSING, "skipped", none)
-        return super().step(stamp, contacts, friction, forces)
-
-
-class _Controller(Controller):
-    """A controller that skips ticks."""
-
-    skipped: AbstractSet[int] = frozenset()
-
-    def step(
-        self,
-        stamp: int,
-        theta: Array,
-        rates: Array,
-        contacts: Contacts,
-        optimal_forces: Array,
-        grasp_force: float,
-        forces: Array | None = None,
-        applied: Array | None = None,
-    ) -> Command:
-        """Return the torques, none at a tick that the node has skipped."""
-        if stamp in self.skipped:
-            return Command(np.full(len(theta), np.nan), Mode.HOLD, None)
-        return super().step(
-            stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
-        )
+    def step(self, stamp: int, *inputs: Any) -> Any:
+        """Return the block's answer, nothing at a tick that the node has not answered."""
+        is_answered = stamp in self._ticks
+        self._measures |= is_answered and isinstance(self._block, SlipRegulator)
+        answer = self._block.step(stamp, *inputs) if is_answered or self._measures else None
+        return answer if is_answered else self._nothing
 
 
 _ANSWERS = tuple(name for _, name, _ in COMPARED)

@@ -1,53 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign keeps each result at once, goes on where it stopped, and sums up."""
+"""A campaign keeps each result, continues where it stopped, and sums up."""
 
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 from studies.faults import campaign, space, tables
 from studies.faults.outcome import Outcome
+from tactile_hand_ros.sweep.table import read_table
 
-RUNS = space.sample(12, seed=5, ways=("composed",))
-
-
-def made(run, **values):
-    given = {"moved": 0.001, "safe": 0.008, "peak": 20.0, "limit": 40.0, "recovered": 0.5}
-    return Outcome(*run.cell, run.seed, **{**given, **values})
+RUNS = [space.Run("composed", "at rest", "computer", "stopped", seed) for seed in range(5)]
+SEEN = {"moved": 0.001, "safe": 0.008, "peak": 20.0, "limit": 40.0, "recovered": 0.5}
 
 
-def test_what_is_kept_is_not_run_again(tmp_path):
-    done = [made(run, dropped=index == 0) for index, run in enumerate(RUNS)]
-    for _ in campaign.keep(tmp_path, iter(done[:7])):
-        pass
-    with (tmp_path / campaign.RESULTS).open("a") as file:
-        file.write('{"way": "comp')  # as after a power cut
-    known = campaign.load(tmp_path)
-    assert known == done[:7]
-    assert list(campaign.run_campaign(RUNS[:7], known)) == []
+def test_every_run_is_made_once_also_after_one_that_broke_the_nodes(monkeypatch, tmp_path):
+    starts, seeds = [], []
 
+    def started(*_, **__):
+        starts.append(len(seeds))
+        return nullcontext()
 
-@pytest.mark.parametrize("broken", [None, 1])
-def test_every_run_of_a_session_is_done_once_also_after_one_that_broke_it(monkeypatch, broken):
-    cell = RUNS[0].cell
-    runs = [space.Run(cell, seed) for seed in range(5)]
-
-    def one(_, run):
-        if run.seed == broken:
+    def inject(_, run):
+        seeds.append(run.seed)
+        if run.seed == 1:
             raise TimeoutError("no answer")
-        return made(run)
+        return Outcome(dropped=run.seed == 3, declared="", **SEEN)
 
-    monkeypatch.setattr(campaign, "RunningHand", lambda *_, **__: nullcontext())
-    monkeypatch.setattr(campaign, "run_one", one)
-    outcomes = list(campaign.run_campaign(runs))
-    assert [outcome.seed for outcome in outcomes] == [0, 1, 2, 3, 4]
-    assert [bool(outcome.error) for outcome in outcomes] == [s == broken for s in range(5)]
+    monkeypatch.setattr(campaign, "RunningHand", started)
+    monkeypatch.setattr(campaign, "inject", inject)
 
+    def interrupt(tally):
+        if tally.done == 3:
+            raise KeyboardInterrupt
 
-def test_the_tables_leave_out_what_could_not_be_judged():
-    outcomes = [made(run) for run in RUNS]
-    outcomes[0] = made(RUNS[0], starts=2)
-    outcomes[1] = made(RUNS[1], error="TimeoutError: no answer")
-    assert len(tables.judged(outcomes)) == len(RUNS) - 1
-    first = tables.row("all", [made(RUNS[2], dropped=True), made(RUNS[3])])
-    assert first == ["all", "2", "1", "9.5 to 90.5 %", "1.0", "8", "0.50", "0.50"]
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run_campaign(RUNS, tmp_path, watch=interrupt)
+    campaign.run_campaign(RUNS, tmp_path)
+    assert seeds == [0, 1, 2, 3, 4] and starts == [0, 2, 3]
+    table = read_table(tmp_path)
+    assert table["outcome"].tolist() == ["reached", "failed", "reached", "lost", "reached"]
+    assert table["reason"][1].startswith("TimeoutError: no answer (test_campaign.py:")
+    [_, all_faults, *_] = tables.rows([table])
+    assert all_faults[:4] == ["composed, all faults", "4", "1", "4.6 to 69.9 %"]
+    assert all_faults[4:] == ["1.0", "8", "0.50", "0.50"]
+    assert tables.row("x", table, np.zeros(5, dtype=bool)) == ["x", "0", *["-"] * 6]
