@@ -79,8 +79,8 @@ lint: $(VENV)/.dev $(VENV)/.package
 	"$$VENV_PREFIX/bin/mypy"
 
 # At low priority: it takes both cores for a while.
-mutate: $(VENV)/.mutate $(VENV)/.package
-	@PYTHONPATH=studies nice $(PY) -m mutation $(ARGS)
+mutate: $(VENV)/.dev $(VENV)/.package
+	@PYTHONPATH=. nice $(PY) -m studies.mutation $(ARGS)
 
 docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/figures
@@ -145,11 +145,6 @@ $(VENV)/.studies: requirements/locked/studies.txt $(VENV)/.run
 $(VENV)/.bench: requirements/locked/bench.txt $(VENV)/.run
 	@echo 'set-up: what speed is compared with'
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt bench.txt)
-	@touch '$@'
-
-$(VENV)/.mutate: requirements/locked/mutate.txt $(VENV)/.dev
-	@echo 'set-up: mutation tests'
-	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt dev.txt mutate.txt)
 	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.

@@ -28,4 +28,3 @@ lock run
 lock studies run
 lock dev run
 lock bench run
-lock mutate run dev

@@ -148,9 +148,10 @@ def faults(
     check_writable(out)
     among = [c for c in space.cells() if c.way in ways and deaths in (None, c.is_death)]
     with progress("injecting") as watch:
-        for way, group in itertools.groupby(space.sample(runs, seed, among), lambda run: run.way):
-            campaign.run_campaign(list(group), out / way, jobs, watch)
-    tables = [read_table(out / way) for way in ways if (out / way).is_dir()]
+        chosen = space.sample(runs, seed, among)
+        for name, group in itertools.groupby(chosen, lambda run: run.way):
+            campaign.run_campaign(list(group), out / name, jobs, watch)
+    tables = [read_table(out / name) for name in ways if (out / name).is_dir()]
     _finish(out, [], ("faults", fault_tables.COLUMNS, fault_tables.rows(tables)))
 
 

@@ -7,14 +7,14 @@ import argparse
 import collections
 import os
 import random
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import yaml
-from mutation.mutants import Mutant, in_changed_functions, mutants_of
-from mutation.trial import KILLED, Trial, folder_of, run_trials
+
+from studies.mutation.mutants import Mutant, mutants_of
+from studies.mutation.trial import KILLED, folder_of, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).parent / "equivalent.yaml"
@@ -24,9 +24,7 @@ EQUIVALENT = Path(__file__).parent / "equivalent.yaml"
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make mutate ARGS=...", description=__doc__)
     add = parser.add_argument
-    add("--package", action="append", default=[], help="a folder or file, such as control/slip")
-    add("--since", default="main", help="only functions that differ from this commit")
-    add("--all", action="store_true", help="every function, not only the changed ones")
+    add("packages", nargs="+", help="folders or files, such as control/slip")
     add("--sample", type=int, help="at most so many mutants, chosen at random")
     add("--seed", type=int, default=0, help="which sample")
     add("--jobs", type=int, default=os.cpu_count(), help="processes")
@@ -42,51 +40,36 @@ def main() -> int:
     """
     args = _arguments()
     try:
-        chosen = _chosen(args)
-    except (OSError, subprocess.CalledProcessError) as error:
+        found = [each for path in _files(args.packages) for each in mutants_of(path, ROOT)]
+    except OSError as error:
         print(f"mutate: {error}", file=sys.stderr)
         return 2
-    if not chosen:
-        print(f"mutate: no function differs from {args.since} (--all: every function)")
-        return 2
-    known = yaml.safe_load(EQUIVALENT.read_text(encoding="utf-8"))
+    reasons = yaml.safe_load(EQUIVALENT.read_text(encoding="utf-8"))
+    known = {key for keys in reasons.values() for key in keys}
+    if len(found) > (args.sample or len(found)):
+        found = random.Random(args.seed).sample(found, args.sample)
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
 
-    def on_trial(trial: Trial) -> None:
-        verdict = trial.verdict
-        if verdict != KILLED:
-            source = (ROOT / trial.mutant.path).read_text(encoding="utf-8")
-            if trial.mutant.key(source) in known:
-                verdict = "equivalent"
-            else:
-                place = f"{trial.mutant.path}:{trial.mutant.line} {trial.mutant.function}"
-                print(f"{place}: {verdict}\n{trial.mutant.diff(source)}", flush=True)
-        counts[folder_of(trial.mutant.path)][verdict] += 1
+    def on_trial(mutant: Mutant, verdict: str) -> None:
+        if verdict != KILLED and mutant.key in known:
+            verdict = "equivalent"
+        elif verdict != KILLED:
+            print(f"{verdict}, line {mutant.line}: {mutant.key}", flush=True)
+        counts[folder_of(mutant.path)][verdict] += 1
 
-    print(f"{len(chosen)} mutants, {args.jobs} processes", flush=True)
+    print(f"{len(found)} mutants, {args.jobs} processes", flush=True)
     with tempfile.TemporaryDirectory(prefix="mutate-") as scratch:
-        run_trials(chosen, ROOT, Path(scratch), args.jobs, args.budget, on_trial)
+        run_trials(found, ROOT, Path(scratch), args.jobs, args.budget, on_trial)
     for folder, verdicts in sorted(counts.items()):
         print(folder or "top", ", ".join(f"{n} {verdict}" for verdict, n in verdicts.items()))
     return int(any(set(verdicts) - {KILLED, "equivalent"} for verdicts in counts.values()))
 
 
-def _chosen(args: argparse.Namespace) -> list[Mutant]:
-    """Return the mutants to try."""
-    found = [each for path in _files(args.package) for each in mutants_of(path, ROOT)]
-    if not args.all:
-        found = in_changed_functions(found, ROOT, args.since)
-    if args.sample is None or args.sample >= len(found):
-        return found
-    return random.Random(args.seed).sample(found, args.sample)
-
-
 def _files(packages: list[str]) -> list[Path]:
-    """Return the files of the named folders or files; by default all."""
-    base = ROOT / "tactile_hand_ros"
-    found = set()
-    for name in packages or ["."]:
-        path = base / name
+    """Return the files of the named folders or files."""
+    found = set[Path]()
+    for name in packages:
+        path = ROOT / "tactile_hand_ros" / name
         if not path.exists():
             raise FileNotFoundError(f"{name}: no such folder or file below tactile_hand_ros/")
         found.update(path.rglob("*.py") if path.is_dir() else [path])

@@ -207,7 +207,8 @@ class ShadowLoop(Chain):
         )
         answers = (r.grasp_force, r.optimal_forces, r.command)
         ticks = [set(r.stamps[inputs.answered(each)].tolist()) for each in answers]
-        super().__init__(*map(_AtItsTicks, blocks, ticks, nothing))
+        wrapped: Any = map(_AtItsTicks, blocks, ticks, nothing)
+        super().__init__(*wrapped)
         self._drives = inputs.answered(r.command)
         self._out = copy.copy(r)
         for name in _ANSWERS:  # the copy is not shared yet
