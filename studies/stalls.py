@@ -85,7 +85,7 @@ class GuardedLoop:
     def act(self) -> None:
         """Let the newest command act on the joints for a tick, if the guard lets it."""
         loop = self.loop
-        theta, rates = loop.state.theta, loop.state.rates
+        theta, rates, _ = loop.state.joints
         loop.advance(self.guard.step(loop.stamp, theta, rates, self._newest))
 
     def run(self, seconds: float, *, answers: bool = True, delay: int = 0) -> None:

@@ -119,10 +119,9 @@ class SensingChain(Chain):
             true: True contacts of that state.
             sliding: Their sliding speeds, shape (k,), m/s.
         """
-        touch = self.sensor.step(stamp, true, sliding, state.theta)
-        answer = self.answer(
-            stamp, state.theta, state.rates, state.torque, touch.contacts, touch.forces
-        )
+        joints = state.joints
+        touch = self.sensor.step(stamp, true, sliding, joints.theta)
+        answer = self.answer(stamp, *joints, touch.contacts, touch.forces)
         return touch, answer
 
 
@@ -250,8 +249,8 @@ class ClosedLoop:
         state = self.state
         grasp_force, optimal, command = answer
         record.stamps[row] = self.stamp
-        record.theta[row], record.rates[row] = state.theta, state.rates
-        record.torque[row], record.command[row] = state.torque, command.torque
+        record.theta[row], record.rates[row], record.torque[row] = state.joints
+        record.command[row] = command.torque
         record.contact_positions[row] = touch.positions
         record.contact_quaternions[row] = touch.quaternions
         record.forces[row] = touch.forces

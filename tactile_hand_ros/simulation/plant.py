@@ -30,6 +30,7 @@ from tactile_hand_ros.simulation.contact_step import (
     step,
 )
 from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
+from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
 
@@ -47,6 +48,7 @@ class PlantState(NamedTuple):
         theta: Joint angles, shape (m,), rad.
         rates: Joint rates, shape (m,), rad/s.
         torque: Torque that acted on the joints, shape (m,), N m.
+        joints: What the joints report of these three.
         position: Object's centre of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         velocity: Velocity of the centre of mass, shape (3,), m/s.
@@ -61,6 +63,7 @@ class PlantState(NamedTuple):
     theta: Array
     rates: Array
     torque: Array
+    joints: JointReading
     position: Array
     rotation: Array
     velocity: Array
@@ -106,6 +109,9 @@ class Plant:
         self._inertia = np.diag(config.object.inertia)
         self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
+        self._joint_sensor = JointSensor(
+            config.encoder, config.effort_noise, 1e-9 * config.tick, config.seed
+        )
         self.reset()
 
     def _differ(self, config: PlantConfig) -> None:
@@ -146,7 +152,13 @@ class Plant:
         self.relaxed_steps = self.unsolved_steps = 0
         self._sliding = np.zeros((k, 2))
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
+        self._joint_sensor.reset()
+        self._sense_joints()
         return self.state
+
+    def _sense_joints(self) -> None:
+        rates = self._v[: self.hand.joints]
+        self._joints = self._joint_sensor.step(self._theta, rates, self._torque)
 
     def _close_gaps(self) -> None:
         """Move the fingers so that tips near the object touch it exactly."""
@@ -186,6 +198,7 @@ class Plant:
                 f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
                 "lower the gains or the load of the computer, and reset the plant"
             )
+        self._sense_joints()
         return self.state
 
     def _step(self, h: float) -> None:
@@ -228,6 +241,7 @@ class Plant:
             self._theta,
             self._v[:m],
             self._torque,
+            self._joints,
             self._position,
             self._rotation,
             self._v[m : m + 3],

@@ -12,6 +12,7 @@ from pydantic import field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param
 from tactile_hand_ros.control.command_guard import GuardConfig
+from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -143,6 +144,11 @@ class PlantConfig(Config):
     object: ObjectConfig = ObjectConfig()
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    effort_noise: float = param(
+        0.0, "standard deviation of a reported joint torque", unit="N m", ge=0.0
+    )
+    seed: int = param(1, "seed of everything random", ge=0)
     friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)

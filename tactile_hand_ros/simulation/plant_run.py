@@ -38,8 +38,8 @@ class PlantRun:
 
     def _load_compiled_code(self) -> None:
         """Step once, so that neither the first tick nor the first held one is late."""
-        state = self.plant.state
-        self.plant.advance(self.guard.step(0, state.theta, state.rates, None))
+        joints = self.plant.state.joints
+        self.plant.advance(self.guard.step(0, joints.theta, joints.rates, None))
 
     def reset(self) -> None:
         """Go back to the start, at stamp 0 and without torque."""
@@ -88,7 +88,9 @@ class PlantRun:
 
     def advance(self) -> None:
         """Move one tick ahead."""
-        theta, rates = self.state.theta, self.state.rates
-        torque = self.guard.step(self.stamp, theta, rates, self._command, self._refused)
+        joints = self.state.joints
+        torque = self.guard.step(
+            self.stamp, joints.theta, joints.rates, self._command, self._refused
+        )
         self.state = self.plant.advance(torque)
         self.stamp += self._tick

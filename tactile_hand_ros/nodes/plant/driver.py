@@ -99,8 +99,7 @@ class PlantTopics:
         """
         self._slip_publisher.publish(self._encode_slip, stamp_ns, state.slid, sliding)
         self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
-        joints = state.theta, state.rates, state.torque
-        self._joints_publisher.publish(self._encode_joints, stamp_ns, *joints)
+        self._joints_publisher.publish(self._encode_joints, stamp_ns, *state.joints)
         pose = state.position, state.rotation
         self._pose_publisher.publish(self._encoded_pose, *pose, stamp_ns)
         self._clock_publisher.publish(clock_bytes, stamp_ns)

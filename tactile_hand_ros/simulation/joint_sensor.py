@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the joints' encoders and current sensors report of the true angles, rates and torques."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+
+Array = NDArray[np.float64]
+
+
+class EncoderConfig(Config):
+    """How well the joints know their angles; exact unless bits or noise are given."""
+
+    bits: int = param(0, "resolution of a turn, 0 for exact", ge=0, le=32)
+    noise: float = param(0.0, "standard deviation of an angle", unit="rad", ge=0.0)
+    rate_cutoff: float = param(
+        100.0,
+        "corner frequency of the filter on the differences of angles that give the rates",
+        unit="Hz",
+        gt=0.0,
+    )
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether angles and rates are reported as they are."""
+        return self.bits == 0 and self.noise == 0.0
+
+
+class JointReading(NamedTuple):
+    """What the joints report at a tick.
+
+    Attributes:
+        theta: Joint angles, shape (m,), rad.
+        rates: Joint rates, shape (m,), rad/s.
+        effort: Torque since the last tick, shape (m,), N m.
+    """
+
+    theta: Array
+    rates: Array
+    effort: Array
+
+
+class JointSensor:
+    """Reports joint angles in steps of an encoder, and rates as filtered differences of them.
+
+    An encoder of b bits reports the middle of one of 2^b steps a turn. Its rates are the
+    differences of the reported angles behind a low-pass of first order with the corner frequency
+    f: r += (1 - exp(-2 pi f T)) (d theta / T - r). An exact encoder reports the true rates.
+    """
+
+    def __init__(
+        self, encoder: EncoderConfig, effort_noise: float, tick: float, seed: int
+    ) -> None:
+        """Take noise and resolution.
+
+        Args:
+            encoder: Of the angles.
+            effort_noise: Standard deviation of a reported torque, N m.
+            tick: Time between two readings, s.
+            seed: Of the noise.
+        """
+        self._encoder, self._effort_noise, self._tick = encoder, effort_noise, tick
+        self._step = 2.0 * math.pi / 2**encoder.bits if encoder.bits else 0.0
+        self._follow = -math.expm1(-2.0 * math.pi * encoder.rate_cutoff * tick)
+        self._seed = seed
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin with joints at rest, and with the same noise as at the first start."""
+        # A stream of its own: the skin draws from the same seed.
+        self._random = np.random.default_rng([self._seed, 1])
+        self._last: Array | None = None
+        self._rates = np.zeros(0)
+
+    def step(self, theta: Array, rates: Array, effort: Array) -> JointReading:
+        """Return what is reported of true angles [rad], rates [rad/s] and torques [N m], (m,)."""
+        if self._effort_noise > 0.0:
+            effort = effort + self._random.normal(0.0, self._effort_noise, len(effort))
+        if self._encoder.is_exact:
+            return JointReading(theta, rates, effort)
+        seen = theta
+        if self._encoder.noise > 0.0:
+            seen = seen + self._random.normal(0.0, self._encoder.noise, len(theta))
+        if self._step > 0.0:
+            seen = (np.floor(seen / self._step) + 0.5) * self._step
+        if self._last is None:
+            self._last, self._rates = seen, np.zeros(len(theta))
+        differences = (seen - self._last) / self._tick
+        self._rates = self._rates + self._follow * (differences - self._rates)
+        self._last = seen
+        return JointReading(seen, self._rates, effort)
