@@ -21,6 +21,7 @@ NO_RESERVE = {
 }
 SCENARIOS = "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity".split()
 LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
+OF_HUMAN_SIZE = "human_hold human_lift human_pull human_turn".split()
 SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
 # Without slip prevention: until the object has gone, or as long as shows that it stays.
 SHORTER = {"hold": 5.0, "lift": 4.0, "slippery": 6.0, "pull": 4.0, "heavy": 4.0, "user_grip": 5.0}
@@ -45,6 +46,7 @@ class Records:
 def records():
     """Every scenario with slip prevention (True) and without (False)."""
     cases = {(name, True): (name, {}) for name in SCENARIOS}
+    cases |= {(name, True): (name, {}) for name in OF_HUMAN_SIZE}
     for name in SCENARIOS:
         end = SHORTER.get(name, load_scenario(name).duration)
         cases[name, False] = (name, {**WITHOUT, "duration": end})
@@ -87,7 +89,10 @@ def final_error(record):
     return np.linalg.norm(record.desired_position[-1] - record.auxiliary_position[-1])
 
 
-@pytest.mark.parametrize("name", [s for s in SCENARIOS if s not in ("crush_limit", "lost_contact")])
+REACHING = [s for s in SCENARIOS if s not in ("crush_limit", "lost_contact")]
+
+
+@pytest.mark.parametrize("name", REACHING + OF_HUMAN_SIZE)
 def test_the_goal_is_reached(records, name):
     record, goal = records[name, True], load_scenario(name).goal
     assert not np.isnan(record.true_positions).any()
