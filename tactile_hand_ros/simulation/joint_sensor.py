@@ -54,9 +54,7 @@ class JointSensor:
     f: r += (1 - exp(-2 pi f T)) (d theta / T - r). An exact encoder reports the true rates.
     """
 
-    def __init__(
-        self, encoder: EncoderConfig, effort_noise: float, tick: float, seed: int
-    ) -> None:
+    def __init__(self, encoder: EncoderConfig, effort_noise: float, tick: float, seed: int) -> None:
         """Take noise and resolution.
 
         Args:
