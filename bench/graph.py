@@ -54,7 +54,7 @@ def _speeds(runs: list[dict[str, Any]]) -> list[float]:
 
 
 def _starts(runs: list[dict[str, Any]]) -> list[float]:
-    return [float(run["startup_s"]["first_tick_answered"]) for run in runs]
+    return [float(run["start_to_first_tick_s"]) for run in runs]
 
 
 def _over(values: list[float], limits: list[float]) -> list[float]:

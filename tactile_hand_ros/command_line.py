@@ -5,15 +5,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import importlib.util
 import io
 import os
 import queue
 import signal
 import sys
-import sysconfig
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -26,9 +23,6 @@ _ENDS: dict[signal.Signals, Any] = {
     signal.SIGHUP: signal.SIG_DFL,
 }
 """Signals that end a command, and what is done about each where nothing else was chosen."""
-
-_BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Set by the ROS wheels when they have set LD_LIBRARY_PATH, and inherited."""
 
 _ADVICE = {
     errno.ENOSPC: "; free some space or write elsewhere",
@@ -176,54 +170,15 @@ class Signals:
 
 
 def prepare_for_ros() -> None:
-    """Make sure that rclpy can start: the right one, in an environment that it can live with.
-
-    A shell that has sourced ROS puts its own rclpy before that of a virtual environment. Then this
-    program starts again without it.
-    """
-    # rclpy looks for a place for its logs, and ends the process where HOME is not set.
+    """Set HOME, without which rclpy finds no place for its logs and ends the process."""
     os.environ.setdefault("HOME", os.path.expanduser("~"))
-    found = importlib.util.find_spec("rclpy")
-    own = Path(sysconfig.get_path("purelib")) / "rclpy"
-    if found is None or not found.origin or not own.is_dir():
-        return
-    foreign = Path(found.origin).parent
-    if foreign.resolve() == own.resolve():
-        return
-    environment = _without(foreign.parent, os.environ)
-    if environment != dict(os.environ):
-        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
-
-
-def _without(packages: Path, environment: Mapping[str, str]) -> dict[str, str]:
-    """Return an environment without the ROS installation that holds a folder of packages."""
-    left = {k: text for k, text in environment.items() if k != _BOOTSTRAPPED}
-
-    def belongs(entry: str) -> bool:
-        prefix = Path(entry)
-        is_prefix = (prefix / "share" / "ament_index").is_dir() and prefix in packages.parents
-        return (
-            prefix == packages or is_prefix or (prefix.name == "lib" and prefix in packages.parents)
-        )
-
-    for name in ("PYTHONPATH", "AMENT_PREFIX_PATH", "LD_LIBRARY_PATH"):
-        entries = [each for each in environment.get(name, "").split(os.pathsep) if each]
-        if any(map(belongs, entries)):
-            left[name] = os.pathsep.join(each for each in entries if not belongs(each))
-    return left
 
 
 class LastingOutput(io.TextIOBase):
-    """The standard output for work that must continue when nothing can be written any more.
-
-    Attributes:
-        problem: Why something could not be written, None as long as all could, or if the reader has
-            left.
-    """
+    """The standard output for work that must continue when nothing can be written any more."""
 
     def __init__(self) -> None:
         """Write to the standard output as it is now: a progress bar replaces it for a while."""
-        self.problem: OSError | None = None
         self._stream = sys.stdout
 
     @property
@@ -251,9 +206,7 @@ class LastingOutput(io.TextIOBase):
     def _try(self, step: Callable[[], Any]) -> None:
         try:
             step()
-        except OSError as error:
-            if not isinstance(error, BrokenPipeError):
-                self.problem = self.problem or error
+        except OSError:
             _redirect(self._stream, os.devnull)
 
 

@@ -6,18 +6,13 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator
 
-import numpy as np
 import rich.progress
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rich.console import Console
 from sensor_msgs.msg import JointState
 
@@ -27,96 +22,45 @@ from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest, taken
-from tactile_hand_ros.ros.messages import Pose, PoseCodec
-from tactile_hand_ros.scenario.scenario import TargetConfig
 
-_LATEST, _ALL = 1, 100
 _BAR_PERIOD = 0.1  # s between two updates of the bar
 _LINE_PERIOD = 2.0  # s between two plain lines
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a run is; NaN where nothing was received.
-
-    Attributes:
-        time: Simulated time [s].
-        position_error: Distance of the contact centroid from its target [m].
-        grasp_force: k_f [N].
-        mode: What the controller does: drive, hold, open or disabled; empty if unknown.
-    """
-
-    time: float
-    position_error: float
-    grasp_force: float
-    mode: str = ""
-
-
 class Monitor:
-    """Subscriptions that hold the newest messages and decode them only on demand.
+    """The newest diagnostics of the nodes, decoded only on demand.
 
     A subscription to a topic of the tick costs its publisher a packet a tick: a tenth of what a
-    tick takes in one process. A recorded run is therefore followed by its diagnostics alone, which
-    come once a second, and from the plant also at the first answer and the last.
+    tick takes in one process. A run is therefore followed by its diagnostics, which come once a
+    second, and from the plant also at the first answer and the last.
     """
 
-    def __init__(self, node: Node, targets: Sequence[TargetConfig], *, closely: bool) -> None:
+    def __init__(self, node: Node, *, closely: bool) -> None:
         """Subscribe.
 
         Args:
             node: A node in the namespace of the run. Its executor does not see the subscriptions.
-            targets: Of the scenario.
-            closely: Whether to follow each tick. A run needs it that is not recorded, or in which
-                something is sent at a given time.
+            closely: Whether to follow each tick, because something is sent at a given one.
         """
-        self._node, self._closely = node, closely
-        self._targets = targets
-        if closely:
-            self._command = self._subscribe(JointState, names.JOINT_COMMAND, _LATEST)
-            self._pose = self._subscribe(PoseStamped, names.AUXILIARY_POSE, _LATEST)
-        self._diagnostics = self._subscribe(DiagnosticArray, names.DIAGNOSTICS, _ALL)
-        self._newest: tuple[int, Pose] | None = None
-        self._codec = PoseCodec()
+        self._node = node
+        self._diagnostics = subscribe_directly(
+            node, DiagnosticArray, names.DIAGNOSTICS, QoSProfile(depth=100)
+        )
+        self._commands = closely and subscribe_directly(
+            node, JointState, names.JOINT_COMMAND, QoSProfile(depth=1)
+        )
         self._status: dict[str, tuple[bytes, str]] = {}
         self._facts: dict[str, dict[str, str]] = {}
         self.tick = -1
 
-    def _subscribe(self, kind: Any, topic: str, depth: int) -> Subscription:
-        return subscribe_directly(self._node, kind, topic, QoSProfile(depth=depth))
-
     def answered(self) -> int:
         """Return the newest tick that is known to be answered [ns], -1 before the first."""
-        if not self._closely:
-            self.tick = int(self.plant_facts().get("answered_ns", -1))
-        elif (data := take_latest(self._command)) is not None:
+        if not self._commands:
+            self.tick = int(self.of(PLANT).get("answered_ns", -1))
+        elif (data := take_latest(self._commands)) is not None:
             with contextlib.suppress(MessageError):  # the plant rejects it too, and reports it
                 self.tick = header_stamp(data)
         return self.tick
-
-    def progress(self) -> Progress:
-        """Return what is known now."""
-        controller = self._facts_of(CONTROLLER)
-        reported = float(controller.get("position_error_m", "nan"))
-        return Progress(
-            time=max(0.0, 1e-9 * self.answered()),
-            position_error=self._distance() if self._closely else reported,
-            grasp_force=float(self._facts_of(REGULATOR).get("grasp_force_n", "nan")),
-            mode=controller.get("mode", ""),
-        )
-
-    def _distance(self) -> float:
-        """Return the distance of the newest pose from the scenario's target at that tick [m]."""
-        data = take_latest(self._pose)
-        if data is not None:
-            self._newest = self._codec.decode(data)
-        if self._newest is None:
-            return math.nan
-        stamp, pose = self._newest
-        due = [target for target in self._targets if target.stamp <= stamp]
-        if not due:
-            return math.nan
-        target = max(due, key=lambda each: each.stamp)
-        return float(np.linalg.norm(pose.position - target.position))
 
     def faults(self) -> list[str]:
         """Return a sentence for each node that reports a warning or an error."""
@@ -132,23 +76,36 @@ class Monitor:
                 self._facts[status.name] = {pair.key: pair.value for pair in status.values}
         return self._facts
 
-    def plant_facts(self) -> dict[str, str]:
-        """Return the values in the plant's newest diagnostics."""
-        return self._facts_of(PLANT)
-
-    def _facts_of(self, node: str) -> dict[str, str]:
+    def of(self, node: str) -> dict[str, str]:
+        """Return the values in the newest diagnostics of a node of this hand."""
         return self.facts().get(f"{self._node.get_namespace().rstrip('/')}/{node}", {})
 
     @property
     def is_at_rest(self) -> bool:
         """Whether the plant is paused or finished and its last tick was answered."""
-        plant = self.plant_facts()
+        plant = self.of(PLANT)
         is_still = plant.get("mode") in ("paused", "finished")
         return is_still and self.answered() >= int(plant["tick_ns"])
 
+    def in_words(self) -> str:
+        """Return pose error and grasp force; no error where nothing is driven."""
+        controller, force = self.of(CONTROLLER), self.of(REGULATOR).get("grasp_force_n")
+        mode, error = controller.get("mode", ""), float(controller.get("position_error_m", "nan"))
+        if mode not in ("", "drive"):  # after a drop, for example, the last error is stale
+            pose = f"not driving: {mode}"
+        elif math.isnan(error):
+            pose = "pose error unknown"
+        else:
+            pose = f"pose error {1e3 * error:.{3 if error < 0.01 else 1}f} mm"
+        return f"{pose}  k_f " + ("-" if force is None else f"{float(force):.2f} N")
+
 
 class View:
-    """Shows how far a run is."""
+    """Shows how far a run is: by a bar on a terminal, by lines elsewhere.
+
+    Attributes:
+        period: Time between two updates [s].
+    """
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
         """Prepare.
@@ -159,6 +116,7 @@ class View:
             quiet: Whether to write nothing.
         """
         self._console, self._duration = console, duration
+        self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""
         self._bar: rich.progress.Progress | None = None
         self.period = math.inf if quiet else _LINE_PERIOD
@@ -180,62 +138,30 @@ class View:
         with self._bar or contextlib.nullcontext():
             yield
 
-    def show(self, progress: Progress, rate: float, fault: str) -> None:
-        """Show progress, ticks per second and the first fault, empty if there is none."""
+    def show(self, monitor: Monitor) -> None:
+        """Show how far the run is, and the first fault when there is another."""
         if self.period == math.inf:
             return
+        at = max(0.0, 1e-9 * monitor.tick)
+        facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
+        fault = next(iter(monitor.faults()), "")
+        if fault and fault != self._fault:
+            self._print(f"t = {at:.2f} s  ! {fault}")  # in full, above the bar
+        self._fault = fault
         if self._bar is None:
             of = "" if self._duration is None else f" of {self._duration:g}"
-            tail = f"  ! {fault}" if fault else ""
-            self._print(f"t = {progress.time:.2f}{of} s  {facts(progress, rate)}{tail}")
+            self._print(f"t = {at:.2f}{of} s  {facts}")
             return
         of = "" if self._duration is None else f" / {self._duration:g}"
-        if fault and fault != self._fault:
-            self._print(f"t = {progress.time:.2f} s  ! {fault}")  # in full, above the bar
-        self._fault = fault
-        self._bar.update(
-            self._task,
-            completed=progress.time,
-            description=f"{progress.time:6.2f}{of} s",
-            facts=facts(progress, rate),
-            refresh=True,
-        )
+        text = f"{at:6.2f}{of} s"
+        self._bar.update(self._task, completed=at, description=text, facts=facts, refresh=True)
+
+    def _speed(self, at: float) -> float:
+        """Return simulated time per wall-clock time since the first tick; a reset starts anew."""
+        now = time.monotonic()
+        if self._first is None or at <= self._first[1]:
+            self._first = (now, at)
+        return (at - self._first[1]) / max(now - self._first[0], 1e-9)
 
     def _print(self, line: str) -> None:
         self._console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def facts(progress: Progress, rate: float) -> str:
-    """Return pose error, grasp force and rate in words; no error where nothing is driven."""
-    force = "-" if math.isnan(progress.grasp_force) else f"{progress.grasp_force:.2f} N"
-    return f"{_pose(progress)}  k_f {force}  {rate:.0f} ticks/s"
-
-
-def _pose(progress: Progress) -> str:
-    if progress.mode not in ("", "drive"):  # after a drop, for example, the last error is stale
-        return f"not driving: {progress.mode}"
-    error = progress.position_error
-    if math.isnan(error):
-        return "pose error unknown"
-    return "pose error " + (f"{1e3 * error:.3f} mm" if error < 0.01 else f"{1e3 * error:.1f} mm")
-
-
-class Rate:
-    """Ticks per second of wall-clock time between the last two stamps that differ."""
-
-    def __init__(self, tick: int) -> None:
-        """Take the length of a tick [ns]."""
-        self._tick = tick
-        self._stamp: int | None = None
-        self._time = self._rate = 0.0
-
-    def __call__(self, stamp: int) -> float:
-        """Return the rate at a stamp [ns], 0 before the second."""
-        now = time.monotonic()
-        before, since = self._stamp, now - self._time
-        if stamp == before:
-            return self._rate
-        self._stamp, self._time = stamp, now
-        if before is not None and stamp > before and since > 0.0:  # a reset sets time back
-            self._rate = (stamp - before) / self._tick / since
-        return self._rate

@@ -62,12 +62,6 @@ class RunOptions:
             show_default=False,
         ),
     ] = None
-    separate_recorder: Annotated[
-        bool,
-        typer.Option(
-            "--separate-recorder", help="Record in another process than that of --composed."
-        ),
-    ] = False
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = ""
     startup_timeout: Annotated[
         float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")

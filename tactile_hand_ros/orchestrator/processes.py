@@ -2,7 +2,7 @@
 """The processes of a run: started, watched and stopped.
 
 Each leads a session of its own and gets a signal from the kernel when the orchestrator dies, so
-nothing outlives it. It also holds the lock of the run, which thus ends with the last of them.
+nothing outlives it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import shutil
 import signal
-import socket
 import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -44,25 +43,11 @@ class NodeProcess(ChildProcess):
         log: File with its output.
     """
 
-    def __init__(
-        self,
-        name: str,
-        command: Sequence[str],
-        log: Path,
-        lock: Sequence[int] = (),
-    ) -> None:
-        """Start it.
-
-        Args:
-            name: Name of the executable.
-            command: Program and arguments.
-            log: File to create.
-            lock: Descriptors that it inherits.
-        """
-        self.name = name
-        self.log = log
+    def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
+        """Start a command, and create the log."""
+        self.name, self.log = name, log
         with log.open("wb") as output:
-            super().__init__(command, output, subprocess.STDOUT, pass_fds=lock)
+            super().__init__(command, output, subprocess.STDOUT)
 
     def tail(self) -> list[str]:
         """Return the last lines of the log."""
@@ -121,19 +106,15 @@ class Processes:
     def __init__(
         self,
         in_a_hurry: Callable[[], bool] = lambda: False,
-        lock: socket.socket | None = None,
         command: Program = started_by,
     ) -> None:
         """Prepare.
 
         Args:
             in_a_hurry: Called while waiting for an end: whether to be less patient.
-            lock: The lock of the run.
             command: Returns program and first arguments for an executable.
         """
-        self._command = command
-        self._in_a_hurry = in_a_hurry
-        self._lock = () if lock is None else (lock.fileno(),)
+        self._command, self._in_a_hurry = command, in_a_hurry
         self._started: dict[str, NodeProcess] = {}
 
     def __enter__(self) -> Processes:
@@ -156,10 +137,10 @@ class Processes:
         Raises:
             ExecutableError: If it does not exist.
         """
-        # The kernel ends it when its parent dies; `ros2 run` is a parent of its own.
+        # The kernel ends it when its parent dies, also below `ros2 run`.
         guard = ["setpriv", "--pdeathsig", "INT" if records else "KILL", "--"]
         command = [*self._command(name, guard), *arguments]
-        self._started[name] = NodeProcess(name, command, log, self._lock)
+        self._started[name] = NodeProcess(name, command, log)
 
     def check(self) -> None:
         """Raise if one of the processes has ended.
@@ -183,19 +164,15 @@ class Processes:
         Returns:
             A sentence for each that did not end well.
         """
-        return [
-            complaint
-            for names in order
-            for complaint in self._stop_together([n for n in names if n in self._started])
-        ]
-
-    def _stop_together(self, names: Sequence[str]) -> list[str]:
-        group = [self._started[name] for name in names]
-        running = [process for process in group if process.returncode is None]
-        end_together(group, self._in_a_hurry)
-        return [
-            f"{process.name} did not end well: code {process.returncode}, see {process.log}"
-            for process in running
-            # While it still loads, a process has no handler for SIGINT yet.
-            if process.returncode not in (0, -signal.SIGINT)
-        ]
+        complaints: list[str] = []
+        for names in order:
+            group = [self._started[name] for name in names if name in self._started]
+            running = [process for process in group if process.returncode is None]
+            end_together(group, self._in_a_hurry)
+            complaints += [
+                f"{process.name} did not end well: code {process.returncode}, see {process.log}"
+                for process in running
+                # While it still loads, a process has no handler for SIGINT yet.
+                if process.returncode not in (0, -signal.SIGINT)
+            ]
+        return complaints

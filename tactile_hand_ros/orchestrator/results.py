@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import datetime
 import json
-import math
+import time
 import webbrowser
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,14 +21,12 @@ from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.page import REPORT, write_report
 from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.run.recording import RealTimeCounts, real_time_counts
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.run.verdict import (
     DROPPED,
     NOT_REACHED,
     REACHED,
     STEERED,
-    Judged,
     headline,
     judged,
 )
@@ -37,6 +36,7 @@ EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 LOST_KEY = "lost_messages"
 _CTRL_C = 130  # exit code
+_SILENCE = 3.0  # s between two lines about a bag that is being read
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
 """Rows of the metrics that the table shows with their goals instead."""
 
@@ -58,27 +58,45 @@ class RunResults:
     problems: list[str] = field(default_factory=list)
 
 
-def read_results(plan: Plan, directory: RunDirectory, *, finished: bool) -> RunResults:
+def read_results(
+    plan: Plan,
+    directory: RunDirectory,
+    outcome: RunOutcome,
+    show: Callable[[str], None] = lambda line: None,
+) -> RunResults:
     """Compute the results from the bag.
 
     Args:
         plan: What was to be run.
         directory: The run.
-        finished: Whether all ticks must be there.
+        outcome: What the orchestrator saw; all ticks of a complete run must be there.
+        show: Called with a line now and then, as long as it takes.
     """
     if not plan.record:
         return RunResults()
+    last = time.monotonic()
+
+    def progress(fraction: float) -> None:
+        nonlocal last
+        if time.monotonic() - last > _SILENCE:
+            last = time.monotonic()
+            show(f"reading the bag: {100.0 * fraction:.0f} %")
+
+    show("reading the bag")
     try:
-        run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
-        results = RunResults(run, run.metrics.to_dict(), run.bag_metrics.to_dict())
+        run = Run(
+            directory.path, namespace=plan.namespace, steered=plan.interactive, progress=progress
+        )
+        recording = run.bag_metrics.to_dict()
+        show("computing the results")
+        results = RunResults(run, run.metrics.to_dict(), recording)
     except TactileHandError as error:
         return RunResults(problems=[str(error)])
-    ticks = results.metrics["ticks"]
+    ticks, lost = results.metrics["ticks"], int(run.custom_data.get(LOST_KEY, "0"))
     # In real time a late plant skips ticks.
-    expected = plan.scenario.ticks if finished and _is_lockstep(plan) else None
-    lost = int(run.summary.custom_data.get(LOST_KEY, "0"))
-    results.recording |= {"expected_ticks": expected, LOST_KEY: lost}
-    results.problems += _incomplete(plan, results.recording, ticks)
+    expected = plan.scenario.ticks if outcome.is_complete and _is_lockstep(plan) else None
+    recording |= {"expected_ticks": expected, LOST_KEY: lost}
+    results.problems += _incomplete(plan, recording, ticks)
     if expected not in (None, ticks):
         results.problems.append(f"the bag holds {ticks} ticks, expected {expected}")
     if lost:
@@ -91,28 +109,39 @@ def _is_lockstep(plan: Plan) -> bool:
 
 
 def _incomplete(plan: Plan, recording: dict[str, Any], ticks: int) -> list[str]:
-    """Return which topics lack messages, in one sentence for all that lack the same."""
-    found: list[str] = []
-    if recording["absent"]:
-        found.append(f"the bag has nothing on {', '.join(recording['absent'])}")
-    short = {
-        topic: c["ticks"]
-        for topic, c in recording["topics"].items()
-        if c["complete"] is False and _is_lockstep(plan)
-    }
-    for count in sorted(set(short.values())):
-        topics = ", ".join(topic for topic, present in short.items() if present == count)
-        found.append(f"the bag has {count} of {ticks} ticks on {topics}")
-    return found
+    """Return a sentence for topics without any message, and one for those that lack some."""
+    absent = recording["absent"]
+    found = [f"the bag has nothing on {', '.join(absent)}"] if absent else []
+    counts = recording["topics"].items() if _is_lockstep(plan) else ()
+    short = [f"{topic} ({c['ticks']})" for topic, c in counts if c["complete"] is False]
+    return found + (
+        [f"the bag has fewer than {ticks} ticks on {', '.join(short)}"] if short else []
+    )
 
 
-def deadlines_of(plan: Plan, outcome: RunOutcome) -> RealTimeCounts | None:
-    """Return how a run kept to real time, None in lockstep and where it did not start."""
+def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None:
+    """Return how a run kept to real time, None in lockstep and where it did not start.
+
+    Returns:
+        The rate that was asked for [Hz]; numbers of ticks: `due` by the wall clock, `late` (the
+        command came after the next tick was due, or not at all), `skipped` (due together with a
+        later one), `given_up` (the machine stood still, or a failed run never reached them); and
+        `missed_fraction`, from 0 to 1. The plant's last report may be a little older than the end.
+    """
     if _is_lockstep(plan) or outcome.last_tick < 0:
         return None
-    reached = 1e-9 * outcome.last_tick
-    wanted = reached if plan.interactive else plan.scenario.duration
-    return real_time_counts(outcome.plant, plan.scenario.plant.rate, wanted, reached)
+
+    def number(key: str) -> float:
+        return float(outcome.plant.get(key, "nan"))
+
+    rate, reached = plan.scenario.plant.rate, 1e-9 * outcome.last_tick
+    asked = reached if plan.interactive else plan.scenario.duration
+    given_up = (max(0.0, asked - max(reached, number("time_s"))) + number("lost_s")) * rate
+    late, skipped = number("late_commands"), number("missed_ticks")
+    due = number("time_s") * rate + given_up
+    missed = min(1.0, (late + skipped + given_up) / due) if due > 0.0 else float("nan")
+    counts = {"rate_hz": rate, "due": due, "late": late, "skipped": skipped}
+    return {**counts, "given_up": given_up, "missed_fraction": missed}
 
 
 @dataclass(frozen=True)
@@ -121,8 +150,8 @@ class RunVerdict:
 
     Attributes:
         outcome: ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
-            goal was reached, but something is missing), ``finished`` (a user ended it),
-            ``interrupted``, ``failed``.
+            goal was reached, but something is missing), ``finished`` (a user ended it, or there is
+            no bag by which to judge it), ``interrupted``, ``failed``.
         reasons: Sentences that explain any other outcome than success.
         exit_code: Of the orchestrator.
     """
@@ -153,28 +182,17 @@ def judge(plan: Plan, outcome: RunOutcome, results: RunResults, signal_code: int
     if dropped is not None:
         reason = f"the object was dropped at t = {dropped:.3f} s"
         return RunVerdict(DROPPED, [reason, *troubles], EXIT_DROPPED)
-    if ended:
+    if ended or not plan.record:
         return RunVerdict(STEERED, troubles, 1 if troubles else 0)
-    missed = _missed(plan, outcome, results)
+    missed = [
+        f"the {each.name} is {'unknown' if each.value is None else f'{each.value:.4g}'} "
+        f"{each.unit}, the goal is {each.limit:g} {each.unit}"
+        for each in (judged(results.metrics, plan.scenario.goal) if results.metrics else ())
+        if not each.passed
+    ]
     if missed:
         return RunVerdict(NOT_REACHED, [*missed, *troubles], 1)
     return RunVerdict(INCOMPLETE, troubles, 1) if troubles else RunVerdict(REACHED, [], 0)
-
-
-def _missed(plan: Plan, outcome: RunOutcome, results: RunResults) -> list[str]:
-    """Return by how much the goal was missed; without a bag, by the last pose that was seen."""
-    goal = plan.scenario.goal
-    if results.metrics:
-        checks = judged(results.metrics, goal)
-    else:
-        seen = None if math.isnan(outcome.position_error) else outcome.position_error
-        checks = [Judged("final position error", seen, goal.position_error, "m")]
-    return [
-        f"the {each.name} is {'unknown' if each.value is None else f'{each.value:.4g}'} "
-        f"{each.unit}, the goal is {each.limit:g} {each.unit}"
-        for each in checks
-        if not each.passed
-    ]
 
 
 def in_words(verdict: RunVerdict, results: RunResults) -> str:
@@ -190,7 +208,7 @@ def write_summary(
     verdict: RunVerdict,
 ) -> None:
     """Write ``summary.json`` completely or not at all."""
-    scenario, run, deadlines = plan.scenario, results.run, deadlines_of(plan, outcome)
+    scenario, run = plan.scenario, results.run
     content = {
         "scenario": scenario.name,
         "outcome": verdict.outcome,
@@ -205,8 +223,8 @@ def write_summary(
         "assumptions": [] if run is None else [line.to_dict() for line in run.assumptions],
         "recoveries": [] if run is None else [each.to_dict() for each in run.recoveries],
         "recording": results.recording,
-        "real_time": None if deadlines is None else deadlines.to_dict(),
-        "startup_s": outcome.startup,
+        "real_time": real_time_counts(plan, outcome),
+        "start_to_first_tick_s": outcome.first_tick,
         "seed": scenario.seed,
         "pacing": scenario.plant.pacing,
         "namespace": plan.namespace,
@@ -220,37 +238,28 @@ def write_summary(
 
 def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
     """Return the results as a table for the terminal: goals first, each passed or failed."""
-    out = Table()
+    out, run = Table(), results.run
     for column in ("result", "value", "goal", ""):
         out.add_column(column)
-    run = results.run
     if run is None:
         return out
     if run.earlier:
         out.add_row("all numbers", "since the last reset")
-    if not plan.interactive and results.metrics["dropped_at_s"] is None:
-        for each in judged(results.metrics, plan.scenario.goal):
-            shown = tables.milli(each.value, each.unit)
-            if each.limit >= UNLIMITED_SLIP:
-                out.add_row(each.name, shown)
-                continue
-            goal = f"< {1e3 * each.limit:g} m{each.unit}"
-            out.add_row(each.name, shown, goal, "pass" if each.passed else "fail")
-        skipped: tuple[str, ...] = _JUDGED
-    else:
-        skipped = _JUDGED[-1:]
+    has_goal = not plan.interactive and results.metrics["dropped_at_s"] is None
+    for each in judged(results.metrics, plan.scenario.goal) if has_goal else ():
+        goal = (f"< {1e3 * each.limit:g} m{each.unit}", "pass" if each.passed else "fail")
+        is_limited = each.limit < UNLIMITED_SLIP
+        out.add_row(each.name, tables.milli(each.value, each.unit), *(goal if is_limited else ()))
     rows = [*tables.metrics_rows(run.metrics), *tables.recovery_rows(run.recoveries)]
-    rows += tables.bag_rows(run.bag_metrics)
-    for name, value in rows:
-        if name not in skipped:
+    for name, value in [*rows, *tables.bag_rows(run.bag_metrics)]:
+        if name not in (_JUDGED if has_goal else _JUDGED[-1:]):
             out.add_row(name, tables.plain(value))
     lost = results.recording[LOST_KEY]
     out.add_row("lost messages", str(lost), "none", "fail" if lost else "pass")
-    deadlines = deadlines_of(plan, outcome)
-    if deadlines is not None:
-        counts = f"{deadlines.late:.0f} late, {deadlines.skipped:.0f} skipped"
-        out.add_row("deadlines missed", f"{100.0 * deadlines.missed_fraction:.2f} %, {counts}")
-    first = outcome.startup.get("first_tick_answered")
+    if (kept := real_time_counts(plan, outcome)) is not None:
+        counts = f"{kept['late']:.0f} late, {kept['skipped']:.0f} skipped"
+        out.add_row("deadlines missed", f"{100.0 * kept['missed_fraction']:.2f} %, {counts}")
+    first = outcome.first_tick
     out.add_row("start to first tick", "unknown" if first is None else f"{first:.4g} s")
     return out
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
-import itertools
 import re
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_link
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.scenario.scenario import Scenario, resolved
-
-LATEST = "latest"
 
 
 class RunDirectory:
@@ -29,10 +27,8 @@ class RunDirectory:
 
     def __init__(self, path: Path) -> None:
         """Name the files in a directory."""
-        self.path = path
-        self.bag = path / "bag"
-        self.summary = path / "summary.json"
-        self.scenario = path / "scenario.yaml"
+        self.path, self.bag = path, path / "bag"
+        self.summary, self.scenario = path / "summary.json", path / "scenario.yaml"
 
     @classmethod
     def create(cls, root: Path, name: str, now: datetime.datetime | None = None) -> RunDirectory:
@@ -48,12 +44,15 @@ class RunDirectory:
         """
         tame = re.sub(r"[^\w.-]+", "_", name)
         stem = f"{now or datetime.datetime.now():%Y%m%d-%H%M%S}-{tame}"
+        run, number = cls(root / stem), 1
         try:
             root.mkdir(parents=True, exist_ok=True)
-            run = cls(_new_folder(root, stem))
-            (run.path / "logs").mkdir()
-            (run.path / "parameters").mkdir()
-            replace_link(root / LATEST, run.path.name)
+            while not _make(run.path):  # a second run in the same second gets a number
+                number += 1
+                run = cls(root / f"{stem}-{number}")
+            for folder in ("logs", "parameters"):
+                (run.path / folder).mkdir()
+            replace_link(root / "latest", run.path.name)
         except OSError as error:
             raise ConfigurationError(
                 f"no run can be stored in '{root}': {error.strerror}; choose another --out"
@@ -77,13 +76,9 @@ class RunDirectory:
         return path
 
 
-def _new_folder(root: Path, stem: str) -> Path:
-    """Create a folder; a second run in the same second gets a number."""
-    for number in itertools.count(1):
-        path = root / (stem if number == 1 else f"{stem}-{number}")
-        try:
-            path.mkdir()
-        except FileExistsError:
-            continue
-        return path
-    raise AssertionError("unreachable")
+def _make(folder: Path) -> bool:
+    """Create a folder and return whether it is new."""
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir()
+        return True
+    return False

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import threading
 import time
-from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
@@ -30,14 +28,14 @@ from tactile_hand_ros.names import (
     USER_COMMANDS,
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.orchestrator.graph import GraphReadiness, MissingEndpoint
-from tactile_hand_ros.orchestrator.monitor import Monitor, Rate, View
+from tactile_hand_ros.orchestrator.graph import missing_endpoints
+from tactile_hand_ros.orchestrator.monitor import Monitor, View
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
-from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, UserForces
+from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.scheduling import Scheduling
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 # After the recorder, which loads fast, what takes longest to load comes first.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
@@ -63,7 +61,7 @@ class StallError(TactileHandError):
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be run.
+    """What is to be run; see `RunOptions`.
 
     Attributes:
         scenario: The scenario.
@@ -71,7 +69,6 @@ class Plan:
         record: Whether to record a bag.
         interactive: Whether to continue until a signal.
         composed: Whether the nodes share one process.
-        separate_recorder: Whether the recorder has a process of its own also then.
         startup_timeout: Longest wait for the graph [s].
         scheduling: How the nodes are scheduled, all but the recorder: it may be late.
     """
@@ -81,7 +78,6 @@ class Plan:
     record: bool = True
     interactive: bool = False
     composed: bool = False
-    separate_recorder: bool = False
     startup_timeout: float = 30.0
     scheduling: Scheduling = Scheduling()
 
@@ -92,8 +88,7 @@ class Plan:
 
     def process(self, node: str) -> str:
         """Return the executable that a node runs in."""
-        is_apart = node == RECORDER and self.separate_recorder
-        return COMPOSED if self.composed and not is_apart else node
+        return COMPOSED if self.composed else node
 
 
 @dataclass
@@ -104,18 +99,16 @@ class RunOutcome:
         failure: Why it ended early, empty if it did not.
         interrupted: Whether a signal ended it.
         complaints: A sentence for each process that did not end well.
-        startup: Time since the start of the orchestrator at which each step was done [s].
+        first_tick: Time from the start of the orchestrator to the first answered tick [s].
         last_tick: Stamp of the last tick that was answered [ns], -1 for none.
-        position_error: The last position error that was seen [m].
         plant: What the plant reported last, by key of its diagnostics.
     """
 
     failure: str = ""
     interrupted: bool = False
     complaints: list[str] = field(default_factory=list)
-    startup: dict[str, float] = field(default_factory=dict)
+    first_tick: float | None = None
     last_tick: int = -1
-    position_error: float = float("nan")
     plant: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -123,43 +116,19 @@ class RunOutcome:
         """Whether the run came to its last tick."""
         return not (self.failure or self.interrupted)
 
-    def done(self, step: str) -> None:
-        """Note that a step of the start is done."""
-        self.startup[step] = round(_process_age(), 3)
-
 
 class Session:
     """Runs a plan in a run directory.
 
     Attributes:
-        plan: What is to be run.
-        directory: Where everything is written.
-        signals: Whether to stop.
         outcome: What became of it.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        directory: RunDirectory,
-        signals: Signals,
-        lock: socket.socket,
-    ) -> None:
-        """Prepare.
-
-        Args:
-            plan: What is to be run.
-            directory: Where everything is written.
-            signals: Whether to stop.
-            lock: Held as long as a process of the run may exist, and released after the run.
-        """
-        self.plan = plan
-        self.directory = directory
-        self.signals = signals
+    def __init__(self, plan: Plan, directory: RunDirectory, signals: Signals) -> None:
+        """Take what is to be run, where everything is written, and whether to stop."""
+        self.plan, self.directory, self.signals = plan, directory, signals
         self.outcome = RunOutcome()
-        self.outcome.done("checked")
-        self._lock = lock
-        self._processes = Processes(lambda: signals.count > 1, lock)
+        self._processes = Processes(lambda: signals.count > 1)
 
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; nothing is left running.
@@ -170,7 +139,7 @@ class Session:
             view: Shows the progress.
         """
         outcome = self.outcome
-        with self._lock, self._processes, contextlib.ExitStack() as stack:
+        with self._processes, contextlib.ExitStack() as stack:
             try:
                 self._start()
                 self._command_and_watch(stack.enter_context(joining), view)
@@ -185,63 +154,49 @@ class Session:
 
     def _start(self) -> None:
         """Start all processes, one right after the other: they load at the same time."""
-        text = self.directory.write_scenario(self.plan.scenario)
-        scheduling = self.plan.scheduling
+        configs = self._configs(self.directory.write_scenario(self.plan.scenario))
         # The output of a node goes into its log here, not a second time below the home folder.
         common = ["--ros-args", "--disable-external-lib-logs"]
         if self.plan.namespace != "/":
             common += ["-r", f"__ns:={self.plan.namespace}"]
-        for name, configs in self._groups(self._configs(text)).items():
+        for name in dict.fromkeys(map(self.plan.process, configs)):
             self.signals.check()
-            files = [self.directory.write_parameters(*pair).resolve() for pair in configs.items()]
-            parameters = [word for file in files for word in ("--params-file", str(file))]
-            own = [] if name == RECORDER else list(scheduling.arguments)
-            own += [RECORD] if name == COMPOSED and RECORDER in configs else []
-            words = (*own, *common, *parameters)
-            log, records = self.directory.log(name), RECORDER in configs
-            self._processes.start(name, log, *words, records=records)
-        self.outcome.done("processes_started")
-
-    def _groups(self, configs: dict[str, Config]) -> dict[str, dict[str, Config]]:
-        """Sort the nodes by the process they run in, in the order of the start."""
-        groups: dict[str, dict[str, Config]] = {}
-        for node in START_ORDER:
-            if node in configs:
-                groups.setdefault(self.plan.process(node), {})[node] = configs[node]
-        return groups
+            own = [node for node in configs if self.plan.process(node) == name]
+            words = [] if name == RECORDER else list(self.plan.scheduling.arguments)
+            words += [RECORD] if name == COMPOSED and RECORDER in own else []
+            words += common
+            for node in own:
+                file = self.directory.write_parameters(node, configs[node])
+                words += ["--params-file", str(file.resolve())]
+            log = self.directory.log(name)
+            self._processes.start(name, log, *words, records=RECORDER in own)
 
     def _configs(self, scenario_text: str) -> dict[str, Config]:
+        """Return the parameters of the nodes in the order of the start."""
         scenario = self.plan.scenario
         endless = {"duration": 0.0} if self.plan.interactive else {}
-        configs: dict[str, Config] = {
-            PLANT: scenario.plant.changed({"autostart": False, **endless}),
-            SENSOR: scenario.tactile_sensor,
-            REGULATOR: scenario.slip_regulator,
-            OPTIMIZER: scenario.force_optimizer,
-            CONTROLLER: scenario.manipulation_controller,
-        }
+        configs: dict[str, Config] = {node: scenario.node_config(node) for node in NODES}
+        configs[PLANT] = scenario.plant.changed({"autostart": False, **endless})
         if self.plan.record:
             configs[RECORDER] = RecorderConfig(
                 output=str(self.directory.bag.resolve()),
                 topics=_recorded(self.plan.namespace),
-                exclude=_not_recorded(self.plan.namespace),
+                # The commands of users; the run has accepted/... and rejected/... instead.
+                exclude=[f"{self.plan.namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS],
                 scenario=scenario_text,
             )
-        return configs
+        return {node: configs[node] for node in START_ORDER if node in configs}
 
     def _command_and_watch(self, node: Node, view: View) -> None:
-        plan = self.plan
-        steering = Steering(node, self._check)
-        forces = UserForces(plan.scenario.user_forces, steering.grasp_force)
-        closely = not plan.record or forces.is_due_later
-        monitor = Monitor(node, plan.scenario.targets, closely=closely)
+        scenario = self.plan.scenario
+        steering = Steering(node, scenario, self._check)
+        monitor = Monitor(node, closely=any(each.stamp > 0 for each in scenario.user_forces))
         self._await_graph(node, monitor, steering)
-        steering.command(plan.scenario.targets)
-        forces.step(0)
-        self.outcome.done("targets_sent")
+        steering.send_targets()
+        steering.send_forces(0)
         steering.run(True)
         try:
-            self._watch(monitor, view, forces)
+            self._watch(monitor, view, steering)
         finally:
             self._come_to_rest(steering, monitor)
 
@@ -253,42 +208,37 @@ class Session:
             NodeDiedError: If a process ended.
             DuplicateNodeError: If a node of the run exists twice.
         """
-        plan = self.plan
-        members = [PLANT, SENSOR, REGULATOR, OPTIMIZER, CONTROLLER, ORCHESTRATOR]
-        if plan.record and plan.process(RECORDER) == RECORDER:
+        plan, own = self.plan, node.get_fully_qualified_name()
+        members = [*NODES, ORCHESTRATOR]
+        if plan.record and not plan.composed:
             members.append(RECORDER)
-        readiness = GraphReadiness(node, members)
-
-        def missing() -> Iterator[MissingEndpoint]:
-            ours = {node.get_fully_qualified_name(): steering.facts}
-            yield from readiness.missing({**monitor.facts(), **ours})
-            if not steering.is_ready:
-                yield MissingEndpoint(PLANT, "the service of the plant does not answer yet")
-
         end = time.monotonic() + plan.startup_timeout
-        # The first missing endpoint is reason enough to wait: a search for all of them costs 5 %
-        # of a processor while the nodes load.
-        while next(missing(), None) is not None:
+        while True:
+            missing = missing_endpoints(node, members, {**monitor.facts(), own: steering.facts})
+            # The first one is reason enough to wait: a search for all of them costs 5 % of a
+            # processor while the nodes load.
+            first = next(missing, None)
+            if first is None and steering.is_ready:
+                return
             self._processes.check()
             if time.monotonic() > end:
-                raise StartupError(self._absence(list(missing())))
+                first = first or (PLANT, "the service of the plant does not answer yet")
+                raise StartupError(self._absence(dict(reversed([first, *missing]))))
             self.signals.wait(_GRAPH_LOOK)
-        self.outcome.done("graph_matched")
 
-    def _absence(self, missing: Sequence[MissingEndpoint]) -> str:
-        """Return what is missing first of each node, and what the logs contain."""
-        first = {each.node: each.text for each in reversed(missing)}
-        shown = "; ".join(first[name] for name in sorted(first))
+    def _absence(self, missing: dict[str, str]) -> str:
+        """Return what is missing of each node, and what the logs contain."""
         lines = [
-            f"the graph is not complete after {self.plan.startup_timeout:g} s: {shown}; "
+            f"the graph is not complete after {self.plan.startup_timeout:g} s: "
+            f"{'; '.join(missing[name] for name in sorted(missing))}; "
             f"look at {self.directory.path / 'logs'}"
         ]
-        for name in dict.fromkeys(self.plan.process(each.node) for each in missing):
+        for name in dict.fromkeys(map(self.plan.process, missing)):
             tail = self._processes.tail(name)
             lines += [f"{name} | {line}" for line in tail] or [f"{name} has not printed anything"]
         return "\n".join(lines)
 
-    def _watch(self, monitor: Monitor, view: View, forces: UserForces) -> None:
+    def _watch(self, monitor: Monitor, view: View, steering: Steering) -> None:
         """Follow the run to its last tick, and send the user forces that are due.
 
         Raises:
@@ -297,27 +247,23 @@ class Session:
             StallError: If no tick is answered any more.
         """
         outcome, end = self.outcome, self.plan.end
-        rate = Rate(self.plan.scenario.plant.tick)
         progress = due = time.monotonic()
         with view.shown():
             while end is None or outcome.last_tick < end:
                 self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
                 self._processes.check()
                 before, outcome.last_tick = outcome.last_tick, monitor.answered()
-                forces.step(outcome.last_tick)
+                steering.send_forces(outcome.last_tick)
                 now = time.monotonic()
                 if before < 0 <= outcome.last_tick:
-                    outcome.done("first_tick_answered")
+                    outcome.first_tick = round(_process_age(), 3)
                 if before != outcome.last_tick:
                     progress = now
                 elif now - progress > STALL:
                     raise StallError(_stall(monitor))
                 if now >= due:
                     due = now + view.period
-                    faults = monitor.faults()
-                    first = faults[0] if faults else ""
-                    view.show(monitor.progress(), rate(outcome.last_tick), first)
-            outcome.position_error = monitor.progress().position_error
+                    view.show(monitor)
 
     def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
         """Pause and wait for the answers to the last tick, so that it is complete in the bag."""
@@ -332,7 +278,7 @@ class Session:
             wait_until(is_at_rest, _REST)
         if self.plan.record:
             threading.Event().wait(_LAST_HEARTBEATS)
-        self.outcome.plant = monitor.plant_facts()
+        self.outcome.plant = monitor.of(PLANT)
 
     def _check(self) -> None:
         self.signals.check()
@@ -344,11 +290,6 @@ def _recorded(namespace: str) -> list[str]:
     if namespace == "/":
         return [".*"]
     return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
-
-
-def _not_recorded(namespace: str) -> list[str]:
-    """Return the commands of users; the run has accepted/... and rejected/... instead."""
-    return [f"{namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS]
 
 
 def _stall(monitor: Monitor) -> str:

@@ -35,15 +35,14 @@ from tactile_hand_ros.rotations import (
 )
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig
+    from tactile_hand_ros.scenario.scenario import Scenario, TargetConfig
 
 Array = NDArray[np.float64]
 
 _SLICE = 0.02  # s
+_PATIENCE = 5.0  # s for an answer to the orchestrator
 _AGAIN = 1.0  # s without an answer after which a command is sent again
 _MODE_WAIT = 0.5  # s for the mode of the regulator, which only a hint needs
-
-
 _UNDISCOVERED = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node rmw has not discovered yet
 
 
@@ -54,14 +53,16 @@ class SteeringError(TactileHandError):
 class Steering:
     """The orchestrator's commands: targets, user grasp forces, and run or pause."""
 
-    def __init__(self, node: Node, check: Callable[[], None]) -> None:
+    def __init__(self, node: Node, scenario: Scenario, check: Callable[[], None]) -> None:
         """Create publishers and client.
 
         Args:
             node: A node in the namespace of the run.
+            scenario: What is to be commanded.
             check: Called while waiting; raises to give up.
         """
-        self._check = check
+        self._targets, self._check = scenario.targets, check
+        self._waiting = sorted(scenario.user_forces, key=lambda request: request.time)
         # A queue of one is full with each message, and only with a full queue does Fast DDS ask
         # for the acknowledgment immediately; otherwise every 3 s.
         profile = QoSProfile(depth=1)
@@ -82,38 +83,44 @@ class Steering:
         ours = (self._poses, self._forces)
         return {f"{PUBLICATIONS} {p.topic_name}": str(p.get_subscription_count()) for p in ours}
 
-    def command(self, targets: Sequence[TargetConfig], timeout: float = 5.0) -> None:
+    def send_targets(self) -> None:
         """Send desired poses, each with the tick from which it holds, and wait for their arrival.
 
         Raises:
             SteeringError: If a subscriber does not acknowledge them.
         """
-        for target in targets:
+        for target in self._targets:
             pose = target.target()
             quaternion = quaternion_from_rotation(pose.orientation)
             self._poses.publish(PoseCodec().encode(pose.position, quaternion, target.stamp))
-            self._deliver(self._poses, f"the desired pose for t = {target.time} s", timeout)
+            self._deliver(self._poses, f"the desired pose for t = {target.time} s")
 
-    def grasp_force(self, request: UserForceConfig, timeout: float = 5.0) -> None:
-        """Send a grasp force that the user requests and wait for its arrival.
+    def send_forces(self, stamp: int) -> None:
+        """Send the newest user grasp force that is due at a tick [ns], if there is one.
+
+        Forces carry no stamp, like everything that a user does by hand: the tick at which one takes
+        effect depends on how long it travels, and may differ from run to run.
 
         Raises:
             SteeringError: If a subscriber does not acknowledge it.
         """
-        self._forces.publish(Float64(data=float(request.force)))
-        self._deliver(self._forces, f"the grasp force for t = {request.time} s", timeout)
+        due = [each for each in self._waiting if each.stamp <= stamp]
+        self._waiting = self._waiting[len(due) :]
+        if due:
+            self._forces.publish(Float64(data=float(due[-1].force)))
+            self._deliver(self._forces, f"the grasp force for t = {due[-1].time} s")
 
-    def _deliver(self, publisher: Publisher, what: str, timeout: float) -> None:
-        end = time.monotonic() + timeout
+    def _deliver(self, publisher: Publisher, what: str) -> None:
+        end = time.monotonic() + _PATIENCE
         while not publisher.wait_for_all_acked(Duration(seconds=_SLICE)):
             self._check()
             if time.monotonic() > end:
                 raise SteeringError(
-                    f"{what} was not received by all subscribers within {timeout:g} s; look at "
+                    f"{what} was not received by all subscribers within {_PATIENCE:g} s; look at "
                     "the logs of the nodes"
                 )
 
-    def run(self, on: bool, timeout: float = 5.0, check: bool = True) -> None:
+    def run(self, on: bool, timeout: float = _PATIENCE, check: bool = True) -> None:
         """Let the plant run or pause.
 
         Args:
@@ -125,43 +132,26 @@ class Steering:
             SteeringError: If the plant refuses or does not answer.
         """
         future = self._client.call_async(SetBool.Request(data=on))
-        end = time.monotonic() + timeout
-        while not future.done():
+
+        def done() -> bool:
             if check:
                 self._check()
-            if time.monotonic() > end:
-                raise SteeringError(f"the plant did not answer to ~/run within {timeout:g} s")
-            self._executor.spin_once(timeout_sec=_SLICE)
-        answer = future.result()
-        if not answer.success:
-            raise SteeringError(f"the plant refuses ~/run: {answer.message}")
+            return bool(future.done())
+
+        if not _spin(self._executor, done, timeout):
+            raise SteeringError(f"the plant did not answer to ~/run within {timeout:g} s")
+        if not future.result().success:
+            raise SteeringError(f"the plant refuses ~/run: {future.result().message}")
 
 
-class UserForces:
-    """The user grasp forces of a scenario, each sent when simulated time has reached it.
-
-    They carry no stamp, like everything that a user does by hand: the tick at which one takes
-    effect depends on how long it travels, and may differ from run to run.
-    """
-
-    def __init__(
-        self, requests: Sequence[UserForceConfig], send: Callable[[UserForceConfig], None]
-    ) -> None:
-        """Take what is to be sent, and how."""
-        self._waiting = sorted(requests, key=lambda request: request.time)
-        self._send = send
-
-    @property
-    def is_due_later(self) -> bool:
-        """Whether something is left to be sent after the start."""
-        return any(each.stamp > 0 for each in self._waiting)
-
-    def step(self, stamp: int) -> None:
-        """Send what is due at a tick [ns]: the newest, which replaces those before it."""
-        due = [each for each in self._waiting if each.stamp <= stamp]
-        self._waiting = self._waiting[len(due) :]
-        if due:
-            self._send(due[-1])
+def _spin(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeout: float) -> bool:
+    """Return whether a condition comes true in time [s]."""
+    end = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        executor.spin_once(timeout_sec=_SLICE)
+    return True
 
 
 def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
@@ -231,14 +221,16 @@ class HandClient:
         self._node.create_subscription(
             ParameterEvent,
             names.accepted_parameters(names.REGULATOR),
-            lambda event: modes.extend(_modes(event)),
+            lambda event: modes.extend(
+                p.value.string_value for p in event.changed_parameters if p.name == "mode"
+            ),
             qos.configuration_qos(),
         )
         publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
         message = Float64(data=force)
         since = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
-        self._spin(lambda: bool(modes), _MODE_WAIT)
+        _spin(self._executor, lambda: bool(modes), _MODE_WAIT)
         return since, modes[-1] if modes else ""
 
     def grasp(self, close: bool) -> str:
@@ -258,7 +250,7 @@ class HandClient:
             SteeringError: If there is no hand, or it refuses.
         """
         last = f"{names.CONTROLLER}/reset"
-        self._wait_for_service(self._node.create_client(Trigger, last))
+        self._wait(self._node.create_client(Trigger, last).service_is_ready, self._absence())
         senders: set[str] = set()
 
         def is_known() -> bool:
@@ -281,11 +273,11 @@ class HandClient:
         self._node.create_subscription(
             PoseStamped, names.AUXILIARY_POSE, found.append, qos.tick_qos(), raw=True
         )
+        self._wait(lambda: self._node.count_subscribers(names.DESIRED_POSE) > 0, self._absence())
         self._wait(
             lambda: bool(found),
             "the hand does not know the pose of its grasp now (nothing on auxiliary_pose within "
             f"{self._timeout:g} s); is it running, and do all fingers touch?",
-            present=names.DESIRED_POSE,
         )
         return rotation_from_quaternion(PoseCodec().decode(found[0])[1].quaternion)
 
@@ -334,7 +326,7 @@ class HandClient:
 
     def _call(self, kind: Any, service: str, request: Any) -> str:
         client = self._node.create_client(kind, service)
-        self._wait_for_service(client)
+        self._wait(client.service_is_ready, self._absence())
         future = client.call_async(request)
         self._wait(future.done, f"{service} has not answered within {self._timeout:g} s")
         answer = future.result()
@@ -342,32 +334,14 @@ class HandClient:
             raise SteeringError(f"the hand refuses: {answer.message}")
         return str(answer.message)
 
-    def _wait_for_service(self, client: Any) -> None:
-        self._wait(client.service_is_ready, self._absence())
-
-    def _wait(self, condition: Callable[[], bool], problem: str, present: str = "") -> None:
+    def _wait(self, condition: Callable[[], bool], problem: str) -> None:
         """Wait for a condition.
 
-        Args:
-            condition: What to wait for.
-            problem: What is wrong when it does not come.
-            present: A topic without which the hand is not there at all.
-
         Raises:
-            SteeringError: If it does not come in time.
+            SteeringError: With the problem if it does not come in time.
         """
-        if not self._spin(condition, self._timeout):
-            gone = present and not self._node.count_subscribers(present)
-            raise SteeringError(self._absence() if gone else problem)
-
-    def _spin(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Return whether a condition comes true in time."""
-        end = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            self._executor.spin_once(timeout_sec=_SLICE)
-        return True
+        if not _spin(self._executor, condition, self._timeout):
+            raise SteeringError(problem)
 
     def _absence(self) -> str:
         domain, namespace = self._node.context.get_domain_id(), self._node.get_namespace()
@@ -381,11 +355,6 @@ def _check_finite(numbers: Sequence[float]) -> None:
     wrong = [number for number in numbers if not math.isfinite(number)]
     if wrong:
         raise ConfigurationError(f"{wrong[0]} is not a finite number")
-
-
-def _modes(event: ParameterEvent) -> list[str]:
-    """Return the mode in a configuration, if it has one."""
-    return [p.value.string_value for p in event.changed_parameters if p.name == "mode"]
 
 
 def _reason(refused: list[DiagnosticArray], topic: str) -> str:

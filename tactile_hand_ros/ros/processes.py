@@ -121,7 +121,6 @@ class ChildProcess:
         *,
         env: Mapping[str, str] | None = None,
         cwd: str | os.PathLike[str] | None = None,
-        pass_fds: Sequence[int] = (),
     ) -> None:
         """Start it.
 
@@ -131,7 +130,6 @@ class ChildProcess:
             stderr: File for the standard error, or ``subprocess.STDOUT``.
             env: Variables to set or change.
             cwd: Working directory.
-            pass_fds: Descriptors that it inherits.
         """
         self.command = [os.fspath(part) for part in command]
         self._process = subprocess.Popen(
@@ -141,7 +139,6 @@ class ChildProcess:
             stderr=stderr,
             env={**child_environment(), "PYTHONUNBUFFERED": "1", **(env or {})},
             cwd=cwd,
-            pass_fds=pass_fds,
             start_new_session=True,
         )
 

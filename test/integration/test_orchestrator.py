@@ -252,15 +252,6 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
     assert set(told.values()) == {cpu}
 
 
-def test_refused_scenario_starts_nothing(start: Start, tmp_path: Path) -> None:
-    """One sentence, exit code 2, and no run; `orchestrator/test_command.py` has the reasons."""
-    orchestrator = start("--scenario", "paper", "--set", "plant.rte=500", "--quiet")
-    assert end_of(orchestrator) == 2
-    assert orchestrator.stderr.startswith("orchestrator: ")
-    assert orchestrator.stderr.count("\n") == 1 and "did you mean 'rate'" in orchestrator.stderr
-    assert not (tmp_path / "runs").exists()
-
-
 def test_ctrl_c_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
     start: Start, tmp_path: Path
 ) -> None:

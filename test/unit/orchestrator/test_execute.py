@@ -14,7 +14,7 @@ import pytest
 
 from tactile_hand_ros.command_line import Interrupted, Signals
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
-from tactile_hand_ros.names import CONTROLLER, PLANT, RECORDER
+from tactile_hand_ros.names import PLANT, RECORDER
 from tactile_hand_ros.orchestrator.command import main, split_ros_arguments
 from tactile_hand_ros.orchestrator.execute import (
     RunInProgressError,
@@ -96,22 +96,20 @@ def test_a_signal_before_the_start_leaves_no_directory(
     assert not (tmp_path / "runs").exists()
 
 
-def test_one_run_has_a_domain_and_namespace_until_it_ends() -> None:
-    place = "/locked_by_a_test"
+@pytest.mark.parametrize("place", ["/locked_by_a_test", f"/{'a' * 200}"])
+def test_one_run_has_a_domain_and_namespace_until_it_ends(place: str) -> None:
+    """Also a namespace that is longer than the name of a socket."""
+    with (
+        single_run_lock(231, place),
+        single_run_lock(230, place),
+        single_run_lock(231, place + "b"),
+    ):
+        expected = f"in ROS domain 231 and namespace '{place}'"
+        with pytest.raises(RunInProgressError, match=re.escape(expected)):
+            with single_run_lock(231, place):
+                pass
     with single_run_lock(231, place):
-        with single_run_lock(230, place), single_run_lock(231, f"{place}/too"):
-            expected = f"in ROS domain 231 and namespace '{place}'"
-            with pytest.raises(RunInProgressError, match=re.escape(expected)):
-                single_run_lock(231, place)
-    single_run_lock(231, place).close()
-
-
-def test_a_long_namespace_is_not_a_run_in_progress() -> None:
-    """The name of a socket has 107 bytes."""
-    long = f"/{'a' * 200}"
-    with single_run_lock(231, long), single_run_lock(231, f"{long}b"):
-        with pytest.raises(RunInProgressError):
-            single_run_lock(231, long)
+        pass
 
 
 @pytest.mark.parametrize(
@@ -128,22 +126,6 @@ def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(
 ) -> None:
     scenario = load_scenario("paper", {"plant.pacing": pacing})
     assert shares_process(scenario, asked) is expected
-
-
-@pytest.mark.parametrize(
-    ("composed", "apart", "controller", "recorder"),
-    [
-        (False, False, CONTROLLER, RECORDER),
-        (False, True, CONTROLLER, RECORDER),
-        (True, False, "composed", "composed"),
-        (True, True, "composed", RECORDER),
-    ],
-)
-def test_the_recorder_shares_the_process_of_the_nodes_unless_asked_otherwise(
-    composed: bool, apart: bool, controller: str, recorder: str
-) -> None:
-    plan = Plan(SCENARIO, composed=composed, separate_recorder=apart)
-    assert (plan.process(CONTROLLER), plan.process(RECORDER)) == (controller, recorder)
 
 
 def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends_last() -> None:

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 
 from tactile_hand_ros import names
-from tactile_hand_ros.orchestrator.graph import DuplicateNodeError, GraphReadiness
+from tactile_hand_ros.orchestrator.graph import DuplicateNodeError, missing_endpoints
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -57,8 +57,8 @@ def all_matched(*, composed: bool = False, recorder: bool = False) -> Facts:
     }
 
 
-def missing(readiness: GraphReadiness, facts: Facts) -> list[tuple[str, str]]:
-    return [(each.node, each.text) for each in readiness.missing(facts)]
+def missing(node: Node, facts: Facts, members: list[str] = MEMBERS) -> list[tuple[str, str]]:
+    return list(missing_endpoints(node, members, facts))
 
 
 @pytest.mark.parametrize("composed", [False, True])
@@ -68,13 +68,13 @@ def test_nothing_is_missing_where_all_have_matched(
 ) -> None:
     members = [*MEMBERS, RECORDER] if recorder else MEMBERS
     facts = all_matched(composed=composed, recorder=recorder)
-    assert missing(GraphReadiness(node, members), facts) == []
+    assert missing(node, facts, members) == []
 
 
 def test_a_recorder_receives_every_topic_but_the_commands_of_users(node: Node) -> None:
-    readiness, facts = GraphReadiness(node, [*MEMBERS, RECORDER]), all_matched(recorder=True)
+    facts, members = all_matched(recorder=True), [*MEMBERS, RECORDER]
     facts[f"{HAND}/{RECORDER}"] = {}
-    assert [text for name, text in missing(readiness, facts) if name == RECORDER] == [
+    assert [text for name, text in missing(node, facts, members) if name == RECORDER] == [
         f"recorder does not receive {HAND}/{topic} yet" for topic in ("contacts", "clock")
     ]
 
@@ -82,14 +82,14 @@ def test_a_recorder_receives_every_topic_but_the_commands_of_users(node: Node) -
 def test_a_recorder_in_the_process_of_the_nodes_is_not_waited_for(node: Node) -> None:
     facts = all_matched(composed=True)
     facts[f"{HAND}/{RECORDER}"] = {f"subscriptions {HAND}/clock": "1"}
-    assert missing(GraphReadiness(node, MEMBERS), facts) == []
+    assert missing(node, facts) == []
 
 
 def test_a_node_that_has_not_matched_is_named(node: Node) -> None:
-    readiness, facts, topic = GraphReadiness(node, MEMBERS), all_matched(), f"{HAND}/contacts"
+    facts, topic = all_matched(), f"{HAND}/contacts"
     facts[f"{HAND}/{PLANT}"][f"publications {topic}"] = "0"
     facts[f"{HAND}/{SENSOR}"][f"subscriptions {topic}"] = "0"
-    assert missing(readiness, facts) == [
+    assert missing(node, facts) == [
         (SENSOR, f"{SENSOR} does not receive {topic} yet"),
         (PLANT, f"{PLANT} has matched 0 of 1 subscribers of {topic}"),
     ]
@@ -97,9 +97,9 @@ def test_a_node_that_has_not_matched_is_named(node: Node) -> None:
 
 @pytest.mark.parametrize("absent", MEMBERS)
 def test_a_node_that_has_not_reported_is_missing(node: Node, absent: str) -> None:
-    readiness, facts = GraphReadiness(node, MEMBERS), all_matched()
+    facts = all_matched()
     del facts[f"{HAND}/{absent}"]
-    assert (absent, f"{absent} does not report yet") in missing(readiness, facts)
+    assert (absent, f"{absent} does not report yet") in missing(node, facts)
 
 
 def test_a_subscriber_from_outside_must_be_matched_too(node: Node, context: Context) -> None:
@@ -107,7 +107,7 @@ def test_a_subscriber_from_outside_must_be_matched_too(node: Node, context: Cont
     viewer.create_subscription(Empty, names.CLOCK, print, 1)
     topic = f"{HAND}/clock"
     wait_until(lambda: node.count_subscribers(topic) == 1)
-    assert missing(GraphReadiness(node, MEMBERS), all_matched()) == [
+    assert missing(node, all_matched()) == [
         (PLANT, f"plant has matched 0 of 1 subscribers of {topic}")
     ]
     viewer.destroy_node()
@@ -117,6 +117,6 @@ def test_a_second_node_of_the_same_name_is_an_error(node: Node, context: Context
     twice = [Node(PLANT, context=context, namespace=HAND) for _ in range(2)]
     wait_until(lambda: node.get_node_names().count(PLANT) == 2)
     with pytest.raises(DuplicateNodeError, match="'/left/plant' already runs"):
-        missing(GraphReadiness(node, MEMBERS), all_matched())
+        missing(node, all_matched())
     for each in twice:
         each.destroy_node()

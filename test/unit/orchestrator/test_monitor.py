@@ -4,30 +4,26 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
-from support.messages import pose_message
 
-from tactile_hand_ros.orchestrator import monitor as module
-from tactile_hand_ros.orchestrator.monitor import Monitor, Progress, Rate, View, facts
+from tactile_hand_ros.orchestrator.monitor import Monitor, View
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
-from tactile_hand_ros.scenario.scenario import TargetConfig
 
 SECOND = 10**9
-STRAIGHT = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+PLANT, CONTROLLER, REGULATOR = (
+    f"/left/{name}" for name in ("plant", "manipulation_controller", "slip_regulator")
+)
 
 
 class Hand:
@@ -35,38 +31,28 @@ class Hand:
 
     def __init__(self, node: Node) -> None:
         self.node = node
-        kinds = {
-            "joint_command": JointState,
-            "auxiliary_pose": PoseStamped,
-            "/diagnostics": DiagnosticArray,
-        }
+        kinds = {"joint_command": JointState, "/diagnostics": DiagnosticArray}
         self._publishers = {
             topic: node.create_publisher(kind, topic, QoSProfile(depth=100))
             for topic, kind in kinds.items()
         }
 
-    def meets(self, *topics: str) -> None:
-        for topic in topics:
+    def monitor(self, *, closely: bool = False) -> Monitor:
+        made = Monitor(self.node, closely=closely)
+        for topic in ("/diagnostics", *(["joint_command"] if closely else [])):
             publisher = self._publishers[topic]
             wait_until(lambda p=publisher: p.get_subscription_count() == 1, message=topic)
+        return made
 
     def send(self, topic: str, message: Any) -> None:
         publisher = self._publishers[topic]
         publisher.publish(message)
         assert publisher.wait_for_all_acked()
 
-    def report(self, name: str, level: bytes, message: str = "", **values: object) -> None:
+    def report(self, name: str, level: bytes = OK, message: str = "", **values: object) -> None:
         pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         status = DiagnosticStatus(name=name, level=level, message=message, values=pairs)
         self.send("/diagnostics", DiagnosticArray(status=[status]))
-
-    def answer(self, stamp: int) -> None:
-        message = JointState()
-        message.header.stamp = stamp_from_ns(stamp)
-        self.send("joint_command", message)
-
-    def pose(self, topic: str, x: float, stamp: int) -> None:
-        self.send(topic, pose_message([x, 0.2, 0.3], STRAIGHT, stamp))
 
 
 @pytest.fixture
@@ -78,28 +64,23 @@ def hand() -> Iterator[Hand]:
 
 
 def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: Hand) -> None:
-    monitor = Monitor(hand.node, [], closely=False)
-    hand.meets("/diagnostics")
+    monitor = hand.monitor()
     assert monitor.facts() == {} and monitor.faults() == [] and monitor.tick == -1
     assert monitor.answered() == -1 and not monitor.is_at_rest
-    blank = monitor.progress()
-    assert blank.time == 0.0 and math.isnan(blank.position_error) and math.isnan(blank.grasp_force)
-    hand.report("/left/plant", OK, "running", answered_ns=3 * SECOND, tick_ns=4 * SECOND, mode="a")
-    hand.report("/left/slip_regulator", WARN, "at its limit", grasp_force_n=7.5)
-    hand.report(
-        "/left/manipulation_controller", ERROR, "no contact", position_error_m=0.25, mode="drive"
-    )
+    assert monitor.in_words() == "pose error unknown  k_f -"
+    hand.report(PLANT, answered_ns=3 * SECOND, tick_ns=4 * SECOND, mode="a")
+    hand.report(REGULATOR, WARN, "at its limit", grasp_force_n=7.125)
+    hand.report(CONTROLLER, ERROR, "no contact", position_error_m=0.0123, mode="drive")
     hand.report("/right/plant", STALE, "silent", answered_ns=9 * SECOND)
-    assert monitor.progress() == Progress(3.0, 0.25, 7.5, "drive")
-    assert monitor.tick == 3 * SECOND
-    assert monitor.plant_facts()["mode"] == "a"
-    assert monitor.faults() == [
-        "/left/manipulation_controller: no contact",
-        "/left/slip_regulator: at its limit",
-    ]
-    hand.report("/left/manipulation_controller", OK)
-    assert monitor.faults() == ["/left/slip_regulator: at its limit"]
-    assert math.isnan(monitor.progress().position_error)
+    assert monitor.in_words() == "pose error 12.3 mm  k_f 7.12 N"
+    assert monitor.answered() == monitor.tick == 3 * SECOND
+    assert monitor.of("plant")["mode"] == "a"
+    assert monitor.faults() == [f"{CONTROLLER}: no contact", f"{REGULATOR}: at its limit"]
+    hand.report(CONTROLLER, position_error_m=0.0099994)
+    assert monitor.faults() == [f"{REGULATOR}: at its limit"]
+    assert monitor.in_words() == "pose error 9.999 mm  k_f 7.12 N"
+    hand.report(CONTROLLER, position_error_m=0.1, mode="hold")  # the last error is stale
+    assert monitor.in_words() == "not driving: hold  k_f 7.12 N"
 
 
 @pytest.mark.parametrize(
@@ -115,46 +96,27 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: 
 def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(
     hand: Hand, mode: str, answered: int, rests: bool
 ) -> None:
-    monitor = Monitor(hand.node, [], closely=False)
-    hand.meets("/diagnostics")
-    hand.report("/left/plant", OK, mode=mode, tick_ns=4, answered_ns=answered)
+    monitor = hand.monitor()
+    hand.report(PLANT, mode=mode, tick_ns=4, answered_ns=answered)
     assert monitor.is_at_rest == rests
 
 
-def test_from_close_by_the_error_is_that_from_the_target_of_the_tick(hand: Hand) -> None:
-    targets = [
-        TargetConfig(position=(5.0, 0.2, 0.3), time=3.0),
-        TargetConfig(position=(2.0, 0.2, 0.3), time=4.0),
-    ]
-    monitor = Monitor(hand.node, targets, closely=True)
-    hand.meets("joint_command", "auxiliary_pose", "/diagnostics")
-    assert monitor.answered() == -1 and math.isnan(monitor.progress().position_error)
-    for x, second, error in ((1.0, 2, math.nan), (1.5, 3, 3.5), (1.5, 5, 0.5)):
-        hand.pose("auxiliary_pose", x, second * SECOND)
-        for _ in range(2):  # also without a newer pose
-            found = monitor.progress().position_error
-            assert found == error or math.isnan(found) and math.isnan(error)
+def test_only_from_close_by_each_command_is_seen(hand: Hand) -> None:
+    hand.monitor()
+    assert {each.topic_name for each in hand.node.subscriptions} == {"/diagnostics"}
+    for each in list(hand.node.subscriptions):
+        hand.node.destroy_subscription(each)
+    monitor = hand.monitor(closely=True)
+    assert monitor.answered() == -1
     for second in (2, 2, 1, 7):
-        hand.answer(second * SECOND)
-        assert monitor.answered() == second * SECOND == monitor.tick
-        assert monitor.progress().time == second
-
-
-def test_from_afar_nothing_of_a_tick_is_subscribed_to(hand: Hand) -> None:
-    def topics() -> set[str]:
-        return {each.topic_name for each in hand.node.subscriptions}
-
-    Monitor(hand.node, [], closely=False)
-    assert topics() == {"/diagnostics"}
-    Monitor(hand.node, [], closely=True)
-    assert topics() == {"/diagnostics", "/left/joint_command", "/left/auxiliary_pose"}
-
-
-NOW = Progress(time=1.25, position_error=0.0123, grasp_force=7.125)
+        message = JointState()
+        message.header.stamp = stamp_from_ns(second * SECOND)
+        hand.send("joint_command", message)
+        assert monitor.answered() == monitor.tick == second * SECOND
 
 
 def console(**options: Any) -> Console:
-    return Console(file=io.StringIO(), width=120, **options)
+    return Console(file=io.StringIO(), width=80, **options)
 
 
 def written(where: Console) -> str:
@@ -162,87 +124,43 @@ def written(where: Console) -> str:
     return where.file.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (0.0, "0.000 mm"),
-        (0.0099994, "9.999 mm"),
-        (0.01, "10.0 mm"),
-        (0.0123, "12.3 mm"),
-        (math.nan, "unknown"),
-    ],
-)
-def test_an_error_below_a_centimetre_is_shown_to_the_micrometre(error: float, words: str) -> None:
-    shown = facts(Progress(0.0, error, 7.125), 499.6)
-    assert shown == f"pose error {words}  k_f 7.12 N  500 ticks/s"
-
-
-def test_a_force_that_is_not_known_is_a_dash() -> None:
-    assert facts(Progress(0.0, 0.0, math.nan), 0.0) == "pose error 0.000 mm  k_f -  0 ticks/s"
-
-
-def test_an_error_is_shown_only_while_the_hand_drives() -> None:
-    """After a drop the last error would stay on the screen."""
-    held, driven = (facts(Progress(0.0, 0.1, 7.0, mode), 1.0) for mode in ("hold", "drive"))
-    assert held == "not driving: hold  k_f 7.00 N  1 ticks/s"
-    assert driven == "pose error 100.0 mm  k_f 7.00 N  1 ticks/s"
-
-
-@pytest.mark.parametrize(
-    ("duration", "fault", "line"),
-    [
-        (5.5, "", f"t = 1.25 of 5.5 s  {facts(NOW, 250.0)}\n"),
-        (None, "[b] is stale", f"t = 1.25 s  {facts(NOW, 250.0)}  ! [b] is stale\n"),
-        (None, "x" * 400, f"t = 1.25 s  {facts(NOW, 250.0)}  ! {'x' * 400}\n"),
-    ],
-)
-def test_a_pipe_gets_a_line_now_and_then(duration: float | None, fault: str, line: str) -> None:
-    where = console(force_terminal=False)
+@pytest.mark.parametrize(("duration", "of"), [(5.5, " of 5.5"), (None, "")])
+def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
+    hand: Hand, duration: float | None, of: str
+) -> None:
+    monitor, where, fault = hand.monitor(), console(force_terminal=False), "[b] " + "why " * 100
+    hand.report(PLANT, WARN, fault, answered_ns=1.25 * SECOND)
+    monitor.tick = 1_250_000_000
     view = View(where, duration, quiet=False)
     with view.shown():
-        view.show(NOW, 250.0, fault)
-    assert written(where) == line and view.period == 2.0
+        view.show(monitor)
+        view.show(monitor)
+    line = f"t = 1.25{of} s  {monitor.in_words()}  0.00 x real time\n"
+    assert written(where) == f"t = 1.25 s  ! {PLANT}: {fault}\n" + 2 * line
+    assert view.period == 2.0
 
 
 def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
-    monkeypatch: pytest.MonkeyPatch,
+    hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    where = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None)
+    monitor, reason = hand.monitor(), f"{'why ' * 30}end"
+    hand.report(PLANT, WARN, reason)
+    monitor.tick = 1_250_000_000
+    where = console(force_terminal=True, color_system=None)
     view = View(where, 5.0, quiet=False)
-    assert view.period == 0.1
-    reason = f"[plant] {'why ' * 30}end"
     with view.shown():
-        before = len(written(where))
-        view.show(NOW, 250.0, reason)
-        view.show(NOW, 250.0, reason)
-        drawn = written(where)[before:]
-    assert "  1.25 / 5 s" in drawn and facts(NOW, 250.0) in drawn
+        view.show(monitor)
+        view.show(monitor)
+    drawn = written(where)
+    assert "  1.25 / 5 s" in drawn and view.period == 0.1
     assert drawn.count(reason) == 1  # a fault that stays is printed once
-    assert written(where).endswith("\x1b[2K")
+    assert drawn.endswith("\x1b[2K")
 
 
-def test_quiet_means_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm")
+def test_quiet_means_quiet(hand: Hand) -> None:
     where = console(force_terminal=True)
-    quiet = View(where, 1.0, quiet=True)
-    with quiet.shown():
-        quiet.show(NOW, 250.0, "a fault")
-    assert quiet.period == math.inf and written(where) == ""
-    monkeypatch.setenv("TERM", "dumb")
-    assert View(console(force_terminal=True), 1.0, quiet=False).period == 2.0
-
-
-def test_the_rate_is_that_between_two_stamps_that_differ(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 100.0
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now))
-    rate = Rate(2_000_000)
-    assert rate(2_000_000) == 0.0  # the first: since when is not known
-    now += 0.5
-    assert rate(2_000_000) == 0.0
-    assert rate(202_000_000) == 200.0
-    now += 0.25
-    assert rate(202_000_000) == 200.0  # nothing new
-    now += 0.25
-    assert rate(302_000_000) == 100.0
-    assert rate(402_000_000) == 100.0  # no time has passed
+    view = View(where, 1.0, quiet=True)
+    with view.shown():
+        view.show(hand.monitor())
+    assert written(where) == ""

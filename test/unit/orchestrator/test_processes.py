@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +22,6 @@ from tactile_hand_ros.ros.processes import CapturedProcess, executable_directory
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"
-ALONE = "echo ready; exec tail -f /dev/null"
 # Leaves a child behind that ignores the signals.
 PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0' INT; wait"
 
@@ -146,23 +144,6 @@ def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_pa
         assert orchestrator.wait() == -signal.SIGKILL
         wait_until(lambda: not any(each.is_running() for each in ours))
     assert (tmp_path / "bag").read_text() == "finished"
-
-
-def test_the_processes_hold_the_lock_of_the_run(tmp_path: Path) -> None:
-    """The lock lasts as long as anything of the run, also when the orchestrator is killed."""
-    name = f"\0tactile_hand_ros/test/{os.getpid()}"
-    lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    lock.bind(name)
-    other = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with Processes(
-        lock=lock, command=lambda _, guard: [*guard, "/bin/sh", "-c", ALONE]
-    ) as processes:
-        started(processes, tmp_path, "a")
-        lock.close()
-        with pytest.raises(OSError, match="in use"):
-            other.bind(name)
-    other.bind(name)
-    other.close()
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,11 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.results import (
     RunResults,
     RunVerdict,
-    deadlines_of,
     in_words,
     judge,
     open_report,
     read_results,
+    real_time_counts,
     report_line,
     table,
     write_summary,
@@ -36,6 +36,7 @@ TICKS = 51
 PLAN = Plan(load_scenario("paper", {"duration": 0.1, "targets": []}))
 STEERED = Plan(PLAN.scenario, interactive=True)
 REAL_TIME = Plan(load_scenario("paper", {"plant.pacing": "realtime", "duration": 0.1}))
+DONE = RunOutcome()
 GOOD = {"final_position_error_m": 1e-5, "final_rotation_error_rad": 1e-5}
 
 
@@ -132,10 +133,9 @@ def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
     assert judge(STEERED, stopped, started, 130).exit_code == 1
 
 
-@pytest.mark.parametrize(("error", "code"), [(1e-5, 0), (1e-3, 1), (math.nan, 1)])
-def test_without_a_bag_the_last_pose_that_was_seen_decides(error: float, code: int) -> None:
-    outcome = RunOutcome(position_error=error)
-    assert judge(PLAN, outcome, RunResults(), 128).exit_code == code
+def test_without_a_bag_a_run_is_not_judged() -> None:
+    verdict = judge(Plan(PLAN.scenario, record=False), RunOutcome(), RunResults(), 128)
+    assert verdict == RunVerdict("finished", [], 0)
 
 
 @pytest.mark.parametrize(("record", "problems"), [(True, 1), (False, 0)])
@@ -143,12 +143,12 @@ def test_a_bag_that_is_not_there_is_a_problem_of_a_recorded_run(
     tmp_path: Path, record: bool, problems: int
 ) -> None:
     plan = Plan(PLAN.scenario, record=record)
-    found = read_results(plan, RunDirectory(tmp_path), finished=True)
+    found = read_results(plan, RunDirectory(tmp_path), DONE)
     assert (found.run, found.metrics, len(found.problems)) == (None, {}, problems)
 
 
 def test_a_complete_bag_has_no_problem(directory: RunDirectory) -> None:
-    found = read_results(PLAN, directory, finished=True)
+    found = read_results(PLAN, directory, DONE)
     assert found.run is not None and found.metrics == found.run.metrics.to_dict()
     assert found.recording["expected_ticks"] == found.metrics["ticks"] == TICKS
 
@@ -158,10 +158,10 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
 ) -> None:
     longer = load_scenario("paper", {"duration": 0.102, "targets": []})
     short = f"the bag holds {TICKS} ticks, expected {TICKS + 1}"
-    assert short in read_results(Plan(longer), directory, finished=True).problems
-    assert short not in read_results(Plan(longer), directory, finished=False).problems
+    assert short in read_results(Plan(longer), directory, DONE).problems
+    assert short not in read_results(Plan(longer), directory, RunOutcome(interrupted=True)).problems
     late = Plan(longer.changed({"plant": longer.plant.changed({"pacing": "realtime"})}))
-    found = read_results(late, directory, finished=True)
+    found = read_results(late, directory, DONE)
     assert found.recording["expected_ticks"] is None and found.problems == []
 
 
@@ -172,8 +172,8 @@ def shown(plan: Plan, outcome: RunOutcome, found: RunResults) -> dict[str, list[
 
 
 def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
-    started = RunOutcome(startup={"first_tick_answered": 2.5})
-    found = read_results(PLAN, directory, finished=True)
+    started = RunOutcome(first_tick=2.5)
+    found = read_results(PLAN, directory, DONE)
     rows = shown(PLAN, started, found)
     assert rows["final position error"][1:] == ["< 0.1 mm", "pass"]
     assert rows["longest slip"][1:] == ["", ""]  # the scenario does not limit it
@@ -192,7 +192,7 @@ def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
     directory = RunDirectory(tmp_path)
     write_record(directory.bag, ClosedLoop(scenario).run())
     directory.write_scenario(scenario)
-    found = read_results(Plan(scenario), directory, finished=True)
+    found = read_results(Plan(scenario), directory, DONE)
     rows = shown(Plan(scenario), RunOutcome(), found)
     assert rows["object"][0].startswith("dropped at")
     assert not {"final position error", "settling time"} & set(rows)
@@ -205,13 +205,14 @@ def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
     """Of a run that stood still before its end, what never came was missed."""
     plant = {"late_commands": "1", "missed_ticks": "2", "lost_s": "0", "time_s": "0.05"}
     outcome = RunOutcome(last_tick=50_000_000, plant=plant)
-    asked = deadlines_of(REAL_TIME, outcome)
-    assert asked is not None and (asked.due, asked.given_up) == (50.0, 25.0)
-    steered = deadlines_of(Plan(REAL_TIME.scenario, interactive=True), outcome)
-    assert steered is not None and (steered.due, steered.given_up) == (25.0, 0.0)
-    assert deadlines_of(REAL_TIME, RunOutcome(last_tick=-1, plant=plant)) is None
-    assert deadlines_of(PLAN, outcome) is None
-    found = read_results(REAL_TIME, directory, finished=True)
+    asked = real_time_counts(REAL_TIME, outcome)
+    assert asked is not None and (asked["due"], asked["given_up"]) == (50.0, 25.0)
+    assert asked["missed_fraction"] == (1 + 2 + 25) / 50
+    steered = real_time_counts(Plan(REAL_TIME.scenario, interactive=True), outcome)
+    assert steered is not None and (steered["due"], steered["given_up"]) == (25.0, 0.0)
+    assert real_time_counts(REAL_TIME, RunOutcome(last_tick=-1, plant=plant)) is None
+    assert real_time_counts(PLAN, outcome) is None
+    found = read_results(REAL_TIME, directory, DONE)
     counts = shown(REAL_TIME, outcome, found)["deadlines missed"][0]
     assert counts.endswith("%, 1 late, 2 skipped")
     verdict = judge(REAL_TIME, outcome, found, 128)
@@ -226,7 +227,7 @@ def test_a_summary_holds_for_every_number_that_is_missing(tmp_path: Path) -> Non
     directory = RunDirectory(tmp_path)
     write_record(directory.bag, record)
     directory.write_scenario(PLAN.scenario)
-    found = read_results(PLAN, directory, finished=True)
+    found = read_results(PLAN, directory, DONE)
     write_summary(PLAN, directory, RunOutcome(), found, judge(PLAN, RunOutcome(), found, 128))
     read = json.loads(directory.summary.read_text())
     assert read["metrics"]["final_position_error_m"] is None
