@@ -17,7 +17,7 @@ if __name__ == "__main__":
 
 import typer
 
-from tactile_hand_ros.cli.output import Progress, check_writable, print_table
+from tactile_hand_ros.cli.output import check_writable, print_table, steps
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_text
@@ -55,7 +55,7 @@ def bench(
         raise ConfigurationError(f"--out: {out} is a folder, expected the name of a file.")
     check_writable(out.parent)
     results: list[Result] = []
-    with Progress("measuring", len(chosen)) as advance:
+    with steps("measuring", len(chosen)) as advance:
         work = Workload.prepare(ticks, repeats, seconds, hertz)
         for name in chosen:
             results += _measure(name, work)

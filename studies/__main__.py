@@ -19,16 +19,17 @@ if __name__ == "__main__":
 
 import typer
 
-from tactile_hand_ros.cli.experiments import ClusterOption, progress
+from tactile_hand_ros.cli.experiments import ClusterOption
 from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
-    Progress,
     SeedOption,
     check_writable,
     folder_for_results,
     print_files,
     print_table,
+    progress,
+    steps,
 )
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.report.tables import markdown, rich_table
@@ -81,7 +82,7 @@ def detector(
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
-    with Progress("replaying", d.steps(runs)) as advance, workers(jobs):
+    with steps("replaying", d.steps(runs)) as advance, workers(jobs):
         scores = d.run_roc(runs, seed=seed, progress=advance)
     files = save(d.figure(scores), out, "study_roc", kinds)
     _finish(out, files, ("detector", d.COLUMNS, d.rows(scores)))
@@ -219,7 +220,7 @@ def soak(
     from studies import soak as s
 
     for where, rate, composed in (("composed", 500.0, True), ("processes", 250.0, False)):
-        with Progress(f"soak, {where}", 2 * round(seconds)) as advance:
+        with steps(f"soak, {where}", 2 * round(seconds)) as advance:
             scenario = s.soak_scenario(rate)
             seen = s.soak(scenario, seconds, composed=composed, priority=priority, progress=advance)
         print(where, json.dumps(s.summary(seen), indent=2))

@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile_hand_ros.cli.output import EXIT_DIFFERS, BagArgument, print_table
+from tactile_hand_ros.cli.output import EXIT_DIFFERS, BagArgument, bar, print_table
 from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError, counted
 
@@ -122,7 +120,13 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
         "namespace": f"/{namespace}" if namespace else "",
         "paused": request.paused,
     }
-    with replaying(bag, **options) as player, _line(player) as watch:
+    with replaying(bag, **options) as player, bar("replay", player.duration) as update:
+
+        def watch(player: Replay) -> None:
+            state = "paused" if player.paused else counted(player.messages, "message")
+            text = f"{player.position:.1f} of {player.duration:.1f} s, {state}"
+            update(completed=player.position, text=text)
+
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
         print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
@@ -130,26 +134,6 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
             player.run(watch)
         finally:
             print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _line(player: Replay) -> Iterator[Any]:
-    """Show on a terminal where the replay is."""
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True)
-    text = TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[state]}")
-    bar = Bar(BarColumn(), text, console=console, transient=True, disable=not console.is_terminal)
-    task = bar.add_task("replay", total=player.duration, state="")
-
-    def watch(player: Replay) -> None:
-        state = "paused" if player.paused else counted(player.messages, "message")
-        bar.update(task, completed=player.position, state=state)
-
-    with bar:
-        yield watch
 
 
 def recover(

@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,21 +15,20 @@ import typer
 from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
-    Progress,
     SeedOption,
     check_writable,
-    console,
     figure_formats,
     folder_for_results,
     print_files,
     print_table,
+    progress,
+    steps,
 )
 from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError
 
 if TYPE_CHECKING:
     from tactile_hand_ros.sweep.sweep import Sweep
-    from tactile_hand_ros.sweep.table import Tally
 
 
 def scenarios() -> None:
@@ -60,8 +56,6 @@ def show(
 ClusterOption = Annotated[
     str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
 ]
-
-_LOOK = 0.2  # s between two looks at the progress
 
 
 @dataclass(frozen=True)
@@ -174,45 +168,6 @@ def _again(out: Path) -> str:
     return f"What is done is in {out}; `tactile-hand sweep {out}` continues."
 
 
-@contextlib.contextmanager
-def progress(title: str) -> Iterator[Callable[[Tally], None]]:
-    """Show how far a study is, on a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    output = console(stderr=True)
-    texts = TextColumn("{task.fields[left]}"), TextColumn("{task.fields[state]}")
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(20),
-        MofNCompleteColumn(),
-        *texts,
-        console=output,
-        transient=True,
-        disable=not output.is_terminal,
-    )
-    task = bar.add_task(title, total=None, left="", state="starting")
-    last = 0.0
-
-    def watch(tally: Tally) -> None:
-        nonlocal last
-        if time.monotonic() - last < _LOOK:
-            return
-        last = time.monotonic()
-        left = f"{_clock(tally.left)} left"
-        bar.update(task, completed=tally.done, total=tally.total, left=left, state=str(tally))
-
-    with bar:
-        yield watch
-
-
-def _clock(seconds: float) -> str:
-    if not seconds < 1e7:
-        return "an unknown time"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
 def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.report.tables import rich_table
@@ -282,9 +237,9 @@ def reproduce(
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
     kinds = folder_for_results(out, formats)
-    with Progress("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
+    with steps("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
         results = run(layouts, duration, advance)
-    with Progress("drawing", len(results)) as advance:
+    with steps("drawing", len(results)) as advance:
         files = []
         for result in results:
             files += draw(result, out, kinds)

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +17,8 @@ from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from tactile_hand_ros.sweep.table import Tally
 
 EXIT_DIFFERS = 1
 """Exit code when a bag does not agree with what was computed from it."""
@@ -105,37 +110,49 @@ def print_files(files: Sequence[Path], folder: Path) -> None:
     print(f"{counted(len(files), 'file')} in {folder}: {', '.join(file.name for file in files)}")
 
 
-class Progress:
-    """A progress bar on a terminal; nothing elsewhere."""
+@contextlib.contextmanager
+def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """Show a bar on a terminal; nothing elsewhere.
 
-    def __init__(self, title: str, total: int) -> None:
-        """Set the title and the number of steps."""
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-        from rich.progress import TimeElapsedColumn as Elapsed
+    Args:
+        title: What is done.
+        total: How much there is to do, if it is known.
 
-        output = console(stderr=True)
-        texts = TextColumn("{task.description}"), TextColumn("{task.fields[latest]}")
-        self._bar = Progress(
-            texts[0],
-            BarColumn(),
-            MofNCompleteColumn(),
-            Elapsed(),
-            texts[1],
-            console=output,
-            transient=True,
-            disable=not output.is_terminal,
-        )
-        self._task = self._bar.add_task(title, total=total, latest="")
+    Yields:
+        A function that updates the bar; see `rich.progress.Progress.update`. Its field ``text`` is
+        shown behind the bar.
+    """
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    def __enter__(self) -> Progress:
-        """Show the bar."""
-        self._bar.start()
-        return self
+    output = console(stderr=True)
+    shown = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        TextColumn("{task.fields[text]}"),
+        console=output,
+        transient=True,
+        disable=not output.is_terminal,
+    )
+    task = shown.add_task(title, total=total, text="")
+    with shown:
+        yield functools.partial(shown.update, task)
 
-    def __exit__(self, *_: object) -> None:
-        """Remove the bar."""
-        self._bar.stop()
 
-    def __call__(self, latest: str) -> None:
-        """Advance by one and show what was done."""
-        self._bar.update(self._task, advance=1, latest=latest)
+@contextlib.contextmanager
+def steps(title: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Show a bar for some steps; yields a function to call with the name of each that is done."""
+    with bar(title, total) as update:
+        yield lambda latest: update(advance=1, text=latest)
+
+
+@contextlib.contextmanager
+def progress(title: str) -> Iterator[Callable[[Tally], None]]:
+    """Show how far a study is."""
+    with bar(title) as update:
+
+        def watch(tally: Tally) -> None:
+            left = f"{tally.left:.0f} s left, " if tally.left < math.inf else ""
+            text = f"{tally.done} of {tally.total}, {left}{tally}"
+            update(completed=tally.done, total=tally.total, text=text)
+
+        yield watch
