@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import centered
 from tactile_hand_ros.control.loads import (
     LoadMargin,
     LoadMarginConfig,
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 
 
 _MIN_GRASP_FORCE = 0.1  # N; below, the load per unit of internal force means nothing
+_MIN_PROJECTION = 1e-3  # of a unit vector on a face, below which it is no direction
 _CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 SIDES = 12
@@ -100,6 +102,38 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
             tangential = DIRECTIONS[j, 0] * x + DIRECTIONS[j, 1] * z
             beyond[i, j] = tangential - INSIDE * usable_friction[i] * n
     return beyond
+
+
+@compiled
+def grasp_frames(points: Array, rotations: Array) -> Array:
+    """Return contact frames whose tangents follow the grasp instead of the palm, (k, 3, 3).
+
+    t_z is the normal of the plane that is nearest to the contacts, projected on the face. Frames
+    that follow the palm are undefined where a normal lies along palm z. Here that would be a
+    finger that pushes across the plane of all contacts, where its force balances nothing; then its
+    direction to their centroid is taken. A pyramid of an even number of sides is the same for
+    either sign of the plane's normal.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        rotations: Contact frames, of which the normals are kept, shape (k, 3, 3).
+    """
+    arms = centered(points)
+    _, axes = np.linalg.eigh(arms.T @ arms)
+    plane, area = axes[:, 0].copy(), np.zeros(3)
+    for i in range(len(arms)):
+        area += np.cross(arms[i - 1], arms[i])
+    if plane @ area < 0.0:  # the sign of an eigenvector may change from tick to tick
+        plane = -plane
+    out = np.empty_like(rotations)
+    for i in range(len(arms)):
+        n = np.ascontiguousarray(rotations[i, :, 1])
+        along = plane - (plane @ n) * n
+        if along @ along < _MIN_PROJECTION**2:
+            along = arms[i] - (arms[i] @ n) * n
+        along = along / math.sqrt(along @ along)
+        out[i, :, 0], out[i, :, 1], out[i, :, 2] = np.cross(n, along), n, along
+    return out
 
 
 class TrackerConfig(Protocol):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
     centered,
@@ -26,6 +26,7 @@ from tactile_hand_ros.control.optimizer.cones import (
     ConeTracker,
     cone_margin,
     followed,
+    grasp_frames,
     imbalance,
 )
 from tactile_hand_ros.control.optimizer.quadratic_program import (
@@ -228,13 +229,21 @@ class ForceOptimizer:
         """
         if not self.config.cones or friction is None or forces is None:
             return self.solve(contacts)
+        # Planes and memory of the cones in frames that turn with the grasp: what follows from them
+        # must not depend on how the grasp lies in the palm.
+        frames = contacts.rotations
+        if contacts.all_touching:
+            frames = grasp_frames(contacts.positions, frames)
+        turns = np.swapaxes(frames, 1, 2) @ contacts.rotations
+        grasp = Contacts(contacts.positions, frames)
         usable = self.config.cone_share * friction
-        cones = self._tracker.step(stamp, contacts, forces, usable)
-        optimal = self.solve(contacts, cones)
-        if cones is None or not optimal.ok:
+        cones = self._tracker.step(stamp, grasp, in_palm(turns, forces, 1.0), usable)
+        optimal = self.solve(grasp, cones)
+        if not optimal.ok:
             return optimal
-        learned = cone_margin(optimal.forces, cones.load, friction)
-        return OptimalForces(*optimal[:-2], learned, optimal.shaped)
+        learned = np.nan if cones is None else cone_margin(optimal.forces, cones.load, friction)
+        back = in_palm(np.swapaxes(turns, 1, 2), optimal.forces, 1.0)
+        return optimal._replace(forces=back, learned_margin=learned)
 
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
         """Distribute a unit internal force over the contacts.
