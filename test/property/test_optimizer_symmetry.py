@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""f* inside the cones does not depend on how the grasp lies in the palm, nor on the fingers' order."""
+"""f* inside the cones: the same however a grasp lies in the palm, and in any order of fingers."""
 
 import numpy as np
 import pytest
