@@ -106,12 +106,6 @@ def test_a_refusal_is_a_warning_and_the_node_works_on(reports):
         assert process.wait() == 0
 
 
-def test_a_processor_that_is_not_there_ends_the_start():
-    with start("--cpus", "9999") as process:
-        assert process.wait() == 2
-        assert "this machine has no processor 9999" in process.stderr
-
-
 def test_the_recorder_interrupts_nobody_unless_it_is_asked_to(tmp_path: Path, reports) -> None:
     """What the kernel told to its threads when they were made is in force."""
     output = ("--ros-args", "-p", f"output:={tmp_path / 'bag'}")

@@ -1,13 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Executables are found where ``ros2 run`` looks, or the answer is a sentence."""
+"""Isolated domains, waiting, and processes that leave nothing behind."""
 
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any
+
+import psutil
 import pytest
+import rclpy
+from std_msgs.msg import Float64
 
-from tactile_hand_ros.ros.processes import ExecutableError, executable_path
+from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.processes import (
+    CapturedProcess,
+    ExecutableError,
+    end_together,
+    executable_path,
+    wait_until,
+)
 
 
-@pytest.mark.parametrize("prefix", [None, "", "/nowhere"])
-def test_an_index_that_is_not_there_is_named(monkeypatch, prefix):
+@pytest.mark.parametrize("prefix", [None, "/nowhere"])
+def test_a_package_that_is_not_there_is_named(
+    monkeypatch: pytest.MonkeyPatch, prefix: str | None
+) -> None:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     if prefix is not None:
         monkeypatch.setenv("AMENT_PREFIX_PATH", prefix)
@@ -15,6 +34,81 @@ def test_an_index_that_is_not_there_is_named(monkeypatch, prefix):
         executable_path("plant")
 
 
-def test_an_unknown_executable_is_named_with_the_known_ones():
+def test_an_unknown_executable_is_named_with_the_known_ones() -> None:
     with pytest.raises(ExecutableError, match="'no_such_node': choose one of composed, "):
         executable_path("no_such_node")
+
+
+def test_domains_are_never_shared_and_the_environment_is_restored() -> None:
+    before = os.environ.get("ROS_DOMAIN_ID")
+    with isolated_domain() as first:
+        assert os.environ["ROS_DOMAIN_ID"] == str(first)
+        with isolated_domain() as second:
+            assert second != first
+        assert os.environ["ROS_DOMAIN_ID"] == str(first)
+    assert os.environ.get("ROS_DOMAIN_ID") == before
+
+
+def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only() -> None:
+    with isolated_domain() as one, isolated_domain() as two:
+        with private_context(one) as here, private_context(two) as there:
+            node = rclpy.create_node("a", context=here)
+            friend = rclpy.create_node("b", context=here)
+            stranger = rclpy.create_node("c", context=there)
+            publisher = node.create_publisher(Float64, "x", 10)
+            friend.create_subscription(Float64, "x", print, 10)
+            stranger.create_subscription(Float64, "x", print, 10)
+            wait_until(lambda: publisher.get_subscription_count() > 0)
+            assert publisher.get_subscription_count() == 1
+            connections = psutil.Process().net_connections(kind="udp")
+            assert {each.laddr.ip for each in connections if each.laddr.port > 0} == {"127.0.0.1"}
+            for each in (node, friend, stranger):
+                each.destroy_node()
+
+
+def test_waiting_in_vain_says_for_what() -> None:
+    with pytest.raises(TimeoutError, match="waited 0.05 s in vain for the moon"):
+        wait_until(lambda: False, 0.05, "the moon")
+    assert wait_until(lambda: 3) == 3
+
+
+def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals() -> None:
+    """And no group is signaled when its leader has been reaped: its number may be another's."""
+    program = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "child = os.fork()\n"
+        "if not child: signal.pause()\n"
+        "print(child, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with CapturedProcess([sys.executable, "-c", program]) as process:
+        assert process.wait() == 0
+        child = int(process.stdout)
+        wait_until(
+            lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == "zombie"
+        )
+        sent: list[Any] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "killpg", lambda *_: sent.append(_))
+            process.send_to_group(signal.SIGTERM)
+            end_together([process])
+        assert sent == []
+
+
+def test_output_and_exit_code_are_kept() -> None:
+    program = "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"
+    with CapturedProcess([sys.executable, "-c", program]) as process:
+        assert process.wait() == 3
+        assert (process.stdout, process.stderr, process.returncode) == ("out\n", "err\n", 3)
+        with pytest.raises(TimeoutError, match="'never'(.|\n)*out"):
+            process.wait_for_output("never", 0.05)
+
+
+def test_a_process_that_does_not_end_says_where_it_stands() -> None:
+    program = "import signal\ndef stuck(): print(1); signal.pause()\nstuck()"
+    with CapturedProcess([sys.executable, "-c", program]) as process:
+        process.wait_for_output("1")
+        with pytest.raises(TimeoutError, match="still running after 0.05 s(.|\n)*in stuck"):
+            process.wait(0.05)
+        assert process.wait() == -signal.SIGABRT

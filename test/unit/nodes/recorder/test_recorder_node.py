@@ -17,10 +17,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
+import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
@@ -28,6 +30,9 @@ from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.endpoints import TickPublisher
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
+
+EAGER = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+SCENARIO = "name: 'odd: \"1\"'\nseed: 7\ntargets:\n- {time: 0.0}\n"
 
 
 class Stage:
@@ -103,7 +108,7 @@ def number(value: int) -> bytes:
 def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
     for topic in ("/left/a", "/left/b", "/right/a"):
         stage.publish(topic)
-    stage.record(exclude=["/left/b"], scenario="name: x", compression="lz4")
+    stage.record(exclude=["/left/b"], scenario=SCENARIO, compression="lz4")
     stage.meet("/left/a")
     for topic in ("/left/a", "/left/b", "/right/a"):
         stage.publish(topic, 3, 4)
@@ -115,7 +120,46 @@ def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
     stage.recorder.close()
     assert stage.recorded() == {"/left/a": [3, 4, 5]}
     found = summarize(stage.bag).custom_data
-    assert found["lost_messages"] == "0" and found["scenario"] == "name: x"
+    assert found["lost_messages"] == "0" and found["scenario"] == SCENARIO
+    assert found["version_tactile_hand_ros"] == tactile_hand_ros.__version__
+
+
+def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: Stage) -> None:
+    """A latched message from before the recorder, a best-effort topic, two publishers."""
+    offers = {
+        "latched": [QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)],
+        "mixed": [EAGER, QoSProfile(depth=10)],
+        "sensor": [EAGER],
+    }
+    made = {
+        topic: [stage.talker.create_publisher(Int64, f"/left/{topic}", each) for each in profiles]
+        for topic, profiles in offers.items()
+    }
+    made["latched"][0].publish(Int64(data=1))
+    stage.record()
+    stage.spin_until(
+        lambda: all(
+            stage.recorder.peers().get(f"subscriptions /left/{topic}") == len(publishers)
+            for topic, publishers in made.items()
+        )
+    )
+    stage.spin_until(
+        lambda: all(p.get_subscription_count() for each in made.values() for p in each)
+    )
+    for publisher in (*made["mixed"], *made["sensor"]):
+        publisher.publish(Int64(data=2))
+    stage.spin_until(lambda: stage.report()["messages"] == "4")
+    stage.recorder.close()
+    assert stage.recorded() == {"/left/latched": [1], "/left/mixed": [2, 2], "/left/sensor": [2]}
+    with Reader(stage.bag) as reader:
+        for found in reader.connections:
+            (info, *_) = stage.talker.get_publishers_info_by_topic(found.topic)
+            assert found.digest == str(info.topic_type_hash)
+            given = [
+                (p.reliability.name, p.durability.name) for p in found.ext.offered_qos_profiles
+            ]
+            profiles = offers[found.topic.removeprefix("/left/")]
+            assert sorted(given) == [(p.reliability.name, p.durability.name) for p in profiles]
 
 
 def test_the_desired_pose_of_any_robot_is_recorded_unless_excluded(stage: Stage) -> None:
