@@ -106,7 +106,7 @@ class Plant:
             self._differ(config)
         self.solid = config.object.solid()
         self._mass = config.object.mass
-        self._inertia = np.diag(config.object.inertia)
+        self._inertia = config.object.inertia_about(self.solid)
         self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(

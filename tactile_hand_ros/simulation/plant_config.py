@@ -31,8 +31,11 @@ class ObjectConfig(Config):
         [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MOST_VERTICES
     )
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
-    inertia: Vector = param(
-        (0.0014, 0.0014, 0.0014), "principal inertia, object axes", unit="kg m^2"
+    inertia: list[float] = param(
+        [],
+        "inertia about the object's axes, empty for that of a uniform body",
+        unit="kg m^2",
+        max_length=3,
     )
     friction: float = param(100.0, "Coulomb friction mu of fingertips on it", live=True, ge=0.0)
     position: Vector = param(
@@ -52,26 +55,30 @@ class ObjectConfig(Config):
     def _is_a_body(self) -> ObjectConfig:
         if min(self.size) <= 0.0:
             raise ValueError(f"size = {self.size}: all three edges must be positive")
-        if min(self.inertia) <= 0.0:
-            raise ValueError(f"inertia = {self.inertia}: all three values must be positive")
+        if len(self.vertices) % 3:
+            raise ValueError(
+                f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"
+            )
+        if self.inertia:
+            self._check_inertia()
+        return self
+
+    def _check_inertia(self) -> None:
+        """Refuse an inertia that no body has, or none of this size and mass comes near.
+
+        The paper's object has four times what a body of its size can have.
+        """
+        if len(self.inertia) != 3 or min(self.inertia) <= 0.0:
+            raise ValueError(
+                f"inertia = {self.inertia}: expected three positive values, or none for those of a "
+                "uniform body"
+            )
         *others, largest = sorted(self.inertia)
         if largest > sum(others) * (1.0 + 1e-9):
             raise ValueError(
                 f"inertia = {self.inertia}: no body has a principal inertia above the sum of the "
                 f"other two; lower {largest:g} to {sum(others):g} or less, or raise the others"
             )
-        if len(self.vertices) % 3:
-            raise ValueError(
-                f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"
-            )
-        self._check_inertia()
-        return self
-
-    def _check_inertia(self) -> None:
-        """Refuse a principal inertia that no body of this size and mass comes near.
-
-        The paper's object has four times what a body of its size can have.
-        """
         corners = np.reshape(self.vertices, (-1, 3)) if self.vertices else np.array([self.size]) / 2
         reach = float(np.linalg.norm(corners, axis=1).max())
         largest = _MOST_GYRATION**2 * self.mass * reach**2
@@ -90,6 +97,16 @@ class ObjectConfig(Config):
         if self.vertices:
             return ConvexPolyhedron(np.reshape(self.vertices, (-1, 3)))
         return ConvexPolyhedron.box(np.array(self.size))
+
+    def inertia_about(self, solid: ConvexPolyhedron) -> NDArray[np.float64]:
+        """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
+
+        Raises:
+            ObjectModelError: If it is to be that of a uniform body whose centre is elsewhere.
+        """
+        if self.inertia:
+            return np.diag(self.inertia)
+        return self.mass * solid.gyration()
 
 
 class Disturbance(Config):

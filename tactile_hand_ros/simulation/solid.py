@@ -13,6 +13,8 @@ from tactile_hand_ros.errors import ObjectModelError
 
 Array = NDArray[np.float64]
 
+_CENTRED = 0.01  # of the largest coordinate, by which vertices as people write them miss the centre
+
 
 class Shape(NamedTuple):
     """A convex polyhedron as arrays, in its own frame.
@@ -125,6 +127,32 @@ class ConvexPolyhedron:
         x, y, z = np.eye(3)
         normals = np.array([-z, -y, x, -x, y, z])
         return cls(signs * half, np.column_stack([normals, -np.abs(normals) @ half]))
+
+    def gyration(self) -> Array:
+        """Return the inertia of the uniform body per mass about the origin, shape (3, 3), m^2.
+
+        The body is made of tetrahedra from the origin to triangles of its faces, of volume
+        v = a . (b x c) / 6 and second moment v (a a^T + b b^T + c c^T + s s^T) / 20, s = a + b + c.
+
+        Raises:
+            ObjectModelError: If its centre of mass is not at the origin, where the object's is.
+        """
+        volume, centre, moment = 0.0, np.zeros(3), np.zeros((3, 3))
+        for corners in self.face_corners:
+            for i in range(1, len(corners) - 1):
+                abc = self.vertices[corners[[0, i, i + 1]]]
+                part, s = np.linalg.det(abc) / 6.0, abc.sum(axis=0)
+                volume += part
+                centre += part * s / 4.0
+                moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
+        centre, moment = centre / volume, moment / volume
+        if np.abs(centre).max() > _CENTRED * np.abs(self.vertices).max():
+            x, y, z = centre
+            raise ObjectModelError(
+                f"the uniform body between these vertices has its centre of mass at ({x:.3g}, "
+                f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
+            )
+        return np.trace(moment) * np.eye(3) - moment
 
     def _corners_of(self, face: int) -> NDArray[np.intp]:
         """Return the corners on a face, counter-clockwise about its outward normal."""

@@ -199,7 +199,6 @@ def test_a_swinging_load_is_held_by_a_shape_for_all_of_it(axis, least, most):
         "duration": 1.1,
         "targets": [{"time": 0.0, "position": [0.0, 0.0434, 0.4098]}],
         "plant.object.mass": 0.4,
-        "plant.object.inertia": [0.00452] * 3,
         "plant.object.friction": 0.8,
         "plant.disturbances": [{**swing, "force": force}],
         "slip_regulator.friction.prior": 0.8,

@@ -51,5 +51,5 @@ def forces_in_palm(state: PlantState) -> Array:
 def momentum(plant: Plant, state: PlantState) -> tuple[Array, Array]:
     """Return linear and angular momentum of the object about its centre of mass."""
     config = plant.config.object
-    inertia = state.rotation @ np.diag(config.inertia) @ state.rotation.T
+    inertia = state.rotation @ config.inertia_about(config.solid()) @ state.rotation.T
     return config.mass * state.velocity, inertia @ state.spin

@@ -40,7 +40,7 @@ def test_the_paper_is_table_one():
     assert (law.name, law.k_p, law.k_o, law.damping) == ("optimal", 3.0, 0.5, 0.07)
     assert paper.slip_regulator.grasp_force == 10.0
     assert paper.force_optimizer.weights == [10.0, 1.0, 10.0]
-    assert (body.mass, body.inertia, body.size) == (0.0018, (0.0014,) * 3, (0.2604,) * 3)
+    assert (body.mass, body.inertia, body.size) == (0.0018, [0.0014] * 3, (0.2604,) * 3)
     assert paper.plant.initial_joints == [1.047, 0.0, 1.571]
     assert paper.plant.gravity == (0.0, 0.0, 0.0) and not paper.plant.disturbances
     assert (paper.duration, paper.layout) == (10.0, "three_faces")

@@ -33,7 +33,7 @@ class Scene:
         state, c = world.state, world.config.object
         self.hand, self.shape, self.theta = world.hand, world.solid.shape, state.theta
         self.position, self.rotation = state.position, state.rotation
-        self.mass, self.inertia = c.mass, np.diag(c.inertia)
+        self.mass, self.inertia = c.mass, c.inertia_about(c.solid())
         self.contacts, self.jacobian = state.contacts, jacobian(world, state)
         self.torque, self.past = np.zeros(9), no_past(3, np.zeros(15))
 

@@ -38,7 +38,8 @@ class Holder:
 def shaken(seed, ticks=200, **values):
     """Yield a plant and its states under torques that squeeze, drag, open and close the grasp."""
     random = np.random.default_rng(seed)
-    world = plant(gravity=(0.0, 0.0, -3.0), object__mass=0.1, **values)
+    body = {"object__mass": 0.1, "object__inertia": [0.0014] * 3}
+    world = plant(gravity=(0.0, 0.0, -3.0), **body, **values)
     transposed, normals = jacobian(world, world.state).T, world.state.contacts.normals
     for tick in range(ticks):
         if tick % 20 == 0:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from support.exact import nearest_point
 from support.grasps import normals
 
@@ -109,7 +110,7 @@ def test_the_object_is_a_box_unless_corners_are_given():
     ("values", "message"),
     [
         ({"size": (0.1, 0.0, 0.1)}, "all three edges must be positive"),
-        ({"inertia": (1.0, -1.0, 1.0)}, "all three values must be positive"),
+        ({"inertia": (1.0, -1.0, 1.0)}, "expected three positive values"),
         ({"inertia": (1.0, 3.1, 2.0)}, "a principal inertia above the sum.*lower 3.1 to 3 or less"),
         ({"vertices": [1.0, 2.0]}, "expected x, y, z of every corner"),
         ({"vertices": [0.1] * 1503}, "with at most 1500 items"),
@@ -120,6 +121,31 @@ def test_the_object_is_a_box_unless_corners_are_given():
 def test_what_is_no_body_is_refused(values, message):
     with pytest.raises(ConfigurationError, match=message):
         ObjectConfig().changed(values)
+
+
+def test_a_body_without_given_inertia_is_uniform():
+    x, y, z = size = 0.1, 0.2, 0.3
+    box = ObjectConfig(size=size, mass=1.2)
+    expected = 0.1 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
+    np.testing.assert_allclose(box.inertia_about(box.solid()), expected, rtol=1e-12)
+    given = ObjectConfig(size=size, mass=1.2, inertia=[0.01, 0.02, 0.015])
+    np.testing.assert_array_equal(given.inertia_about(given.solid()), np.diag(given.inertia))
+
+
+def test_the_inertia_of_a_turned_body_is_turned():
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    box = ConvexPolyhedron.box(np.array([0.1, 0.2, 0.3]))
+    turned = ConvexPolyhedron(box.vertices @ turn.T)
+    np.testing.assert_allclose(turned.gyration(), turn @ box.gyration() @ turn.T, atol=1e-12)
+
+
+def test_a_uniform_body_off_its_centre_is_refused():
+    corners = (ConvexPolyhedron.box(np.full(3, 0.1)).vertices + [0.0, 0.02, 0.0]).ravel().tolist()
+    body = ObjectConfig(vertices=corners)
+    with pytest.raises(ObjectModelError, match=r"at \(.*, 0.02, .*move the vertices, or give"):
+        body.inertia_about(body.solid())
+    body = ObjectConfig(vertices=corners, inertia=[1e-6] * 3)
+    assert body.inertia_about(body.solid())[0, 0] == 1e-6
 
 
 random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
