@@ -7,7 +7,7 @@ import enum
 import reprlib
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -27,28 +27,12 @@ Source = str | Callable[[str], str]
 def explain(
     error: ValidationError, model: type[BaseModel], source: Source = ""
 ) -> ConfigurationError:
-    """Turn pydantic's findings into one sentence each: place, what was given, what is allowed."""
-    findings = _said_once(error.errors(include_url=False))
-    places = [_place(finding["loc"]) for finding in findings]
-    sources = [source if isinstance(source, str) else source(place) for place in places]
-    lines = [after_source(s) + _sentence(f, model) for s, f in zip(sources, findings, strict=True)]
-    return ConfigurationError("\n".join(lines), source=sources[0], place=places[0])
-
-
-def _said_once(findings: Sequence[Any]) -> list[Any]:
-    """Leave out repetitions: of the top's value in a section, of a mistake in a list."""
-    known = {(finding["loc"], value_text(finding.get("input"))) for finding in findings}
-    kept, lists = [], set()
-    for finding in findings:
-        location = finding["loc"]
-        if len(location) > 1 and (location[1:], value_text(finding.get("input"))) in known:
-            continue
-        if location and isinstance(location[-1], int):
-            if (location[:-1], finding["type"]) in lists:
-                continue
-            lists.add((location[:-1], finding["type"]))
-        kept.append(finding)
-    return kept
+    """Turn pydantic's first finding into a sentence: place, what was given, what is allowed."""
+    finding = error.errors(include_url=False)[0]
+    place = _place(finding["loc"])
+    origin = source if isinstance(source, str) else source(place)
+    sentence = after_source(origin) + _sentence(finding, model)
+    return ConfigurationError(sentence, source=origin, place=place)
 
 
 def after_source(source: str) -> str:
@@ -68,17 +52,13 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
         return _unknown_key(location, model)
     if kind == "missing":
         return f"{place} is missing, expected {allowed_at(model, location)}."
-    if kind in ("value_error", "assertion_error") and not _is_lookalike(finding):
-        reason = str(finding["ctx"]["error"]).rstrip(".")
+    reason = str(finding.get("ctx", {}).get("error", LOOKALIKE)).rstrip(".")
+    if reason != LOOKALIKE:
         return f"{place} is refused: {reason}." if location else f"{reason}."
     expected = allowed_at(model, location)
-    if location and isinstance(location[-1], int):
+    if location and isinstance(location[-1], int):  # an item's limits are not the list's
         expected = " ".join([expected, *_phrases(finding.get("ctx", {}).get)])
     return f"{place} is {value_text(given)}, expected {expected}."
-
-
-def _is_lookalike(finding: Any) -> bool:
-    return str(finding["ctx"]["error"]) == LOOKALIKE
 
 
 def value_text(value: Any) -> str:
@@ -135,14 +115,15 @@ def allowed_at(model: type[BaseModel], location: Iterable[int | str]) -> str:
     annotation, field = _walk(model, location)
     if not location or field is None:
         return "a mapping of " + ", ".join(model.model_fields)
-    if isinstance(location[-1], int):  # an item's limits are not the list's
+    if isinstance(location[-1], int):
         return " ".join(filter(None, [_kind(annotation), unit_of(field)]))
     return allowed(annotation, field)
 
 
 def allowed(annotation: Any, field: FieldInfo) -> str:
     """Describe in words what a field accepts, e.g. ``a finite number >= 0 and <= 1 N``."""
-    limits, unit = " and ".join(_limits(field)), unit_of(field)
+    limits = " and ".join(_phrases(lambda name: bound_of(field, name)))
+    unit = unit_of(field)
     if is_sequence(annotation):
         item = _kind(element_type(annotation))
         parts = ["a list", limits, "of which each item is", item, unit]
@@ -170,23 +151,19 @@ def _kind(annotation: Any) -> str:
     return _KINDS.get(annotation, "a valid value")
 
 
-_LIMITS: tuple[tuple[str, Callable[[Any], str]], ...] = (
-    ("ge", lambda bound: f">= {bound}"),
-    ("gt", lambda bound: f"> {bound}"),
-    ("le", lambda bound: f"<= {bound}"),
-    ("lt", lambda bound: f"< {bound}"),
-    ("min_length", lambda bound: f"with at least {bound} items"),
-    ("max_length", lambda bound: f"with at most {bound} items"),
-)
-
-
-def _limits(field: FieldInfo) -> list[str]:
-    return _phrases(lambda name: bound_of(field, name))
+_LIMITS = {
+    "ge": ">= {}",
+    "gt": "> {}",
+    "le": "<= {}",
+    "lt": "< {}",
+    "min_length": "with at least {} items",
+    "max_length": "with at most {} items",
+}
 
 
 def _phrases(bound_named: Callable[[str], Any]) -> list[str]:
-    bounds = ((phrase, bound_named(name)) for name, phrase in _LIMITS)
-    return [phrase(bound) for phrase, bound in bounds if bound is not None]
+    bounds = ((phrase, bound_named(name)) for name, phrase in _LIMITS.items())
+    return [phrase.format(bound) for phrase, bound in bounds if bound is not None]
 
 
 SEQUENCES = (list, tuple)

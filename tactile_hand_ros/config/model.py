@@ -120,13 +120,12 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
     tree: dict[str, Any] = {}
     for name, value in values.items():
         *parents, last = name.split(".")
-        node: Any = tree
+        node = tree
         for parent in parents:
-            node = node.setdefault(parent, {}) if isinstance(node, dict) else None
-        if not isinstance(node, dict):
-            hint = did_you_mean(name, leaves(model))
-            message = f"{after_source(source)}unknown key '{name}'{hint}"
-            raise ConfigurationError(message, source=source, place=name)
+            node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                message = f"unknown key '{name}'{did_you_mean(name, leaves(model))}"
+                raise ConfigurationError(after_source(source) + message, source=source, place=name)
         node[last] = value
     return validate(model, tree, source)
 

@@ -14,7 +14,6 @@ from tactile_hand_ros.config.plain_yaml import read_yaml
 from tactile_hand_ros.control.own_law import folder_of
 from tactile_hand_ros.errors import ConfigurationError
 
-_MOST_LAYERS = 8  # of scenarios that extend each other
 _NOT_INHERITED = ("name", "description")  # they say what the extended scenario is about
 _YAML = (".yaml", ".yml")
 CONTROLLER = "manipulation_controller"
@@ -53,8 +52,6 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     chain = " -> ".join(each.stem for each in (*seen, path))
     if path in seen:
         raise ConfigurationError(f"{seen[-1]}: 'extends' makes a loop: {chain}; remove one of them")
-    if len(seen) >= _MOST_LAYERS:
-        raise ConfigurationError(f"more than {_MOST_LAYERS} scenarios extend each other: {chain}")
     data = read_yaml(path)
     if not isinstance(data, dict):
         raise ConfigurationError(
@@ -89,37 +86,25 @@ def _find_base(base: str, path: Path) -> Path:
 
 
 def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a scenario with what depends on the place of its file: hand and own law."""
+    """Return a scenario with what depends on the place of its file: hand and own law.
+
+    ``law`` at the top is short for that of the controller, and ``law: NAME`` for
+    ``law: {name: NAME}``.
+    """
     data = dict(data)
     if isinstance(hand := data.get("hand"), str):
         data["hand"] = _beside(hand, path.parent)
-    law = _own_section(data, path)
-    if isinstance(name := law.get("name"), str):
-        law.setdefault("folder", folder_of(name, path.parent))
-    return data
-
-
-def _own_section(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return the law of a scenario as the mapping that it is short for, put into `data`.
-
-    ``law: NAME``, at the top or in the controller's section, is short for ``law: {name: NAME}``
-    there.
-    """
-    given = [data.pop("law")] if "law" in data else []
-    section = data.get(CONTROLLER, {} if given else None)
-    if not isinstance(section, dict):
-        if given:
-            data["law"] = given[0]  # validation will say what is wrong
-        return {}
-    given += [section["law"]] if "law" in section else []
-    if not given:
-        return {}
-    if len(given) > 1:
+    section = data.get(CONTROLLER, {})
+    if not isinstance(section, dict) or "law" not in {*data, *section}:
+        return data  # validation will say what is wrong
+    if "law" in data and "law" in section:
         raise ConfigurationError(f"{path}: 'law' is given twice, at the top and in '{CONTROLLER}'")
-    law = {"name": given[0]} if isinstance(given[0], str) else given[0]
-    law = dict(law) if isinstance(law, dict) else law
+    law = data.pop("law") if "law" in data else section["law"]
+    law = {"name": law} if isinstance(law, str) else law
+    if isinstance(law, dict) and isinstance(law.get("name"), str):
+        law = {"folder": folder_of(law["name"], path.parent), **law}
     data[CONTROLLER] = {**section, "law": law}
-    return law if isinstance(law, dict) else {}
+    return data
 
 
 def _beside(hand: str, folder: Path) -> str:

@@ -296,8 +296,7 @@ def load_scenario(
         place: (options or {}).get(key, f"the change of {key}") for place, key in places.items()
     }
     scenario = _finished(validate(Scenario, data, _source(str(path), labels)))
-    if "duration" not in (changes or {}):  # a run that is cut short may leave out what comes later
-        _check_times(scenario, str(path))
+    _check_times(scenario, str(path), changes or {})
     take_law(scenario.manipulation_controller.law)
     return scenario
 
@@ -321,8 +320,11 @@ def _overlap(place: str, key: str) -> bool:
     return bool(place) and (at.startswith(of) or of.startswith(at))
 
 
-def _check_times(scenario: Scenario, file: str) -> None:
-    """Refuse what a file plans for after the end of its run."""
+def _check_times(scenario: Scenario, file: str, changes: Mapping[str, Any]) -> None:
+    """Refuse what is planned for after the end of the run.
+
+    A run that a change cuts short may leave out what its file plans for later.
+    """
     plant = scenario.plant
     planned = {
         "plant.disturbances": [push.start for push in plant.disturbances],
@@ -330,7 +332,8 @@ def _check_times(scenario: Scenario, file: str) -> None:
         "user_forces": [request.time for request in scenario.user_forces],
     }
     for place, times in planned.items():
-        late = [time for time in times if time >= scenario.duration]
+        is_cut_short = "duration" in changes and place not in changes
+        late = [time for time in times if time >= scenario.duration and not is_cut_short]
         if late:
             raise ConfigurationError(
                 f"{file}: one of {place} comes at {late[0]:g} s, but the run ends at "

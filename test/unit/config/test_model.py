@@ -22,7 +22,7 @@ from tactile_hand_ros.config.model import (
     validate,
 )
 from tactile_hand_ros.config.plain_yaml import parse_changes, parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError
 
 
 class Law(str, enum.Enum):
@@ -110,20 +110,20 @@ def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, w
     assert "\n" not in message and message.endswith(".")
 
 
-def test_every_mistake_is_named_and_the_first_gives_the_place(tmp_path):
-    with pytest.raises(ConfigurationError) as caught:
-        load(tmp_path, "law: best\nfingers: 1\n")
-    assert caught.value.place == "law"
-    assert [line.split(": ")[1].split()[0] for line in str(caught.value).split("\n")] == [
-        "law",
-        "fingers",
-    ]
+def test_the_first_mistake_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match="law is 'best'") as caught:
+        load(tmp_path, "fingers: 1\nlaw: best\n")
+    assert caught.value.place == "law" and "fingers" not in str(caught.value)
 
 
 class Limits(Config):
     most: float | None = param(None, "Most", unit="N")
     folder: Path = param(Path(), "Where")
     plain: int = 3
+
+
+class Needed(Config):
+    size: float = param(..., "Edge", unit="m", gt=0.0)
 
 
 @pytest.mark.parametrize(
@@ -136,29 +136,13 @@ class Limits(Config):
         ),
         (Limits, {"most": "x"}, "most is 'x', expected a finite number or nothing N."),
         (Limits, {"folder": 3}, "folder is 3, expected a valid value."),
+        (Needed, {}, "size is missing, expected a finite number > 0.0 m."),
     ],
 )
 def test_a_refusal_is_one_sentence(model, data, sentence):
     with pytest.raises(ConfigurationError) as caught:
         validate(model, data)
     assert str(caught.value) == sentence
-
-
-def test_what_is_missing_is_named_with_what_is_allowed():
-    class Needed(Config):
-        size: float = param(..., "Edge", unit="m", gt=0.0)
-
-    with pytest.raises(ConfigurationError) as caught:
-        validate(Needed, {})
-    assert str(caught.value) == "size is missing, expected a finite number > 0.0 m."
-
-
-def test_a_file_that_cannot_be_read_is_an_error_of_this_package(tmp_path):
-    with pytest.raises(TactileHandError, match="cannot be read: No such file"):
-        load_yaml(tmp_path / "absent.yaml", Example)
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(TactileHandError, match="not UTF-8 text"):
-        load_yaml(tmp_path / "binary.yaml", Example)
 
 
 def test_a_configuration_cannot_be_changed_in_place():

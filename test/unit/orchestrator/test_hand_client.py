@@ -42,23 +42,22 @@ class Hand:
         self.poses: list[PoseStamped] = []
         self.forces: list[float] = []
         self.calls: list[tuple[str, Any]] = []
+        user = qos.user_qos()
         self._answers = {
-            names.DESIRED_POSE: node.create_publisher(
-                PoseStamped, names.ACCEPTED_POSE, qos.user_qos()
-            ),
+            names.DESIRED_POSE: node.create_publisher(PoseStamped, names.ACCEPTED_POSE, user),
             names.USER_GRASP_FORCE: node.create_publisher(
-                WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+                WrenchStamped, names.ACCEPTED_FORCE, user
             ),
         }
         self._refusals = {
-            topic: node.create_publisher(DiagnosticArray, names.rejected(owner), qos.user_qos())
+            topic: node.create_publisher(DiagnosticArray, names.rejected(owner), user)
             for topic, owner in (
                 (names.DESIRED_POSE, names.CONTROLLER),
                 (names.USER_GRASP_FORCE, names.REGULATOR),
             )
         }
-        node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, qos.user_qos())
-        node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, qos.user_qos())
+        node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, user)
+        node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, user)
         services = [(names.CONTROLLER, "grasp", SetBool), (names.CONTROLLER, "reset", Trigger)]
         services += [(names.REGULATOR, "reset", Trigger)]
         services += [(names.PLANT, "reset", Trigger)] if plant else []
@@ -143,34 +142,22 @@ def client(context: Context) -> Iterator[HandClient]:
         yield HandClient(node, 30.0)
 
 
-def turn_of(message: PoseStamped) -> Rotation:
-    q = message.pose.orientation
-    return Rotation.from_quat([q.x, q.y, q.z, q.w])
-
-
-def test_a_pose_is_asked_for_once_and_has_the_time_from_which_it_is_the_target(
-    hand: Hand, client: HandClient
+@pytest.mark.parametrize("absolute", [True, False])
+def test_a_pose_is_asked_for_once_and_counts_from_the_present_or_from_the_palm(
+    hand: Hand, client: HandClient, absolute: bool
 ) -> None:
-    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3])
-    since, vector = client.move([0.1, 0.2, 0.3], [0.1, -0.2, 0.3], absolute=True)
-    assert since == pytest.approx(12.5) and vector == pytest.approx([0.1, -0.2, 0.3])
-    [pose] = hand.poses
-    point = pose.pose.position
-    assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
-    assert (turn_of(pose) * wanted.inv()).magnitude() < 1e-9
-    assert (pose.header.stamp.sec, pose.header.stamp.nanosec) == (0, 0)  # from now on
-
-
-def test_a_turn_counts_from_the_present_orientation_about_the_axes_of_the_palm(
-    hand: Hand, client: HandClient
-) -> None:
-    _, vector = client.move([0.0, 0.0, 0.0], [0.1, -0.2, 0.3], absolute=False)
-    wanted = Rotation.from_rotvec([0.1, -0.2, 0.3]) * NOW
+    turn = [0.1, -0.2, 0.3]
+    since, vector = client.move([0.1, 0.2, 0.3], turn, absolute=absolute)
+    wanted = Rotation.from_rotvec(turn) * (Rotation.identity() if absolute else NOW)
+    [message] = hand.poses
+    point, q = message.pose.position, message.pose.orientation
+    assert since == pytest.approx(12.5) and (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
     assert (Rotation.from_rotvec(vector) * wanted.inv()).magnitude() < 1e-9
-    assert (turn_of(hand.poses[0]) * wanted.inv()).magnitude() < 1e-9
+    assert (Rotation.from_quat([q.x, q.y, q.z, q.w]) * wanted.inv()).magnitude() < 1e-9
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # from now on
 
 
-@pytest.mark.parametrize("mode", ["auto", "user", ""])
+@pytest.mark.parametrize("mode", ["auto", ""])
 def test_a_force_has_the_time_at_which_it_takes_effect_and_the_mode_of_the_regulator(
     hand: Hand, client: HandClient, mode: str
 ) -> None:
@@ -202,7 +189,6 @@ def test_a_number_that_is_not_finite_is_refused_before_anything_is_sent(
 def test_what_stays_without_an_answer_is_sent_again(
     hand: Hand, client: HandClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert module._AGAIN == 1.0  # s
     monkeypatch.setattr(module, "_AGAIN", 0.05)
     hand.ignored = 2
     assert client.grasp_force(3.0)[0] == pytest.approx(12.5)
@@ -211,36 +197,38 @@ def test_what_stays_without_an_answer_is_sent_again(
 
 def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
     hand.reason = "too far"
-    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
-        client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], absolute=True)
-    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
-        client.grasp_force(7.0)
-    with pytest.raises(SteeringError, match="the hand refuses: too far$"):
-        client.grasp(True)
+    for command in (
+        lambda: client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], absolute=True),
+        lambda: client.grasp_force(7.0),
+        lambda: client.grasp(True),
+    ):
+        with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+            command()
     hand.reason = None
     with pytest.raises(SteeringError, match="the hand refuses: without a reason$"):
         client.grasp_force(7.0)
 
 
-def test_fingers_are_closed_and_opened(hand: Hand, client: HandClient) -> None:
-    assert client.grasp(True) == "done: manipulation_controller/grasp"
+def test_fingers_are_closed_and_opened_and_a_simulation_begins_at_its_start(
+    hand: Hand, client: HandClient
+) -> None:
+    assert client.grasp(True) == f"done: {names.CONTROLLER}/grasp"
     client.grasp(False)
-    assert [data for _, data in hand.calls] == [True, False]
-
-
-def test_a_simulation_begins_at_its_start(hand: Hand, client: HandClient) -> None:
     assert client.reset() == "time, hand and object are back at the start"
-    assert [name for name, _ in hand.calls] == ["plant/reset"]
+    grasp = f"{names.CONTROLLER}/grasp"
+    assert hand.calls == [(grasp, True), (grasp, False), (f"{names.PLANT}/reset", None)]
 
 
-def test_a_real_hand_begins_with_its_present_grasp(
+def test_a_real_hand_begins_with_its_present_grasp_and_cannot_turn_from_an_unknown_pose(
     hand: Hand, served: dict[str, Hand], context: Context
 ) -> None:
     with graph_node(context, "user", "/real") as node:
         assert HandClient(node, 30.0).reset() == "done: manipulation_controller/reset"
+        with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
+            HandClient(node, 0.3).move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
     called = [name for name, _ in served["real"].calls]
     assert called == ["slip_regulator/reset", "manipulation_controller/reset"]
-    assert hand.calls == []
+    assert hand.calls == served["real"].poses == []
 
 
 def test_a_hand_that_is_paused_does_not_answer(
@@ -254,31 +242,12 @@ def test_a_hand_that_is_paused_does_not_answer(
     assert len(hand.forces) == 1
 
 
-def test_a_hand_that_does_not_know_its_pose_cannot_turn_from_it(
-    hand: Hand, served: dict[str, Hand], context: Context
-) -> None:
-    with graph_node(context, "user", "/real") as node:
-        client = HandClient(node, 0.3)
-        HandClient(node, 30.0).grasp_force(1.0)
-        with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
-            client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
-    assert served["real"].poses == []
-
-
 @pytest.fixture
 def half(context: Context) -> Iterator[Node]:
     """Return a node where a part of a hand may be."""
     node = Node("half", context=context, namespace="/half")
     yield node
     node.destroy_node()
-
-
-def absent_for_a_user(context: Context, command: Callable[[HandClient], Any]) -> None:
-    with (
-        graph_node(context, "user", "/half") as node,
-        pytest.raises(SteeringError, match="no hand is"),
-    ):
-        command(HandClient(node, 0.1))
 
 
 @pytest.mark.parametrize("missing", ["command", "accepted", "rejected"])
@@ -291,25 +260,12 @@ def test_a_grasp_force_is_sent_only_where_it_is_taken_and_answered(
         half.create_publisher(WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos())
     if missing != "rejected":
         half.create_publisher(DiagnosticArray, names.rejected(names.REGULATOR), qos.user_qos())
-    absent_for_a_user(context, lambda client: client.grasp_force(1.0))
+    with graph_node(context, "user", "/half") as node:
+        with pytest.raises(SteeringError, match="no hand is"):
+            HandClient(node, 0.1).grasp_force(1.0)
 
 
-def test_nothing_is_reset_before_the_controller_is_there(half: Node, context: Context) -> None:
-    """It is reset last: what began without it would stay half done."""
-    called: list[Any] = []
-
-    def answer(request: Any, response: Trigger.Response) -> Trigger.Response:
-        called.append(request)
-        response.success = True
-        return response
-
-    half.create_service(Trigger, f"{names.PLANT}/reset", answer)
-    with spinning(half):
-        absent_for_a_user(context, lambda client: client.reset())
-    assert called == []
-
-
-def test_nothing_is_reset_before_it_is_known_whose_joints_the_hand_follows(
+def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joints_is_known(
     half: Node, context: Context
 ) -> None:
     """With a plant that is discovered late, half of a reset would be reported as a reset."""
@@ -323,11 +279,14 @@ def test_nothing_is_reset_before_it_is_known_whose_joints_the_hand_follows(
 
         return reset
 
-    for name in (names.CONTROLLER, names.REGULATOR, names.PLANT):
-        half.create_service(Trigger, f"{name}/reset", answer(name))
+    half.create_service(Trigger, f"{names.PLANT}/reset", answer(names.PLANT))
     with spinning(half), graph_node(context, "user", "/half") as node:
-        with pytest.raises(SteeringError, match="nothing publishes joint_states"):
+        with pytest.raises(SteeringError, match="no hand is"):
             HandClient(node, 0.3).reset()
+        for name in (names.CONTROLLER, names.REGULATOR):
+            half.create_service(Trigger, f"{name}/reset", answer(name))
+        with pytest.raises(SteeringError, match="nothing publishes joint_states"):
+            HandClient(node, 3.0).reset()
         assert called == []
         plant = Node(names.PLANT, context=context, namespace="/half")
         plant.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
@@ -345,9 +304,7 @@ def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
         for command in (
             lambda: client.move([0.0] * 3, [0.0] * 3, absolute=True),
             lambda: client.move([0.0] * 3, [0.0] * 3, absolute=False),
-            lambda: client.grasp_force(1.0),
             lambda: client.grasp(True),
-            client.reset,
         ):
             with pytest.raises(SteeringError, match=absent):
                 command()
