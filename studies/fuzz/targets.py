@@ -19,7 +19,7 @@ from studies.fuzz.mutation import damaged, damaged_text
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.config.hand_config import find_hand
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros.messages import (
@@ -29,7 +29,7 @@ from tactile_hand_ros.ros.messages import (
     WrenchCodec,
     read_number,
 )
-from tactile_hand_ros.scenario.scenario import find_scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 _OF_MESSAGES = 40  # which are read a hundred times as fast as files
 _FINGERS = ["finger_1", "finger_2", "finger_3"]
@@ -109,11 +109,11 @@ def _wire() -> dict[str, Target]:
 
 
 def _files(folder: Path) -> dict[str, Target]:
-    hands = find_hand("paper").parent
+    hands = find_file("hand", "paper").parent
     for name in ("paper.yaml", "paper.urdf"):
         shutil.copy(hands / name, folder / name)
     texts = {
-        "scenario": find_scenario("pull").read_text(encoding="utf-8"),
+        "scenario": find_file("scenario", "pull").read_text(encoding="utf-8"),
         "hand": (hands / "paper.yaml").read_text(encoding="utf-8"),
         "urdf": (hands / "paper.urdf").read_text(encoding="utf-8").replace('"', ' " '),
     }

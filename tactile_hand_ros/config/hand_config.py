@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 from pydantic import Field, field_validator, model_validator
 
 from tactile_hand_ros.config.model import Config, check_radians, load_yaml, param
-from tactile_hand_ros.config.paths import config_directory
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import HandModelError
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,59}")
@@ -107,27 +106,7 @@ class HandConfig(Config):
         return self.layouts[chosen]
 
 
-def find_hand(name: str) -> Path:
-    """Return the file of a hand given by name (``paper``) or by path (``my/hand.yaml``).
-
-    Raises:
-        HandModelError: If neither a file nor a hand of that name exists.
-    """
-    path = Path(os.path.expanduser(name))  # as it is where there is no such user
-    if path.suffix in (".yaml", ".yml"):
-        if path.is_file():
-            return path
-        raise HandModelError(f"hand file '{path}' does not exist; give a hand's YAML file or name")
-    folder = config_directory() / "hands"
-    known = sorted(file.stem for file in folder.glob("*.yaml"))
-    if name in known:
-        return folder / f"{name}.yaml"
-    raise HandModelError(
-        f"no hand is called '{name}'; use one of: {', '.join(known)}, or the path of a YAML file"
-    )
-
-
 def load_hand_config(name: str) -> HandConfig:
-    """Load the YAML file of a hand, by name or path; see `find_hand`."""
-    path = find_hand(name)
+    """Load the YAML file of a hand, by name (``paper``) or by path (``my/hand.yaml``)."""
+    path = find_file("hand", name)
     return load_yaml(path, HandConfig).model_copy(update={"folder": path.resolve().parent})

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import copy
-import functools
+import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any
 
 import yaml
 
-from tactile_hand_ros.config.explanation import after_source
+from tactile_hand_ros.config.explanation import after_source, did_you_mean
+from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import ConfigurationError
 
 LARGEST = 2**20
@@ -20,6 +20,36 @@ LARGEST = 2**20
 
 LARGEST_YAML = 2**17
 """Largest YAML file that is read [B]; its parser reads some 50 kB a second."""
+
+
+SUFFIXES = (".yaml", ".yml")
+
+
+def find_file(kind: str, name: str) -> Path:
+    """Return the YAML file of a hand or scenario, by its name in the package or by its path.
+
+    Args:
+        kind: ``hand`` or ``scenario``.
+        name: Such as ``paper`` or ``my/paper.yaml``.
+
+    Raises:
+        ConfigurationError: If neither a file nor one of that name exists.
+    """
+    path = Path(os.path.expanduser(name))  # as it is where there is no such user
+    folder = config_directory() / f"{kind}s"
+    known = sorted(file.stem for file in folder.glob("*.yaml"))
+    if path.suffix in SUFFIXES:
+        if path.is_file():
+            return path
+        raise ConfigurationError(
+            f"{kind} file '{path}' does not exist; give a YAML file or one of: {', '.join(known)}"
+        )
+    if name in known:
+        return folder / f"{name}.yaml"
+    raise ConfigurationError(
+        f"no {kind} is called '{name}'{did_you_mean(name, known)} Give one of them or the path of "
+        "a YAML file"
+    )
 
 
 def read_text(path: str | Path, largest: int = LARGEST) -> str:
@@ -67,7 +97,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
         ConfigurationError: If the text is not YAML.
     """
     try:
-        data = copy.deepcopy(_parsed(text))
+        data = yaml.safe_load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else "this file"
@@ -85,12 +115,6 @@ def parse_yaml(text: str, source: str = "") -> Any:
 def _not_yaml(source: str, place: str, problem: str) -> ConfigurationError:
     message = f"{after_source(source)}{place} is not valid YAML: {problem}."
     return ConfigurationError(message, source=source, place=place)
-
-
-@functools.lru_cache(maxsize=64)
-def _parsed(text: str) -> Any:
-    """Return what a text holds; a study reads the same files a thousand times."""
-    return yaml.safe_load(text)
 
 
 def parse_changes(changes: Sequence[str], example: str = "plant.rate=250") -> dict[str, Any]:

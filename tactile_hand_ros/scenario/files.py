@@ -8,38 +8,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tactile_hand_ros.config.explanation import did_you_mean
-from tactile_hand_ros.config.paths import config_directory, scenario_names
-from tactile_hand_ros.config.plain_yaml import read_yaml
+from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.config.plain_yaml import SUFFIXES, find_file, read_yaml
 from tactile_hand_ros.control.own_law import folder_of
 from tactile_hand_ros.errors import ConfigurationError
 
 _NOT_INHERITED = ("name", "description")  # they say what the extended scenario is about
-_YAML = (".yaml", ".yml")
 CONTROLLER = "manipulation_controller"
 _LAW = f"{CONTROLLER}.law"
-
-
-def find_scenario(name: str) -> Path:
-    """Return the file of a scenario given by name (``paper``) or by path (``my/run.yaml``).
-
-    Raises:
-        ConfigurationError: If neither a file nor a scenario of that name exists.
-    """
-    path = Path(os.path.expanduser(name))
-    if path.suffix in _YAML:
-        if path.is_file():
-            return path
-        raise ConfigurationError(
-            f"scenario file '{path}' does not exist; give a YAML file or one of: "
-            + ", ".join(scenario_names())
-        )
-    if name in scenario_names():
-        return config_directory() / "scenarios" / f"{name}.yaml"
-    raise ConfigurationError(
-        f"no scenario is called '{name}'{did_you_mean(name, scenario_names())} Give one of them or "
-        "the path of a YAML file"
-    )
 
 
 def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -76,13 +52,13 @@ def _find_base(base: str, path: Path) -> Path:
 
     A user's ``paper.yaml`` may extend ``paper``, which then is the one of the package.
     """
-    beside = path.parent / os.path.expanduser(base if base.endswith(_YAML) else f"{base}.yaml")
+    beside = path.parent / os.path.expanduser(base if base.endswith(SUFFIXES) else f"{base}.yaml")
     is_itself = beside.resolve() == path
-    if base.endswith(_YAML):
-        return beside if beside.is_file() else find_scenario(str(beside))
+    if base.endswith(SUFFIXES):
+        return beside if beside.is_file() else find_file("scenario", str(beside))
     if beside.is_file() and not (is_itself and base in scenario_names()):
         return beside
-    return find_scenario(base)
+    return find_file("scenario", base)
 
 
 def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -109,7 +85,7 @@ def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
 
 def _beside(hand: str, folder: Path) -> str:
     """Return a hand's file as an absolute path; names of hands stay."""
-    if not hand.endswith(_YAML) or hand.startswith("~"):
+    if not hand.endswith(SUFFIXES) or hand.startswith("~"):
         return hand
     return os.path.normpath(folder.resolve() / hand)
 

@@ -11,7 +11,7 @@ from pydantic import field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.config.plain_yaml import parse_yaml, yaml_text
+from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.grasp import VirtualFrame
@@ -24,7 +24,6 @@ from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
 from tactile_hand_ros.scenario.files import (
     CONTROLLER,
-    find_scenario,
     put_changes,
     read_layers,
 )
@@ -38,7 +37,6 @@ __all__ = [
     "TargetConfig",
     "UserForceConfig",
     "changed",
-    "find_scenario",
     "load_scenario",
     "resolved",
     "scenario_names",
@@ -288,7 +286,7 @@ def load_scenario(
     Raises:
         ConfigurationError: If it does not exist, or a key or value is wrong; says which and where.
     """
-    path = find_scenario(name)
+    path = find_file("scenario", name)
     data = read_layers(path)
     data.setdefault("name", path.stem)
     places = put_changes(data, changes or {})

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from studies.fuzz.targets import write_sample_bag
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.config.hand_config import find_hand
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.scenario.files import find_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 LONGEST = 5.0
@@ -32,7 +31,7 @@ HOSTILE = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 OF_BAGS = settings(HOSTILE, max_examples=30)
-FILES = {"scenario": find_scenario("pull"), "hand": find_hand("paper")}
+FILES = {"scenario": find_file("scenario", "pull"), "hand": find_file("hand", "paper")}
 URDF = (FILES["hand"].parent / "paper.urdf").read_text()
 NASTY = (
     ["", "~", "[", "]", "{}", "[]", "&a [*a]", "*a", "!!python/object:os.system ''", "? [a]", "\0"]

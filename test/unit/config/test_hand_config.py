@@ -11,10 +11,10 @@ import pytest
 from tactile_hand_ros.config.hand_config import (
     HandConfig,
     MountConfig,
-    find_hand,
     load_hand_config,
 )
 from tactile_hand_ros.config.model import validate
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
 
@@ -79,13 +79,13 @@ def test_a_hand_is_a_file_or_one_of_those_that_come_with_the_package(
             "urdf: a.urdf\nfingers:\n"
             + "".join(f"- {{name: {n}, tip: {n}, radius: 0.01}}\n" for n in "abc")
         )
-        assert find_hand(str(file)) == file
+        assert find_file("hand", str(file)) == file
         assert load_hand_config(str(file)).folder == tmp_path.resolve()
         monkeypatch.setenv("HOME", str(tmp_path))
-        assert find_hand(f"~/mine{suffix}") == file
-        with pytest.raises(HandModelError, match="gone.* does not exist"):
-            find_hand(str(tmp_path / f"gone{suffix}"))
-    paper = find_hand("paper")
+        assert find_file("hand", f"~/mine{suffix}") == file
+        with pytest.raises(ConfigurationError, match="gone.* does not exist"):
+            find_file("hand", str(tmp_path / f"gone{suffix}"))
+    paper = find_file("hand", "paper")
     assert paper.name == "paper.yaml" and load_hand_config("paper").folder == paper.resolve().parent
-    with pytest.raises(HandModelError, match="no hand is called 'papr'; use one of: .*paper"):
-        find_hand("papr")
+    with pytest.raises(ConfigurationError, match="no hand is called 'papr', did you mean 'paper'"):
+        find_file("hand", "papr")

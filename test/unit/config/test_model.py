@@ -21,7 +21,7 @@ from tactile_hand_ros.config.model import (
     param,
     validate,
 )
-from tactile_hand_ros.config.plain_yaml import parse_changes, parse_yaml
+from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import ConfigurationError
 
 
@@ -193,10 +193,3 @@ def test_a_thousandth_beyond_a_turn_is_rounding_and_more_is_refused(most, words)
         check_radians([0.0, sign * (most + 0.9999e-3), 1.0], most)
         with pytest.raises(ValueError, match=f"goes beyond {words}; angles are in rad"):
             check_radians([0.0, sign * (most + 1.0001e-3), 1.0], most)
-
-
-def test_what_is_read_belongs_to_the_reader():
-    """The same text is parsed once, but a change of the result must not be in the next one."""
-    first = parse_yaml("a: [1, 2]")
-    first["a"].append(3)
-    assert parse_yaml("a: [1, 2]") == {"a": [1, 2]}
