@@ -78,14 +78,3 @@ def test_every_pose_arrives_and_refusals_are_answered(
     assert "/desired_pose" not in summarize(run.bag).types
     assert run.record.desired_position[-1].tolist() == [0.0, 0.0436, 0.4108]
     assert recompute(run).same
-
-
-def test_without_a_hand_there_is_one_sentence(
-    domain: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["move", "0", "0.1", "0.42", "--rotation", "0", "0", "0", "--timeout", "0.3"]) == 2
-    assert f"no hand is running in ROS domain {domain}" in capsys.readouterr().err
-    assert main(["move", "0", "0.1", "0.42", "--rotate", "w", "3"]) == 2
-    assert "expected x, y or z" in capsys.readouterr().err
-    assert main(["squeeze", "1", "--namespace", "left", "--timeout", "0.3"]) == 2
-    assert "namespace '/left'" in capsys.readouterr().err
