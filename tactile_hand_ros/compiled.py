@@ -18,6 +18,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -34,6 +35,8 @@ Rows = NDArray[np.void]
 """Rows of named numbers, shape (n,): one argument where compiled code reads or writes a dozen."""
 Row = Any
 """One of them: a view, so that writing to it changes the array."""
+
+_SILENCE = 10.0  # s between two lines while code is compiled
 
 DISABLE = "TACTILE_HAND_INTERPRETED"
 """Environment variable that switches Numba off."""
@@ -63,18 +66,31 @@ def run_interpreted() -> None:
     _interpreted = True
 
 
-def ensure_compiled() -> None:
-    """Let another process compile what is not compiled yet: this one need not load Numba."""
+def ensure_compiled(pause: Callable[[float], None] = time.sleep) -> None:
+    """Let another process compile what is not compiled yet: this one need not load Numba.
+
+    It takes a minute or two, and says so on the standard error.
+
+    Args:
+        pause: Called to wait [s]; it may raise to give up.
+    """
     if is_complete():
         return
-    # In a session of its own: the waiting process answers a Ctrl-C. Should it fail, each
-    # process compiles for itself.
-    subprocess.run(
-        [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"],
-        stdin=subprocess.DEVNULL,
-        start_new_session=True,
-        check=False,
-    )
+    print("compiling the numeric code, once; this takes a minute or two", file=sys.stderr)
+    # In a session of its own: a Ctrl-C is for the waiting process. Should it fail, each process
+    # compiles for itself.
+    command = [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    started = told = time.monotonic()
+    try:
+        while process.poll() is None:
+            pause(0.1)
+            if time.monotonic() - told > _SILENCE:
+                told = time.monotonic()
+                print(f"still compiling after {told - started:.0f} s", file=sys.stderr)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def is_complete() -> bool:

@@ -14,7 +14,7 @@ from typing import IO, cast
 from rich.console import Console
 
 from tactile_hand_ros.command_line import LastingOutput, Signals
-from tactile_hand_ros.compiled import ensure_compiled, is_complete
+from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import ORCHESTRATOR
@@ -49,9 +49,7 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
         parse_priority(str(options.priority)), chosen_cpus(options.cpus) if options.cpus else ()
     )
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
-    if not is_complete():
-        print("compiling the numeric code, once; this takes a minute or two", file=sys.stderr)
-    ensure_compiled()
+    ensure_compiled(signals.wait)
     plan = Plan(
         scenario=scenario,
         namespace=full_namespace(options.namespace, ros_arguments),

@@ -181,3 +181,23 @@ def test_after_the_warm_up_nothing_is_compiled_again(tmp_path: Path) -> None:
 def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control: Path) -> None:
     nowhere = {"NUMBA_CACHE_DIR": "/proc/nowhere"}
     assert run(control, CALL, **nowhere) == ("20.0", "")
+
+
+def test_waiting_for_the_compiler_can_be_given_up(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A Ctrl-C in that time is answered immediately, and the compiler ends."""
+    monkeypatch.setattr(module, "is_complete", lambda: False)
+    monkeypatch.setattr(module, "_SILENCE", 0.0)
+    waits: list[float] = []
+
+    def pause(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        module.ensure_compiled(pause)
+    told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith("compiling the numeric code, once")
+    assert told[1:] == 2 * ["still compiling after 0 s"]
