@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import inspect
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -76,10 +75,8 @@ class CallbackGuard:
 
         Args:
             source: Topic, service or timer that is named when the callback fails.
-            callback: The callback; not a coroutine.
+            callback: The callback, a plain function.
         """
-        if inspect.iscoroutinefunction(callback):
-            return callback
 
         @functools.wraps(callback)  # rclpy looks at the signature
         def guarded(*arguments: Any) -> Any:
@@ -93,8 +90,6 @@ class CallbackGuard:
 
     def wrap_service(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return a service callback that answers a rejection where the given one raises."""
-        if inspect.iscoroutinefunction(callback):
-            return callback
 
         @functools.wraps(callback)
         def guarded(request: Any, response: Any) -> Any:

@@ -4,7 +4,8 @@
 The standard executors of rclpy build a new wait set and a coroutine per callback at every
 wake-up, which costs more than the message itself. `WaitSetExecutor` keeps one wait set and calls
 subscriptions, timers and guard conditions directly. Everything rare (services, clients, QoS
-events, actions, coroutines) is handed to the inherited, public `SingleThreadedExecutor`.
+events) is handed to the inherited, public `SingleThreadedExecutor`. Callbacks are plain functions:
+coroutines are not awaited.
 
 Pieces of rclpy (Jazzy) that are not public:
 
@@ -12,8 +13,7 @@ Pieces of rclpy (Jazzy) that are not public:
 * ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
   ``handle`` of subscriptions and timers.
 * ``Subscription._callback_type``: whether a callback takes the message's info too.
-* ``Executor._take_service``, ``_guard``, ``_sigint_gc``, ``_tasks`` and ``_is_shutdown`` of the
-  base class.
+* ``Executor._take_service``, ``_guard``, ``_sigint_gc`` and ``_is_shutdown`` of the base class.
 
 While messages flow, the full wait set, which also has every service and QoS event, gets its turn
 only every `FULL_PERIOD_NS`, because waiting on it costs five times as much. When they pause, it is
@@ -28,7 +28,6 @@ An error of the middleware (a request that cannot be taken, an answer that canno
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -217,7 +216,7 @@ class _WaitSet:
 class WaitSetExecutor(SingleThreadedExecutor):
     """A single-threaded executor that keeps its wait set.
 
-    Not for use from several threads, except `create_task`, `wake` and `shutdown`.
+    Not for use from several threads, except `wake` and `shutdown`.
     """
 
     # The base class looks for it at shutdown, also when a signal cut its construction short.
@@ -264,22 +263,17 @@ class WaitSetExecutor(SingleThreadedExecutor):
 
     def _step(self, entities: WaitedEntities, limit_ns: int) -> None:
         """Wait once, at most for a time [ns], and serve what is ready."""
-        if self._tasks and self._has_open_tasks():
-            # A suspended coroutine may block its callback group; the public executor handles it.
-            self.spin_once(timeout_sec=1e-9 * limit_ns)
-            self._stale = True
-            return
         ready = entities.wait(limit_ns)
         if ready.guards and not self._is_running():
             self._stale = True
         for guard in ready.guards:
             if guard.callback is not None and not self._stale:
-                self._finish(guard.callback())
+                guard.callback()
         for timer in ready.timers:
             # A cancelled timer is reported as ready once more.
             if not self._stale and timer.handle.is_timer_ready():
                 timer.handle.call_timer()
-                self._finish(timer.callback())
+                timer.callback()
         for subscription in ready.subscriptions:
             self._drain(subscription)
         self._call_afterwards()
@@ -291,9 +285,6 @@ class WaitSetExecutor(SingleThreadedExecutor):
             callbacks, self._afterwards = self._afterwards, []
             for callback in callbacks:
                 callback()
-
-    def _has_open_tasks(self) -> bool:
-        return any(not task.done() for task, _, _ in self._tasks)
 
     def _drain(self, subscription: Subscription) -> None:
         take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
@@ -307,12 +298,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
                 continue
             if item is None:
                 return
-            self._finish(subscription.callback(*item[:wanted]))
-
-    def _finish(self, result: Any) -> None:
-        """Let the public executor await what a coroutine function has returned."""
-        if result is not None and inspect.iscoroutine(result):
-            self.create_task(result)
+            subscription.callback(*item[:wanted])
 
     def _is_running(self) -> bool:
         return bool(self._context.ok()) and not self._is_shutdown

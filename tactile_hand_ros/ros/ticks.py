@@ -7,11 +7,10 @@ is complete. Nothing else joins messages.
 
 from __future__ import annotations
 
-import enum
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,35 +21,6 @@ from tactile_hand_ros.ros.streams import Decode, Stream
 _SECOND = 1_000_000_000
 _SHORTEST_LEAP = 100_000_000
 """A step ahead that is no leap, whatever the ticks are [ns]."""
-
-
-class Repeat(enum.Enum):
-    """Type of `REPEAT`."""
-
-    REPEAT = enum.auto()
-
-
-REPEAT: Final = Repeat.REPEAT
-"""The tick was answered already: publish the last answer again."""
-
-_MISSING: Final = object()
-
-
-class _Open:
-    """The values of a tick, in the order of the keys, and how many are still missing."""
-
-    __slots__ = ("missing", "values")
-
-    def __init__(self, count: int) -> None:
-        self.values: list[Any] = [_MISSING] * count
-        self.missing = count
-
-    def put(self, index: int, value: Any) -> bool:
-        """Add or replace a value; return whether all are there."""
-        # By identity: arrays do not compare to one truth.
-        self.missing -= self.values[index] is _MISSING
-        self.values[index] = value
-        return not self.missing
 
 
 class StampMatcher:
@@ -72,26 +42,22 @@ class StampMatcher:
         """Name the streams.
 
         Args:
-            keys: One key per stream; the first is the one whose repetition means that the tick
-                is asked for again.
+            keys: One key per stream.
             memory: Incomplete stamps that are kept; the first to come are the first to go.
             on_restart: Called when the senders have started over, before their first set is given.
         """
         self.keys = tuple(keys)
-        self._index = {key: index for index, key in enumerate(self.keys)}
         self._memory = memory
         self._on_restart = on_restart
         self.last: int | None = None
-        self._pending: dict[int, _Open] = {}
+        self._pending: dict[int, dict[str, Any]] = {}
 
     @property
     def pending(self) -> int:
         """How many incomplete stamps are kept."""
         return len(self._pending)
 
-    def put(
-        self, key: str, stamp_ns: int, value: Any
-    ) -> tuple[Any, ...] | Literal[Repeat.REPEAT] | None:
+    def put(self, key: str, stamp_ns: int, value: Any) -> tuple[Any, ...] | None:
         """Add a value.
 
         Args:
@@ -100,21 +66,16 @@ class StampMatcher:
             value: The value; a later one of the same tick replaces it.
 
         Returns:
-            All values of the tick in the order of the keys when this one made it complete,
-            `REPEAT` when the first key asks for the last complete tick again, else None.
+            All values of the tick in the order of the keys when this one made it complete.
         """
-        index = self._index[key]
         last = self.last
         if last is not None and stamp_ns <= last:
-            if stamp_ns == last:
-                return REPEAT if index == 0 else None
-            if stamp_ns > 0 and last - stamp_ns <= _SECOND:
+            if stamp_ns == last or (stamp_ns > 0 and last - stamp_ns <= _SECOND):
                 return None
-        opened = self._pending.get(stamp_ns)
-        if opened is None:
-            opened = self._pending[stamp_ns] = _Open(len(self.keys))
-        if opened.put(index, value):
-            return self._complete(stamp_ns, opened.values)
+        values = self._pending.setdefault(stamp_ns, {})
+        values[key] = value
+        if len(values) == len(self.keys):
+            return self._complete(stamp_ns, tuple([values[key] for key in self.keys]))
         if len(self._pending) > self._memory:
             del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
         return None
@@ -126,13 +87,11 @@ class StampMatcher:
             stamp_ns: The stamp; by default the one that has waited longest.
         """
         if stamp_ns is None:
-            opened = next(iter(self._pending.values()), None)
-        else:
-            opened = self._pending.get(stamp_ns)
-        values = [] if opened is None else opened.values
-        return [key for key, value in zip(self.keys, values) if value is _MISSING]
+            stamp_ns = next(iter(self._pending), None)
+        values = self._pending.get(stamp_ns) if stamp_ns is not None else None
+        return [] if values is None else [key for key in self.keys if key not in values]
 
-    def _complete(self, stamp_ns: int, values: list[Any]) -> tuple[Any, ...]:
+    def _complete(self, stamp_ns: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
         restarted = self.last is not None and stamp_ns < self.last
         self.last = stamp_ns
         if restarted or len(self._pending) == 1:
@@ -142,7 +101,7 @@ class StampMatcher:
             self._pending = {t: kept for t, kept in self._pending.items() if t > stamp_ns}
         if restarted and self._on_restart is not None:
             self._on_restart()
-        return tuple(values)
+        return values
 
 
 class Leaps:
@@ -427,7 +386,7 @@ class TickInputs:
     def _take(self, topic: str, decode: Decode, data: bytes) -> None:
         stamp, value = decode(data)
         matched = self._matcher.put(topic, stamp, value)
-        if matched is not None and matched is not REPEAT:
+        if matched is not None:
             self._complete(stamp, matched)
 
     def _take_trigger(self, decode: Decode, data: bytes, info: Mapping[str, Any]) -> None:
@@ -437,11 +396,12 @@ class TickInputs:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._leaps.doubts(stamp):
             return
-        matched = self._matcher.put(self._trigger, stamp, value)
-        if matched is REPEAT:
+        if stamp == self._matcher.last:  # answered, but the answer has not arrived
             if not self._backlog:  # else a newer answer is about to be given
                 self._listener.on_repeat()
-        elif matched is not None:
+            return
+        matched = self._matcher.put(self._trigger, stamp, value)
+        if matched is not None:
             self._complete(stamp, matched)
         elif self._silence is not None:
             self._wait(self._silence, stamp, value)

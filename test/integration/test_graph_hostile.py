@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import struct
 import time
@@ -154,14 +153,6 @@ def test_numbers_that_would_overflow_are_refused(graph: Graph) -> None:
         message = force_message(force, stamp, names.contact_frame(name))
         attacks[names.optimal_force(name)] = attacks[names.wrench(name)] = [message]
     attack(graph, {t: [serialize_message(m) for m in sent] for t, sent in attacks.items()})
-
-
-def test_commands_without_names_are_refused(graph: Graph) -> None:
-    state = graph.newest(names.JOINT_STATES)
-    count = len(state.name)
-    efforts = ([1.0] * count, [math.nan] * count, [])
-    messages = [JointState(header=state.header, effort=effort) for effort in efforts]
-    attack(graph, {names.JOINT_COMMAND: [serialize_message(m) for m in messages]})
 
 
 @pytest.mark.parametrize("node", NODES)

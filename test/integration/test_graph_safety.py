@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseArray, WrenchStamped
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from support.graph import Graph
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.diagnostics import ERROR, WARN
+from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -115,65 +114,6 @@ def wrong_commands(graph: Graph) -> list[JointState]:
     ]
 
 
-def test_wrong_desired_poses_are_counted_and_the_old_one_is_kept(graph: Graph) -> None:
-    before = graph.rejected("manipulation_controller", "desired_pose")
-    graph.desire([math.nan, 0.2, 0.4])
-    graph.desire(P_D, frame="world")
-    graph.desire([1.0, 1.0, 1.0])
-    graph.desire(P_D, stamp=10**18)
-    graph.wait(
-        lambda: graph.rejected("manipulation_controller", "desired_pose") == before + 4,
-        "four rejections",
-    )
-    near = 0.8 * distance(graph)
-    graph.wait(lambda: distance(graph) < near, "the way to the first desired pose")
-    assert_held(graph)
-
-
-def test_nan_touch_is_counted_by_all_who_listen(graph: Graph) -> None:
-    nodes = ("force_optimizer", "slip_regulator", "manipulation_controller")
-    force = names.wrench("finger_1")
-    before = {name: graph.rejected(name, names.CONTACTS) for name in nodes}
-    felt = graph.rejected("slip_regulator", force)
-    contacts = stranger(graph, PoseArray, names.CONTACTS)
-    wrench = stranger(graph, WrenchStamped, force)
-    broken = graph.newest(names.TRUE_CONTACTS)
-    broken.header.stamp = graph.newest(names.JOINT_STATES).header.stamp
-    broken.poses[1].position.y = math.nan
-    contacts.publish(broken)
-    numb = WrenchStamped()
-    numb.header.frame_id = "finger_1_contact"
-    numb.wrench.force.x = math.nan
-    wrench.publish(numb)
-    for name in nodes:
-        graph.wait(
-            lambda n=name: graph.rejected(n, names.CONTACTS) == before[n] + 1,
-            f"a rejection by {name}",
-        )
-    graph.wait(lambda: graph.rejected("slip_regulator", force) == felt + 1, "a rejected force")
-    graph.node.destroy_publisher(contacts)
-    graph.node.destroy_publisher(wrench)
-    pass_time(graph, 0.2)
-    assert_held(graph)
-
-
-def test_impossible_grasp_forces_are_counted_and_a_possible_one_is_taken(graph: Graph) -> None:
-    before = graph.rejected("slip_regulator", "user_grasp_force")
-    for force in (math.nan, 1000.0, -1.0):
-        graph.grasp_forces.publish(Float64(data=force))
-    graph.wait(
-        lambda: graph.rejected("slip_regulator", "user_grasp_force") == before + 3,
-        "three rejections",
-    )
-    assert graph.grasp_force == 10.0
-    graph.grasp_forces.publish(Float64(data=12.0))
-    wait_for_grasp_force(graph, 12.0)
-    pass_time(graph, 0.5)
-    np.testing.assert_allclose(graph.forces[:, 1].sum(), 12.0, rtol=0.05)
-    assert graph.call(Trigger, "slip_regulator/reset", Trigger.Request()).message == "k_f = 10 N"
-    wait_for_grasp_force(graph, 10.0)
-
-
 MISSED = {
     "tactile_sensor": "no tactile/contacts",
     "slip_regulator": "no grasp_force",
@@ -263,30 +203,6 @@ def test_a_live_parameter_acts_and_others_are_refused_with_the_reason(graph: Gra
         verdict = graph.set_parameter(name, parameter, value)
         assert not verdict.successful and reason in verdict.reason
     assert graph.set_parameter("slip_regulator", "maximum", 40.0).successful
-
-
-def test_a_gain_of_zero_stops_the_motion_on_the_way(graph: Graph) -> None:
-    gains = {"law.k_p": 3.0, "law.k_o": 0.5}
-    for gain in gains:
-        assert graph.set_parameter("manipulation_controller", gain, 0.0).successful
-    wait_for_rest(graph)
-    assert distance(graph) > 0.05
-    for gain, value in gains.items():
-        assert graph.set_parameter("manipulation_controller", gain, value).successful
-    far = distance(graph)
-    graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
-
-
-def test_a_disabled_controller_only_damps_and_says_so(graph: Graph) -> None:
-    off = SetBool.Request(data=False)
-    assert graph.call(SetBool, "manipulation_controller/enable", off).message == "damping only"
-    graph.wait(
-        lambda: says(graph, "manipulation_controller", WARN, "disabled by the user"), "its word"
-    )
-    state = graph.newest(names.JOINT_STATES)
-    damping = graph.scenario.manipulation_controller.law.damping
-    np.testing.assert_allclose(state.effort, -damping * np.array(state.velocity), atol=0.01)
-    assert graph.call(SetBool, "manipulation_controller/enable", SetBool.Request(data=True)).success
 
 
 def test_a_reset_controller_keeps_the_grasp_where_it_is(graph: Graph) -> None:

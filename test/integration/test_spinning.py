@@ -10,7 +10,6 @@ import time
 import psutil
 import pytest
 import rclpy
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -119,48 +118,6 @@ def _succeed(answer):
     return answer
 
 
-def test_a_service_may_await_another_service(make_node, spun):
-    node, other = make_node("a"), make_node("b")
-    inner = node.create_client(Trigger, "inner")
-    other.create_service(Trigger, "inner", lambda _, answer: _succeed(answer))
-
-    async def outer(_, answer):
-        answer.success = (await inner.call_async(Trigger.Request())).success
-        return answer
-
-    node.create_service(Trigger, "outer", outer, callback_group=ReentrantCallbackGroup())
-    client = other.create_client(Trigger, "outer")
-    ticks = []
-    spun(node, other)
-    other.create_timer(0.01, lambda: ticks.append(1))
-    assert client.wait_for_service(10.0) and inner.wait_for_service(10.0)
-    future = client.call_async(Trigger.Request())
-    wait_until(future.done)
-    assert future.result().success
-    seen = len(ticks)
-    wait_until(lambda: len(ticks) > seen + 5, message="the loop to go on")
-
-
-def test_coroutine_callbacks_of_subscriptions_timers_and_tasks(make_node, spun):
-    node, got = make_node("a"), []
-
-    async def note(message):
-        got.append(message.data)
-
-    async def tick():
-        got.append("tick")
-
-    async def task():
-        got.append("task")
-
-    node.create_subscription(Float64, "x", note, 10)
-    node.create_timer(0.02, tick)
-    executor = spun(node)
-    matched(node.create_publisher(Float64, "x", 10)).publish(Float64(data=7.0))
-    executor.create_task(task)
-    wait_until(lambda: {7.0, "tick", "task"} <= set(got), message="all three")
-
-
 def test_entities_may_come_and_go_while_spinning(make_node, spun):
     node, got = make_node("a"), []
     spun(node)
@@ -203,14 +160,6 @@ def test_quality_of_service_events_are_served(make_node, spun):
     best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_publisher(Float64, "x", best_effort)
     wait_until(lambda: events, message="the event of incompatible quality of service")
-
-
-def test_spin_returns_when_the_context_is_shut_down(make_node, context):
-    node = make_node("a")
-    node.create_timer(0.05, context.try_shutdown)
-    start = time.monotonic()
-    spin(node)
-    assert time.monotonic() - start < 2.0
 
 
 PROGRAM = """

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
@@ -20,6 +20,7 @@ from support.nodes import Process, facts, tapped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
@@ -327,6 +328,44 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here: Pro
     (accepted,) = here.messages(names.ACCEPTED_POSE, 1)
     assert stamp_to_ns(accepted.header.stamp) == 3 * TICK
     assert accepted.pose == pose_message(position, np.eye(3), 0).pose
+
+
+def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    position, day = STATE.contacts.positions.mean(axis=0), 86_400_000_000_000
+    for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
+        receive(node, pose_message(position, np.eye(3), stamp))
+    assert node.diagnostics.rejected == {}  # the time of the ticks is not known yet
+    tick(node, 5 * TICK)
+    assert node.diagnostics.rejected == {names.DESIRED_POSE: 1}
+    for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
+        receive(node, pose_message(position, np.eye(3), stamp))
+    assert node.diagnostics.rejected == {names.DESIRED_POSE: 2}
+
+
+def test_of_too_many_poses_for_later_the_earliest_are_dropped(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    here.receive(PoseStamped, names.ACCEPTED_POSE)
+    position = STATE.contacts.positions.mean(axis=0)
+    for number in range(MOST_WAITING + 3):
+        receive(node, pose_message(position, np.eye(3), (number + 1) * TICK))
+    assert facts(node)["dropped_poses"] == "3"
+    for number in range(6):
+        tick(node, number * TICK)
+    stamps = [stamp_to_ns(m.header.stamp) for m in here.messages(names.ACCEPTED_POSE, 2)]
+    assert stamps == [4 * TICK, 5 * TICK]
+
+
+def receive(node: Any, message: PoseStamped) -> None:
+    """Let the node take a desired pose."""
+    (found,) = (s for s in node.subscriptions if s.topic_name == f"/{names.DESIRED_POSE}")
+    found.callback(serialize_message(message))
+
+
+@pytest.mark.parametrize(("law", "mode"), [("kawamura", "drive"), ("optimal", "hold")])
+def test_only_the_optimal_law_needs_an_optimal_force(here: Process, law: str, mode: str) -> None:
+    node = here.make(ManipulationControllerNode, **{"law.name": law})
+    assert tick(node, 0, shape=np.nan * FRACTIONS).mode.value == mode
 
 
 def test_services_change_the_controller_and_report_the_result(here: Process) -> None:

@@ -4,26 +4,6 @@
 from tactile_hand_ros.nodes.common import ModeLog
 
 
-def test_each_change_is_one_line_with_its_reason() -> None:
-    lines: list[str] = []
-    log = ModeLog(lines.append, lambda: 0.0)
-    for mode, reason in (("drive", ""), ("drive", ""), ("hold", "no contact"), ("drive", "")):
-        log.note(mode, reason)
-    assert lines == ["drive -> hold: no contact", "hold -> drive"]
-
-
-def test_a_flood_is_counted() -> None:
-    lines: list[str] = []
-    now = [0.0]
-    log = ModeLog(lines.append, lambda: now[0])
-    for tick in range(100):
-        log.note("drive" if tick % 2 else "hold")
-    assert len(lines) == 5
-    now[0] = 1.0
-    log.note("hold")
-    assert lines[5:] == ["drive -> hold (94 changes before it not logged)"]
-
-
 def test_five_lines_a_second_and_the_count_begins_again_each_second() -> None:
     lines: list[str] = []
     now = [7.0]

@@ -74,10 +74,6 @@ def test_what_goes_well_is_passed_on() -> None:
     assert CallbackGuard(node).wrap_service("service", lambda a, b: a - b)(7, 3) == 4
     assert node.said == [] and node.diagnostics.errors == {}
 
-    async def later() -> None: ...
-
-    assert CallbackGuard(node).wrap("topic", later) is later
-    assert CallbackGuard(node).wrap_service("service", later) is later
     wrapped = CallbackGuard(node).wrap("topic", lambda message: None)
     assert list(inspect.signature(wrapped).parameters) == ["message"]
 

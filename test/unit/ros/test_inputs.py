@@ -296,16 +296,6 @@ def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> No
     assert ear.kinds() == [("tick", at + 9)]
 
 
-def test_one_stamp_far_ahead_is_not_answered_blindly_and_silences_nothing(ear: Ear) -> None:
-    at = ear.go_blind(2)
-    ear.joints(at + 10**6)
-    ear.joints(at + 4)
-    assert ear.kinds() == [("blind", at + 4)]
-    ear.others(at + 8)
-    ear.joints(at + 8)
-    assert ear.kinds() == [("tick", at + 8)]
-
-
 def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear: Ear) -> None:
     ear.joints(2)
     ear.others(2)

@@ -101,19 +101,6 @@ def test_a_cone_is_as_high_as_its_force_and_no_wider_than_can_be_seen() -> None:
         assert (cones[i].scale.x, cones[i].scale.y, cones[i].scale.z) == (1.0, 1.0, 1.0)
 
 
-def test_object_and_goal_are_where_they_are() -> None:
-    body, goal = found(scene(), "object")[0], found(scene(), "goal")[0]
-    assert place(body) == at(7) and place(goal) == at(8)
-    np.testing.assert_array_equal(points(body), CORNERS)
-    assert color(body) == (0.56, 0.65, 0.75, 0.4) and body.type == Marker.TRIANGLE_LIST
-    assert (body.scale.x, body.scale.y, body.scale.z) == (1.0, 1.0, 1.0)
-    axes = np.zeros((6, 3))
-    axes[1, 0] = axes[3, 1] = axes[5, 2] = 0.05
-    np.testing.assert_array_equal(points(goal), axes)
-    assert color(goal) == (0.76, 0.09, 0.36, 1.0) and goal.type == Marker.LINE_LIST
-    assert (goal.scale.x, goal.scale.y, goal.scale.z) == (0.003, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(
     ("changes", "missing"),
     [
@@ -135,15 +122,3 @@ def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
     drawn = scene(contacts=[frame("c", 1)], forces=forces, friction=np.array([0.5]))
     with np.errstate(invalid="ignore"):
         assert [m.ns for m in markers(drawn).markers] == ["all", "object", "contacts", "goal"]
-
-
-def test_no_force_at_all_is_drawn_without_a_division_by_zero() -> None:
-    with np.errstate(all="raise"):
-        drawn = markers(scene(forces=np.zeros((5, 3)))).markers
-    assert {marker.ns for marker in drawn} == {"all", "object", "contacts", "goal"}
-
-
-def test_a_force_along_the_face_has_no_cone() -> None:
-    forces = np.array([[1.0, 0.0, 0.0]])
-    drawn = scene(contacts=[frame("c", 1)], forces=forces, friction=np.array([0.5]))
-    assert found(drawn, "forces") and not found(drawn, "cones")

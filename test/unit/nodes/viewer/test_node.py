@@ -119,18 +119,6 @@ def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
     assert set(stage.show()) == {"all", "contacts"}
 
 
-def test_the_object_is_closed_and_as_large_as_it_is(stage: Stage) -> None:
-    solid = stage.viewer.config.object.solid()
-    corners = stage.viewer._corners.reshape(-1, 3, 3)
-    np.testing.assert_array_equal(
-        np.unique(corners.reshape(-1, 3), axis=0), np.unique(solid.vertices, axis=0)
-    )
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    across = np.ptp(solid.vertices, axis=0)
-    sides = 2.0 * (across[0] * across[1] + across[1] * across[2] + across[2] * across[0])
-    assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(sides)  # it is a box
-
-
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
     """A QoS event that no executor takes would keep it awake, also after the publisher has left."""
     stage.watch()
