@@ -36,9 +36,6 @@ class ReplayRequest:
         list[str],
         typer.Option(help="Not the topics whose whole name matches; may be repeated."),
     ] = field(default_factory=list)
-    clock: Annotated[
-        bool, typer.Option("--clock", help="Publish the bag's time on /clock, 100 times a second.")
-    ] = False
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
     paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False
     recompute: Annotated[
@@ -116,7 +113,6 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
         "loop": request.loop,
         "topics": request.topics or [".*"],
         "exclude": request.exclude,
-        "clock": request.clock,
         "namespace": f"/{namespace}" if namespace else "",
         "paused": request.paused,
     }

@@ -201,7 +201,3 @@ def controllers(args: Sequence[str] | None = None) -> int:
         args: Command line; ``--params-file`` may be given once for each node.
     """
     return run_nodes(controller_nodes, args, described=CONTROLLERS)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -11,7 +11,6 @@ crashes, the controller holds the hand after its `input_timeout`.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -205,7 +204,3 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the force optimizer until SIGINT or SIGTERM and return the exit code."""
     return run_node(ForceOptimizerNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,7 +13,6 @@ with the hold too. No torque exceeds the effort limits of the URDF.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -422,7 +421,3 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the manipulation controller until SIGINT or SIGTERM and return the exit code."""
     return run_node(ManipulationControllerNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,18 +20,14 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from tactile_hand_ros.bag.reader import iterate, open_bag
 from tactile_hand_ros.bag.selection import TopicSelection
-from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.middleware import use_sockets
 
-CLOCK = "/clock"
-CLOCK_RATE = 100.0  # messages a second
 _DEPTH = 1000  # messages that a publisher keeps for slow subscribers
 _LOOK = 0.1  # s between two calls of `watch`; also the shortest round of a loop
 _LAST_CALL = Duration(seconds=1)  # longest wait for subscribers to take the last messages
@@ -51,7 +47,6 @@ class Replay:
         loop: Start again at the end; a round takes at least 0.1 s.
         topics: Regular expressions, one of which matches the whole name of a chosen topic.
         exclude: Regular expressions, none of which matches it.
-        clock: Publish the time of the bag on ``/clock`` instead of what was recorded there.
         namespace: Put before all names of topics.
         paused: Whether it is paused.
         skipped: Topics that cannot be published, and why.
@@ -66,7 +61,6 @@ class Replay:
     loop: bool = False
     topics: Sequence[str] = (".*",)
     exclude: Sequence[str] = ()
-    clock: bool = False
     namespace: str = ""
     paused: bool = False
     skipped: dict[str, str] = field(default_factory=dict)
@@ -88,8 +82,7 @@ class Replay:
             )
         self.publishers: dict[str, Publisher] = {}
         self._create_publishers()
-        self._clock = self.node.create_publisher(Clock, CLOCK, 10) if self.clock else None
-        self._next_clock = self._next_look = self._wall = 0.0
+        self._next_look = self._wall = 0.0
         self.node.create_service(SetBool, "~/pause", self._on_pause)
 
     def run(self, watch: Callable[[Replay], None] = lambda _: None) -> None:
@@ -122,7 +115,7 @@ class Replay:
         chosen = [c for c in self.reader.connections if c.topic in selection]
         for connection in chosen:
             topic = connection.topic
-            if topic in self.publishers or (self.clock and topic == CLOCK):
+            if topic in self.publishers:
                 continue
             count = sum(c.msgcount for c in chosen if c.topic == topic)
             profile = offered_qos(getattr(connection.ext, "offered_qos_profiles", []), count)
@@ -172,8 +165,7 @@ class Replay:
                 ahead = _LOOK if self.paused else (due - self.position) / self.rate
                 if ahead <= 0.0:
                     return
-                until = min(self._next_look, self._publish_clock(now))
-                self._changed.wait(max(0.0, min(ahead, until - now)))
+                self._changed.wait(max(0.0, min(ahead, self._next_look - now)))
 
     def _move(self) -> float:
         """Let the time in the bag follow the time on the wall, which is returned."""
@@ -183,16 +175,6 @@ class Replay:
                 self.position = min(self.position + self.rate * (now - self._wall), self.duration)
             self._wall = now
         return now
-
-    def _publish_clock(self, now: float) -> float:
-        """Publish the time in the bag when it is due; return when it is due next."""
-        if self._clock is None:
-            return float("inf")
-        if now >= self._next_clock:
-            self._next_clock = now + 1.0 / CLOCK_RATE
-            stamp = self.reader.start_time + round(1e9 * self.position)
-            self._clock.publish(clock_bytes(stamp))
-        return self._next_clock
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.pause(request.data)

@@ -13,7 +13,6 @@ node starts at the configured k_f and has to learn the friction again.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -326,7 +325,3 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the slip regulator until SIGINT or SIGTERM and return the exit code."""
     return run_node(SlipRegulatorNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ of the forces only. When it crashes, nodes that wait for touch notice the silenc
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -125,7 +124,3 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the tactile sensor until SIGINT or SIGTERM and return the exit code."""
     return run_node(TactileSensorNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

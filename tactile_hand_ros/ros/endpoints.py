@@ -194,13 +194,6 @@ class DirectTakeGroup(CallbackGroup):
         """Return False, so that no executor waits for the entity."""
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        """Return False."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing was begun."""
-
 
 def _ignore(_: bytes) -> None:
     """Stand in for a callback."""

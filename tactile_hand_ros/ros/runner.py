@@ -14,7 +14,6 @@ from typing import Any
 import rclpy
 from rclpy.exceptions import InvalidHandle, NotInitializedException
 from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
@@ -99,7 +98,9 @@ def _code_of(error: BaseException, code: int) -> int:
 _ANNOUNCED = ("hand", "layout", "law.name", "mode", "pacing", "rate", "output")
 """Parameters that a node names when it is ready, where it has them."""
 
-_WITHOUT_CONTEXT = (_rclpy.RCLError, InvalidHandle, NotInitializedException)
+_WITHOUT_CONTEXT = (RuntimeError, InvalidHandle, NotInitializedException)
+"""What rclpy raises then; errors of rcl are RuntimeErrors."""
+
 _was_signalled = False
 
 
@@ -149,7 +150,7 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Schedulin
         rclpy.init(args=line)
         if _was_signalled:  # before rclpy handles signals
             raise KeyboardInterrupt
-    except (_rclpy.RCLError, RuntimeError) as error:
+    except RuntimeError as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
     if extra and extra[0] in ("-h", "--help"):

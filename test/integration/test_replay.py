@@ -10,14 +10,12 @@ from pathlib import Path
 import pytest
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.nodes import process
 
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.processes import CapturedProcess
 
@@ -38,22 +36,19 @@ def bag(tmp_path: Path) -> Path:
     return folder
 
 
-def test_pause_loop_clock_and_interrupt(bag: Path) -> None:
-    """Time stands still while paused; the loop starts again; Ctrl-C ends without a traceback."""
+def test_pause_loop_and_interrupt(bag: Path) -> None:
+    """Nothing is published while paused; the loop starts again; Ctrl-C ends without a traceback."""
     command = [sys.executable, "-m", "tactile_hand_ros.cli", "replay", bag, "--start-paused"]
-    options = ["--loop", "--clock", "--topics=/value", "--rate=4"]
+    options = ["--loop", "--topics=/value", "--rate=4"]
     with process() as here, CapturedProcess([*command, *options]) as replay:
         here.receive(Float64, "/value", DEEP)
-        here.receive(Clock, "/clock", DEEP)
         assert here.call(SetBool, "/replay/pause", data=False).success
         here.messages("/value", 21)
         assert here.call(SetBool, "/replay/pause", data=True).success
         paused_at = len(here.messages("/value", 21))
-        clocks = len(here.messages("/clock", 1))
-        shown = here.messages("/clock", clocks + 20)
-        stamps = [stamp_to_ns(message.clock) for message in shown]
-        assert len(set(stamps[-10:])) == 1 and BEGIN < stamps[-1] < BEGIN + COUNT * SPACING
-        assert len(here.messages("/value", 21)) == paused_at < COUNT
+        for _ in range(20):  # each takes longer than the next message would
+            here.call(SetBool, "/replay/pause", data=True)
+        assert len(here.messages("/value", 21)) - paused_at <= 1 and paused_at < COUNT
         here.call(SetBool, "/replay/pause", data=False)
         found = [message.data for message in here.messages("/value", 2 * COUNT + 1)]
         assert found == [float(i % COUNT) for i in range(len(found))]

@@ -14,7 +14,6 @@ Without a plant there are no ticks, and no node answers.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -131,7 +130,3 @@ class PlantNode(TactileNode[PlantConfig]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the plant until SIGINT or SIGTERM and return the exit code."""
     return run_node(PlantNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

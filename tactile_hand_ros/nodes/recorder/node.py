@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -113,7 +112,3 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder until SIGINT or SIGTERM and return the exit code."""
     use_batch_scheduling()  # its queues are long; the hand's are not
     return run_node(RecorderNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 from rclpy.exceptions import InvalidHandle
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -26,7 +25,7 @@ def publishers_of(node: Node, topic: str) -> Sequence[TopicEndpointInfo]:
     """Return the publishers of a topic; none where the context has been shut down."""
     try:
         return list(node.get_publishers_info_by_topic(topic))
-    except (_rclpy.RCLError, InvalidHandle):
+    except (RuntimeError, InvalidHandle):  # errors of rcl are RuntimeErrors
         return []
 
 

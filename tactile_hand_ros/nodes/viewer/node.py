@@ -7,7 +7,6 @@ rate, and nothing depends on it. Without tf2_msgs there are no transforms; the m
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -204,7 +203,3 @@ def _triangles(config: ObjectConfig) -> Array:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the viewer until SIGINT or SIGTERM and return the exit code."""
     return run_node(ViewerNode, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

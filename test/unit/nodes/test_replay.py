@@ -23,7 +23,6 @@ from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.cdr import to_nanoseconds
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
@@ -105,23 +104,6 @@ def test_from_later_on_a_latched_message_is_that_of_before(
     player.replay.run()
     assert player.values("/robot") == [8] and player.values("/number") == numbers
     assert player.values("/clock") == []
-
-
-def test_a_clock_of_its_own_replaces_that_of_the_bag(play: Callable[..., Player]) -> None:
-    player = play(clock=True, rate=0.5)
-    stamps = list[int]()
-    publishers = [p for p in player.replay.node.publishers if p.topic_name == "/clock"]
-    assert "/clock" not in player.replay.publishers and len(publishers) == 1
-
-    def note(data: bytes) -> None:
-        seconds, nanoseconds = (int.from_bytes(data[i : i + 4], "little") for i in (4, 8))
-        stamps.append(to_nanoseconds(seconds, nanoseconds))
-
-    publishers[0].publish = note
-    player.replay.run()
-    assert len(stamps) >= 2 and stamps == sorted(stamps) and stamps[0] >= BEGIN
-    gaps = [later - stamp for stamp, later in zip(stamps, stamps[1:], strict=False)]
-    assert min(gaps) >= 4_990_000  # of the bag's time, of which 10 ms are 5
 
 
 @pytest.mark.parametrize(

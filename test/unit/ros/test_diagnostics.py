@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state of a node is the worst that is true, and it recovers."""
 
-import numpy as np
 import pytest
 
 from tactile_hand_ros.ros.diagnostics import (
@@ -11,7 +10,6 @@ from tactile_hand_ros.ros.diagnostics import (
     WARN_SECONDS,
     Diagnostics,
     Mostly,
-    percentiles,
 )
 
 
@@ -135,11 +133,3 @@ def test_most_of_the_ticks_since_the_last_question_decide():
         for holds in noted:
             mostly.note(holds)
         assert mostly() == answer
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 101, 151])
-def test_percentiles_are_the_nearest_of_the_values(count):
-    values = np.random.default_rng(count).permutation(count) + 0.5
-    last = count - 1
-    expected = {"p50": last // 2 + 0.5, "p99": round(0.99 * last) + 0.5, "max": last + 0.5}
-    assert percentiles(values) == expected
