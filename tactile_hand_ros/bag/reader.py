@@ -6,13 +6,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
@@ -20,11 +17,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.metadata import FILE_NAME
 from tactile_hand_ros.bag.provenance import RECORD_NAME
-from tactile_hand_ros.bag.records import MAGIC, MESSAGE, Data, mapped, parse, records, unpacked
 from tactile_hand_ros.errors import BagError
 
 _BAGS = (".mcap", ".db3")
 _LARGEST = 2**24  # bytes of metadata.yaml that are read
+_OFTEN = 10_000  # messages between two reports of progress
 
 
 class RecordedMessage(NamedTuple):
@@ -57,6 +54,21 @@ class BagSummary:
     def message_count(self) -> int:
         """Number of messages on all topics."""
         return sum(self.counts.values())
+
+
+def find_bag(path: Path) -> Path:
+    """Return the bag that a path means: itself, or ``bag/`` in the folder of a run.
+
+    Raises:
+        BagError: If it does not exist.
+    """
+    if not path.exists():
+        raise BagError(f"The run or bag {path} does not exist; check the path.")
+    if (path / "bag").exists():
+        return path / "bag"
+    if (path / "scenario.yaml").exists():
+        raise BagError(f"The run {path} has no folder bag/; it was never recorded.")
+    return path
 
 
 @contextlib.contextmanager
@@ -129,75 +141,34 @@ class TopicMessages(NamedTuple):
     log_times: list[int]
     data: list[bytes]
 
+    def part(self, start: int, stop: int) -> TopicMessages:
+        """Return the messages from one index to before another."""
+        return TopicMessages(self.log_times[start:stop], self.data[start:stop])
+
 
 def read_topics(
     path: Path | str,
     topics: Collection[str],
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, TopicMessages]:
-    """Read all messages of topics, several times as fast as `read_raw`.
+    """Read all messages of topics.
 
     Args:
         path: Bag folder or file.
         topics: Full names; absent topics have no messages.
-        progress: Called now and then with the fraction of a file that is read.
+        progress: Called now and then with the fraction of the bag that is read.
 
     Raises:
         BagError: If the bag cannot be read.
     """
     found = {topic: TopicMessages([], []) for topic in topics}
-    with open_bag(path) as reader, _damage_refused(path):
-        files = _mcap_files(Path(path))
-        for file in files:
-            _take_messages(file, found, progress)
-        for connection, log_time, data in () if files else _messages(reader, topics):
+    with open_bag(path) as reader:
+        for i, (connection, log_time, data) in enumerate(_messages(reader, topics)):
             found[connection.topic].log_times.append(log_time)
             found[connection.topic].data.append(bytes(data))
-    return {topic: _in_order(messages) for topic, messages in found.items()}
-
-
-def _mcap_files(path: Path) -> list[Path]:
-    """Return the files of a bag, none if they are of another format."""
-    if path.is_dir():
-        return sorted(path.glob("*.mcap"))
-    return [path] if path.suffix == ".mcap" else []
-
-
-def _take_messages(
-    file: Path, found: dict[str, TopicMessages], progress: Callable[[float], None] | None
-) -> None:
-    """Add the messages of a file to those of their topics."""
-    wanted: dict[int, TopicMessages] = {}
-
-    def take(data: Data, at: int = 0) -> None:
-        for opcode, start, stop in records(data, at):
-            if opcode == Opcode.MESSAGE:
-                channel, log_time, _ = MESSAGE.unpack_from(data, start)
-                if channel in wanted:
-                    wanted[channel].log_times.append(log_time)
-                    wanted[channel].data.append(data[start + MESSAGE.size : stop])
-            elif opcode == Opcode.CHANNEL:
-                known = parse(Channel, data[start:stop])
-                if known.topic in found:
-                    wanted[known.id] = found[known.topic]
-            elif opcode == Opcode.CHUNK:
-                take(unpacked(data[start:stop]))
-                if progress is not None:
-                    progress(stop / len(data))
-            elif opcode == Opcode.DATA_END:
-                return
-
-    with mapped(file) as data:
-        take(data, len(MAGIC))
-
-
-def _in_order(messages: TopicMessages) -> TopicMessages:
-    """Return messages sorted by log time, equal times as they were written."""
-    times = messages.log_times
-    if all(a <= b for a, b in pairwise(times)):
-        return messages
-    order = sorted(range(len(times)), key=times.__getitem__)
-    return TopicMessages([times[i] for i in order], [messages.data[i] for i in order])
+            if progress is not None and i % _OFTEN == 0:
+                progress((log_time - reader.start_time) / (reader.end_time - reader.start_time))
+    return found
 
 
 def decode(type_name: str, data: bytes) -> Any:

@@ -9,16 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
-from tactile_hand_ros.bag.reader import check_regular, summarize
-from tactile_hand_ros.bag.records import MAGIC, MESSAGE, Data, mapped, parse, records, unpacked
+from tactile_hand_ros.bag.reader import check_regular, find_bag, read_raw, summarize
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError, counted
+
+LARGEST = 2**28
+"""Largest record and chunk that are read [B]; what announces more is damaged."""
+
+_MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True)
@@ -80,33 +84,9 @@ def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
 def is_whole(bag: Path) -> bool:
     """Return whether nothing is missing in a bag; all of it is read."""
     try:
-        found = 0
-        for file in _files_of(bag):
-            with mapped(file) as data:
-                found += _count_messages(data, len(MAGIC))
-        return found == summarize(bag).message_count
-    except Exception:  # damaged data can fail anywhere in the parsers
+        return sum(1 for _ in read_raw(bag)) == summarize(bag).message_count
+    except BagError:
         return False
-
-
-def _count_messages(data: Data, at: int = 0) -> int:
-    count = 0
-    for opcode, start, stop in records(data, at):
-        if opcode == Opcode.CHUNK:
-            count += _count_messages(unpacked(data[start:stop]))
-        count += opcode == Opcode.MESSAGE
-    return count
-
-
-def find_bag(path: Path) -> Path:
-    """Return the bag that a path means: itself, or ``bag/`` in the folder of a run.
-
-    Raises:
-        BagError: If it does not exist.
-    """
-    if not path.exists():
-        raise BagError(f"The bag {path} does not exist; check the path.")
-    return path / "bag" if (path / "bag").is_dir() else path
 
 
 def _files_of(bag: Path) -> list[Path]:
@@ -136,44 +116,45 @@ class _Copy:
     def add(self, file: Path) -> None:
         """Add all messages and metadata of a file, up to its index or the cut."""
         self._schemas, self._channels = {}, {}
-        with mapped(file) as data:
-            if not MAGIC.startswith(data[: len(MAGIC)]):
+        with file.open("rb") as stream:
+            if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
-            end = min(len(MAGIC), len(data))
-            for opcode, start, stop in records(data, end):
-                end = stop
-                if opcode == Opcode.DATA_END:
+            reader = StreamReader(
+                stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST
+            )
+            records, end = reader.records, stream.tell()
+            while True:
+                try:
+                    record = next(records)
+                except Exception:  # cut off; damaged data can fail anywhere in the parsers
+                    self.left += file.stat().st_size - end
                     return
-                self._add_record(opcode, data[start:stop])
-            self.left += len(data) - end
+                if isinstance(record, DataEnd):
+                    return
+                end = stream.tell()
+                self._add_record(record)
 
-    def _add_record(self, opcode: int, data: bytes) -> None:
+    def _add_record(self, record: McapRecord) -> None:
         """Add a record, or count what is damaged."""
         try:
-            if opcode == Opcode.CHUNK:
-                self._add_chunk(unpacked(data))
-            elif opcode == Opcode.MESSAGE:
-                self._add_message(data)
-            elif opcode == Opcode.SCHEMA:
-                schema = parse(Schema, data)
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                self._add_channel(parse(Channel, data))
-            elif opcode == Opcode.METADATA:
-                self._keep(parse(Metadata, data))
+            if isinstance(record, Chunk):
+                if record.uncompressed_size > LARGEST:
+                    raise ValueError(f"a chunk announces {record.uncompressed_size} bytes")
+                for each in breakup_chunk(record, validate_crc=True):
+                    self._add_record(each)
+            elif isinstance(record, Message):
+                channel = self._channels[record.channel_id]
+                self._writer.write(channel, record.data, record.log_time, record.publish_time)
+            elif isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._add_channel(record)
+            elif isinstance(record, Metadata):
+                self._keep(record)
         except BagError:
             raise
-        except Exception:  # damaged data can fail anywhere in the parsers
-            self.left += len(data)
-
-    def _add_chunk(self, chunk: Data) -> None:
-        for opcode, start, stop in records(chunk):
-            self._add_record(opcode, chunk[start:stop])
-
-    def _add_message(self, data: bytes) -> None:
-        number, log_time, publish_time = MESSAGE.unpack_from(data)
-        channel = self._channels[number]
-        self._writer.write(channel, data[MESSAGE.size :], log_time, publish_time)
+        except Exception:
+            self.left += len(getattr(record, "data", b""))
 
     def _add_channel(self, channel: Channel) -> None:
         """Announce a channel; those of one topic in several files become one."""

@@ -69,7 +69,7 @@ def replay(request: ReplayRequest) -> None:
         return
     if request.changes or request.law:
         raise TactileHandError("--set or --law was given, expected --recompute too.")
-    from tactile_hand_ros.bag.recover import find_bag
+    from tactile_hand_ros.bag.reader import find_bag
 
     if not 0.0 < request.rate < float("inf"):
         raise TactileHandError(f"--rate is {request.rate}, expected a number above 0.")
@@ -140,8 +140,9 @@ def recover(
 ) -> None:
     """Recover a bag that was cut off, from any recorder."""
     from tactile_hand_ros.bag import recover as r
+    from tactile_hand_ros.bag.reader import find_bag
 
-    found = r.find_bag(bag)
+    found = find_bag(bag)
     if out is None and r.is_whole(found):
         print(f"{found} is whole, there is nothing to recover")
         return

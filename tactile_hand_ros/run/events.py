@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -16,7 +15,6 @@ from tactile_hand_ros.bag.reader import TopicMessages, decode
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.run.derived import gaps, silent
-from tactile_hand_ros.run.reading import Series, in_last_run
 from tactile_hand_ros.scenario.scenario import Scenario
 
 OPENING = ("grasp", "false")
@@ -37,24 +35,15 @@ class Asked(NamedTuple):
     value: str
 
 
-def read_asked(messages: TopicMessages, states: Series, stop: int | None = None) -> list[Asked]:
-    """Read an `accepted/<node>/requests` or `rejected/<node>` of the last run in a bag.
-
-    Args:
-        messages: The topic.
-        states: The topic `joint_states`.
-        stop: Log time at which to end, ns.
+def read_asked(messages: TopicMessages) -> list[Asked]:
+    """Read an `accepted/<node>/requests` or `rejected/<node>`.
 
     Raises:
         BagError: If a message is broken.
     """
-    end = len(messages.data) if stop is None else bisect_left(messages.log_times, stop)
-    decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data[:end]]
-    log_times = np.array(messages.log_times[:end], dtype=np.int64)
-    stamps = np.array([nanoseconds(message.header.stamp) for message in decoded], dtype=np.int64)
-    counts = np.flatnonzero(in_last_run(Series(log_times, stamps, []), states))
-    pairs = [message.status[0].values[0] for message in decoded]
-    return [Asked(int(stamps[i]), pairs[i].key, pairs[i].value) for i in counts]
+    decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data]
+    pairs = [(nanoseconds(each.header.stamp), each.status[0].values[0]) for each in decoded]
+    return [Asked(stamp, pair.key, pair.value) for stamp, pair in pairs]
 
 
 def releases(requests: Sequence[Asked]) -> list[float]:

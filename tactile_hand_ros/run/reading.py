@@ -9,7 +9,7 @@ its layout, and the rest is a table of bytes of which columns are read.
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import TopicMessages
-from tactile_hand_ros.cdr import Table, tables
+from tactile_hand_ros.cdr import Table, header_stamp, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
 
@@ -142,6 +142,43 @@ EARLY = 100_000_000
 """How long before the first tick of its run a message may have been logged [ns]."""
 
 
+def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
+    """Split the messages of a bag at its resets, each of which sets time back; oldest first.
+
+    Args:
+        messages: By full name; all have headers.
+        states: Full name of `joint_states`.
+
+    Raises:
+        MessageError: If a message has no valid header.
+    """
+    stamps = [header_stamp(data) for data in messages[states].data]
+    logged = messages[states].log_times[1:]
+    starts = [at for at, before, after in zip(logged, stamps, stamps[1:]) if after < before]
+    bounds = {
+        topic: [0, *(_first_of_section(each, start) for start in starts), len(each.data)]
+        for topic, each in messages.items()
+    }
+    return [
+        {topic: each.part(*bounds[topic][i : i + 2]) for topic, each in messages.items()}
+        for i in range(len(starts) + 1)
+    ]
+
+
+def _first_of_section(messages: TopicMessages, start: int) -> int:
+    """Return the index of the first message of the section whose first tick was logged at `start`.
+
+    Topics overtake each other: it may have been logged a little earlier. It is the one that steps
+    back in time, and where none does, the first within `EARLY`.
+    """
+    early = bisect_left(messages.log_times, start - EARLY)
+    late = min(bisect_right(messages.log_times, start), len(messages.data) - 1)
+    for i in range(late, max(early, 1) - 1, -1):
+        if header_stamp(messages.data[i]) < header_stamp(messages.data[i - 1]):
+            return i
+    return early
+
+
 @dataclass(frozen=True)
 class Series:
     """The messages of one topic.
@@ -159,10 +196,6 @@ class Series:
     def __len__(self) -> int:
         """Return the number of messages."""
         return len(self.stamps)
-
-    def since(self, log_time: int) -> NDArray[np.bool_]:
-        """Return which messages were logged at or after a time, shape (n,)."""
-        return np.asarray(self.log_times >= log_time)
 
     def rows(self, name: str, count: int) -> Array:
         """Return a group of doubles of every message, shape (n, count).
@@ -195,40 +228,18 @@ class Series:
 
 
 def read_series(
-    messages: Mapping[str, TopicMessages], types: Mapping[str, str], stop: int | None = None
+    messages: Mapping[str, TopicMessages], types: Mapping[str, str]
 ) -> dict[str, Series]:
     """Turn the messages of topics into arrays.
 
     Args:
         messages: By full name of the topic.
         types: Type of each wanted topic by full name.
-        stop: Log time at which a reset starts the next section, ns; None for the end of the bag.
 
     Raises:
         BagError: If a message is broken.
     """
-    return {
-        topic: _series(type_name, messages[topic])
-        if stop is None
-        else _before(messages[topic], type_name, stop)
-        for topic, type_name in types.items()
-    }
-
-
-def _before(messages: TopicMessages, type_name: str, stop: int) -> Series:
-    """Leave out what belongs to the section that starts at a log time [ns].
-
-    A node may have published something of it a little earlier.
-    """
-    early = _series(type_name, _first(messages, bisect_left(messages.log_times, stop)))
-    back = last_reset(early.stamps)
-    if not back or early.log_times[back] < stop - EARLY:
-        return early
-    return _series(type_name, _first(messages, back))
-
-
-def _first(messages: TopicMessages, count: int) -> TopicMessages:
-    return TopicMessages(messages.log_times[:count], messages.data[:count])
+    return {topic: _series(type_name, messages[topic]) for topic, type_name in types.items()}
 
 
 def _series(type_name: str, messages: TopicMessages) -> Series:
@@ -242,17 +253,15 @@ def _series(type_name: str, messages: TopicMessages) -> Series:
 def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     """Put messages side by side by their stamps.
 
-    The ticks are the stamps of `joint_states`. Where a message was repeated the last one counts;
-    where time was set back by a reset, only what came after it. Ticks that a topic does not have
-    stay NaN.
+    The ticks are the stamps of `joint_states`. Where a message was repeated the last one counts.
+    Ticks that a topic does not have stay NaN.
 
     Args:
         series: Topics by full name.
         topics: Names of the hand's topics.
     """
     states = series[topics.full(names.JOINT_STATES)]
-    ticks, logged = first_ticks(states)
-    start = int(logged[0]) - EARLY
+    ticks, _ = first_ticks(states)
     joints, fingers = states.joint_names, topics.fingers
     record = Record.empty(len(ticks), list(fingers), joints)
     record.stamps[:] = ticks
@@ -260,7 +269,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     def of(name: str, rows: Callable[..., Array], *what: Any) -> Array:
         """Return numbers of a topic at the ticks."""
         one = series[topics.full(name)]
-        return _at_ticks(one, rows(one, *what), ticks, start)
+        return _at_ticks(one, rows(one, *what), ticks)
 
     for array, (name, values, owners) in _BY_NAME.items():
         order = joints if owners == "joints" else fingers
@@ -279,7 +288,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
         pose = of(name, Series.rows, "pose", 7)
         getattr(record, f"{array}_position")[:] = pose[:, :3]
         getattr(record, f"{array}_quaternion")[:] = pose[:, 3:]
-    _write_desired(record, series[topics.full(names.ACCEPTED_POSE)], states)
+    _write_desired(record, series[topics.full(names.ACCEPTED_POSE)])
     return record
 
 
@@ -304,44 +313,25 @@ _CONTACTS = {"contact": names.CONTACTS, "true": names.TRUE_CONTACTS}
 _POSES = {"auxiliary": names.AUXILIARY_POSE, "object": names.OBJECT_POSE}
 
 
-def _at_ticks(series: Series, values: Array, ticks: Times, start: int) -> Array:
+def _at_ticks(series: Series, values: Array, ticks: Times) -> Array:
     """Return one row a tick, NaN where there is no message; of several the last one counts."""
     out = np.full((len(ticks), values.shape[1]), np.nan)
     place = np.searchsorted(ticks, series.stamps)
-    inside = (place < len(ticks)) & series.since(start)
+    inside = place < len(ticks)
     inside[inside] = ticks[place[inside]] == series.stamps[inside]
     out[place[inside]] = values[inside]
     return out
 
 
-def _write_desired(record: Record, accepted: Series, states: Series) -> None:
+def _write_desired(record: Record, accepted: Series) -> None:
     """Write the desired pose in force: it changes at the ticks at which one took effect."""
-    poses = accepted.rows("pose", 7)
-    for row in np.flatnonzero(in_last_run(accepted, states)):
-        first = np.searchsorted(record.stamps, accepted.stamps[row])
-        record.desired_position[first:] = poses[row, :3]
-        record.desired_quaternion[first:] = poses[row, 3:]
+    for stamp, pose in zip(accepted.stamps, accepted.rows("pose", 7), strict=True):
+        first = np.searchsorted(record.stamps, stamp)
+        record.desired_position[first:] = pose[:3]
+        record.desired_quaternion[first:] = pose[3:]
 
 
 def first_ticks(states: Series) -> tuple[Times, Times]:
-    """Return the ticks of the last run in a bag and when each was first logged, ns."""
-    start = last_reset(states.stamps)
-    ticks, first = np.unique(states.stamps[start:], return_index=True)
-    return ticks, states.log_times[start:][first]
-
-
-def last_reset(stamps: Times) -> int:
-    """Return the index of the first message after the last step back in time."""
-    back = np.flatnonzero(np.diff(stamps) < 0)
-    return int(back[-1]) + 1 if len(back) else 0
-
-
-def in_last_run(series: Series, states: Series) -> NDArray[np.bool_]:
-    """Return which messages of a topic belong to the last run in a bag, shape (n,).
-
-    Args:
-        series: The topic; it need not have a message at every tick.
-        states: The topic `joint_states`.
-    """
-    start = int(first_ticks(states)[1][0]) - EARLY
-    return series.since(start) & (np.arange(len(series)) >= last_reset(series.stamps))
+    """Return the ticks of a run and when each was first logged, ns."""
+    ticks, first = np.unique(states.stamps, return_index=True)
+    return ticks, states.log_times[first]

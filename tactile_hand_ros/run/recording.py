@@ -119,9 +119,8 @@ def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.fl
     """
     ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
     command = series[topics.full(names.JOINT_COMMAND)]
-    after = command.since(int(logged[0]))
-    stamps, first = np.unique(command.stamps[after], return_index=True)
+    stamps, first = np.unique(command.stamps, return_index=True)
     _, at_tick, at_command = np.intersect1d(ticks, stamps, return_indices=True)
     out = np.full(len(ticks), np.nan)
-    out[at_tick] = 1e-9 * (command.log_times[after][first][at_command] - logged[at_tick])
+    out[at_tick] = 1e-9 * (command.log_times[first][at_command] - logged[at_tick])
     return out

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import TactileHandError
@@ -25,92 +24,44 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunData:
-    """A run in arrays; `Run` overrides what only a bag holds.
+    """A run in arrays; `Run` fills in what only a bag holds.
 
     Attributes:
+        record: The run tick by tick; NaN where there is no message.
+        scenario: What was run; None where that is not known or cannot be used.
+        scenario_problem: Why the scenario that is there cannot be used, empty otherwise.
+        scenario_text: The scenario as YAML, also where it cannot be used; empty where none is.
+        name: What the run is called.
         path: What was opened, the present folder without a bag.
+        folder: Where results belong.
+        earlier: What came before each reset, oldest first.
+        steered: Whether a user steered the run, so that no goal judges it.
+        requests: The service calls that changed the controller.
+        refusals: The commands of users that were refused.
+        bag_metrics: Completeness and timing of the bag, None without one.
+        latencies: Wall time from each tick to the command that answers it, shape (n,), s; NaN
+            without.
+        custom_data: What the recorder noted: versions, lost messages.
+        start_time: When the recording started, ns since the epoch; None without one.
+        description: The URDF of the hand as recorded, empty where it was not.
     """
 
-    path = Path()
+    path = folder = Path()
+    scenario_problem = description = ""
+    earlier: Sequence[RunData] = ()
+    steered = False
+    requests: Sequence[Asked] = ()
+    refusals: Sequence[Asked] = ()
+    bag_metrics: BagMetrics | None = None
+    custom_data: Mapping[str, str] = {}
+    start_time: int | None = None
 
     def __init__(self, record: Record, scenario: Scenario | None) -> None:
         """Take the arrays of a run and what was run, None where that is not known."""
-        self._record, self._given = record, scenario
-
-    @property
-    def record(self) -> Record:
-        """The run tick by tick; NaN where there is no message."""
-        return self._record
-
-    @property
-    def scenario(self) -> Scenario | None:
-        """The scenario; None without one that can be used."""
-        return self._given
-
-    @property
-    def scenario_problem(self) -> str:
-        """Why the scenario that is there cannot be used, empty otherwise."""
-        return ""
-
-    @property
-    def scenario_text(self) -> str:
-        """The scenario as YAML, empty where there is none."""
-        return resolved(self.scenario) if self.scenario is not None else ""
-
-    @property
-    def folder(self) -> Path:
-        """Where results belong."""
-        return self.path
-
-    @property
-    def earlier(self) -> Sequence[RunData]:
-        """What came before each reset, oldest first."""
-        return []
-
-    @property
-    def name(self) -> str:
-        """What the run is called."""
-        return self.scenario.name if self.scenario is not None else "run"
-
-    @property
-    def steered(self) -> bool:
-        """Whether a user steered the run, so that no goal judges it."""
-        return False
-
-    @property
-    def requests(self) -> list[Asked]:
-        """The service calls that changed the controller."""
-        return []
-
-    @property
-    def refusals(self) -> list[Asked]:
-        """The commands of users that were refused."""
-        return []
-
-    @property
-    def bag_metrics(self) -> BagMetrics | None:
-        """Completeness and timing of the bag, None without one."""
-        return None
-
-    @property
-    def latencies(self) -> NDArray[np.float64]:
-        """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
-        return np.full(len(self.record), np.nan)
-
-    @property
-    def custom_data(self) -> dict[str, str]:
-        """What the recorder noted: versions, lost messages."""
-        return {}
-
-    @property
-    def start_time(self) -> int | None:
-        """When the recording started, ns since the epoch; None without one."""
-        return None
-
-    @property
-    def description(self) -> str:
-        """The URDF of the hand as recorded, empty where it was not."""
-        return ""
+        self.record, self.scenario = record, scenario
+        self.name = "run" if scenario is None else scenario.name
+        self.scenario_text = "" if scenario is None else resolved(scenario)
+        self.latencies = np.full(len(record), np.nan)
 
     @cached_property
     def metrics(self) -> Metrics:

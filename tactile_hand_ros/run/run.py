@@ -3,18 +3,14 @@
 
 from __future__ import annotations
 
+import copy
 import json
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import SCENARIO_KEY
-from tactile_hand_ros.bag.reader import TopicMessages, decode, read_topics, summarize
-from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.bag.reader import TopicMessages, decode, find_bag, read_topics, summarize
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
@@ -23,28 +19,39 @@ from tactile_hand_ros.report.result import Result
 from tactile_hand_ros.run.events import Asked, read_asked
 from tactile_hand_ros.run.reading import (
     HandTopics,
-    Series,
     align,
     find_fingers,
     find_prefix,
     read_series,
+    sections,
 )
 from tactile_hand_ros.run.recording import BagMetrics, bag_metrics, latencies
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 BAG = "bag"
 SCENARIO_FILE = "scenario.yaml"
 SUMMARY_FILE = "summary.json"
 
+_CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
+_REFUSALS = tuple(map(names.rejected, (names.CONTROLLER, names.REGULATOR)))
+
 
 class Run(Result):
-    """A recorded run; everything is read when it is first used.
+    """A recorded run.
+
+    A reset sets time back: all that is here is about what came after the last one, and `earlier`
+    has what came before.
 
     Attributes:
         path: What was opened.
         bag: The bag in it.
         summary: Topics, message counts and times of the bag.
+        topics: Names of the hand's topics and fingers.
+        messages: The messages of the hand's topics by full name.
+        series: The same as arrays with log times, by full name.
     """
+
+    bag_metrics: BagMetrics
 
     def __init__(
         self,
@@ -55,7 +62,7 @@ class Run(Result):
         steered: bool | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        """Open a run.
+        """Open a run and read all of it.
 
         Args:
             path: Folder of a run (with ``bag/`` in it), or a bag folder or file.
@@ -70,194 +77,91 @@ class Run(Result):
             BagError: If there is no such run, or its bag is broken or holds no such hand.
         """
         self.path = Path(path)
-        self.bag = _find_bag(self.path)
+        self.bag = find_bag(self.path)
         self.summary = summarize(self.bag)
-        self._prefix = find_prefix(self.summary.types, namespace, self.bag)
-        self._given_fingers = fingers
-        self._steered, self._progress = steered, progress
-        self._stop: int | None = None
-        self.topics.check(self.summary.types)
+        self.custom_data, self.start_time = self.summary.custom_data, self.summary.start_time
+        # Results belong into the run's folder, or next to a bare bag.
+        self.folder = self.path if self.bag != self.path else self.bag.parent
+        self._load_scenario()
+        self.steered = self._was_steered() if steered is None else steered
+        whole = self.path.resolve()
+        folder = whole.parent.name if whole.name == BAG else whole.stem
+        self.name = folder if self.scenario is None else self.scenario.name
+        self.topics = self._find_topics(namespace, fingers)
+        asked = [*map(names.accepted_requests, _CONTROLLERS), *_REFUSALS]
+        wanted = {*self.topics.types, *map(self.topics.full, asked)}
+        description = self.topics.full(names.ROBOT_DESCRIPTION)
+        messages = read_topics(self.bag, {*wanted, description}, progress)
+        self.description = self._read_description(messages.pop(description))
+        states = self.topics.full(names.JOINT_STATES)
+        if not messages[states].data:
+            raise BagError(
+                f"The bag {self.bag} has no message on {states}, so there is not a single tick; "
+                "was the hand running?"
+            )
+        *earlier, last = sections(messages, states)
+        self.earlier = [copy.copy(self)._take(section) for section in earlier]
+        self._take(last)
 
-    @cached_property
-    def topics(self) -> HandTopics:
-        """Names of the hand's topics and fingers."""
-        fingers = list(self._given_fingers or self._fingers_of_scenario())
-        return HandTopics(self._prefix, fingers or find_fingers(self.summary.types, self._prefix))
-
-    def _fingers_of_scenario(self) -> list[str]:
-        """Return the fingers of the scenario's hand, none if the bag is of another hand."""
-        if self.scenario is None:
-            return []
-        try:
-            named = load_hand_config(self.scenario.hand).finger_names
-        except TactileHandError:  # the hand's file stayed on the machine of the run
-            return []
-        seen = find_fingers(self.summary.types, self._prefix)
-        return named if set(seen) <= set(named) else []
-
-    @property
-    def scenario(self) -> Scenario | None:
-        """The scenario, from the bag or next to it; None without one that can be used."""
-        return self._scenario[0]
-
-    @property
-    def scenario_problem(self) -> str:
-        """Why the scenario that is there cannot be used, empty otherwise.
+    def _load_scenario(self) -> None:
+        """Take the scenario from the bag or next to it.
 
         A bag outlives the version that wrote it: its arrays must not be lost with its scenario.
         """
-        return self._scenario[1]
-
-    @cached_property
-    def _scenario(self) -> tuple[Scenario | None, str]:
+        text = self.custom_data.get(SCENARIO_KEY, "")
+        files = (folder / SCENARIO_FILE for folder in (self.path, self.bag.parent))
+        file = next((file for file in files if file.is_file()), None)
+        self.scenario, self.scenario_text = None, text
         try:
-            return self._read_scenario(), ""
+            if text:
+                source = f"scenario in {self.bag}"
+                self.scenario = validate(Scenario, parse_yaml(text, source), source)
+            elif file is not None:
+                self.scenario = validate(Scenario, read_yaml(str(file)), str(file))
+                self.scenario_text = resolved(self.scenario)
         except ConfigurationError as error:
-            return None, str(error)
+            self.scenario_problem = str(error)
 
-    def _read_scenario(self) -> Scenario | None:
-        text = self.summary.custom_data.get(SCENARIO_KEY)
-        if text:
-            source = f"scenario in {self.bag}"
-            return validate(Scenario, parse_yaml(text, source), source)
-        for folder in (self.path, self.bag.parent):
-            if (folder / SCENARIO_FILE).is_file():
-                source = str(folder / SCENARIO_FILE)
-                return validate(Scenario, read_yaml(source), source)
-        return None
-
-    @property
-    def scenario_text(self) -> str:
-        """The scenario as YAML, also where this version cannot use it; empty where none is."""
-        text = self.summary.custom_data.get(SCENARIO_KEY, "")
-        return text or super().scenario_text
-
-    @property
-    def name(self) -> str:
-        """What the run is called: its scenario, else the name of its folder or file."""
-        path = self.path.resolve()
-        folder = path.parent.name if path.name == BAG else path.stem
-        return self.scenario.name if self.scenario is not None else folder
-
-    @property
-    def folder(self) -> Path:
-        """Where results belong: the run's folder, or next to a bare bag."""
-        return self.path if self.bag != self.path else self.bag.parent
-
-    @cached_property
-    def messages(self) -> dict[str, TopicMessages]:
-        """The messages of the hand's topics by full name, read in one pass over the bag.
-
-        Raises:
-            BagError: If the bag is damaged.
-        """
-        asked = [*map(names.accepted_requests, _CONTROLLERS), *_REFUSALS]
-        full = map(self.topics.full, (*asked, names.ROBOT_DESCRIPTION))
-        return read_topics(self.bag, {*self.topics.types, *full}, self._progress)
-
-    @cached_property
-    def series(self) -> dict[str, Series]:
-        """The hand's topics as arrays with log times, by full name.
-
-        Raises:
-            BagError: If the bag is damaged.
-        """
-        series = read_series(self.messages, self.topics.types, self._stop)
-        if not len(series[self.topics.full(names.JOINT_STATES)]):
-            raise BagError(
-                f"The bag {self.bag} has no message on {self.topics.full(names.JOINT_STATES)}, so "
-                "there is not a single tick; was the hand running?"
-            )
-        return series
-
-    @cached_property
-    def earlier(self) -> list[Run]:
-        """The same bag up to each reset in it: what came before the present run, oldest first.
-
-        A reset sets time back, and everything else here is about what came after the last one.
-        """
-        states = self.series[self.topics.full(names.JOINT_STATES)]
-        starts = np.flatnonzero(np.diff(states.stamps) < 0) + 1
-        return [self._until(int(states.log_times[start])) for start in starts]
-
-    def _until(self, stop: int) -> Run:
-        """Return this run as it was before a log time [ns]."""
-        run = Run(
-            self.path, namespace=self._prefix, fingers=self.topics.fingers, steered=self.steered
-        )
-        run._stop = stop
-        run.__dict__["messages"] = self.messages
-        return run
-
-    @cached_property
-    def requests(self) -> list[Asked]:
-        """The service calls that changed the controller."""
-        return self._asked(names.accepted_requests(names.CONTROLLER))
-
-    @cached_property
-    def refusals(self) -> list[Asked]:
-        """The commands of users that were refused."""
-        return sorted(each for name in _REFUSALS for each in self._asked(name))
-
-    def _asked(self, topic: str) -> list[Asked]:
-        states = self.series[self.topics.full(names.JOINT_STATES)]
-        return read_asked(self.messages[self.topics.full(topic)], states, self._stop)
-
-    @cached_property
-    def record(self) -> Record:
-        """The run tick by tick, as `ClosedLoop` gives it; NaN where there is no message."""
-        return align(self.series, self.topics)
-
-    @cached_property
-    def steered(self) -> bool:
-        """Whether a user steered the run, so that no goal judges it."""
-        if self._steered is not None:
-            return self._steered
+    def _was_steered(self) -> bool:
         try:
             content = json.loads((self.bag.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
             return bool(content["interactive"])
         except (OSError, ValueError, KeyError, TypeError):
             return False  # a bag of its own
 
-    @cached_property
-    def bag_metrics(self) -> BagMetrics:
-        """Completeness and timing."""
-        return bag_metrics(self.series, self.topics, self.summary.message_count)
+    def _find_topics(self, namespace: str | None, fingers: Sequence[str] | None) -> HandTopics:
+        types = self.summary.types
+        prefix = find_prefix(types, namespace, self.bag)
+        seen = find_fingers(types, prefix)
+        topics = HandTopics(prefix, list(fingers or self._fingers_of_scenario(seen) or seen))
+        topics.check(types)
+        return topics
 
-    @cached_property
-    def latencies(self) -> NDArray[np.float64]:
-        """Wall time from each tick to the command that answers it, shape (n,), s; NaN without."""
-        return latencies(self.series, self.topics)
+    def _fingers_of_scenario(self, seen: list[str]) -> list[str]:
+        """Return the fingers of the scenario's hand, none if the bag is of another hand."""
+        try:
+            named = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
+        except TactileHandError:  # the hand's file stayed on the machine of the run
+            return []
+        return named if set(seen) <= set(named) else []
 
-    @property
-    def custom_data(self) -> dict[str, str]:
-        """What the recorder noted: versions, lost messages."""
-        return self.summary.custom_data
-
-    @property
-    def start_time(self) -> int | None:
-        """When the recording started, ns since the epoch."""
-        return self.summary.start_time
-
-    @property
-    def description(self) -> str:
-        """The URDF of the hand as recorded, empty where it was not."""
-        topic = self.topics.full(names.ROBOT_DESCRIPTION)
-        found = self.messages[topic].data
-        if not found or self.summary.types[topic] != "std_msgs/msg/String":
+    def _read_description(self, messages: TopicMessages) -> str:
+        """Return the URDF of the hand as recorded, empty where it was not."""
+        kind = self.summary.types.get(self.topics.full(names.ROBOT_DESCRIPTION))
+        if not messages.data or kind != "std_msgs/msg/String":
             return ""
-        return str(decode("std_msgs/msg/String", found[0]).data)
+        return str(decode(kind, messages.data[0]).data)
 
+    def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
+        """Fill in what the messages of one section tell."""
+        self.messages = messages
+        self.series = read_series(messages, self.topics.types)
+        self.record = align(self.series, self.topics)
+        self.requests = self._asked(names.accepted_requests(names.CONTROLLER))
+        self.refusals = sorted(each for name in _REFUSALS for each in self._asked(name))
+        self.bag_metrics = bag_metrics(self.series, self.topics, self.summary.message_count)
+        self.latencies = latencies(self.series, self.topics)
+        return self
 
-_CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
-_REFUSALS = tuple(map(names.rejected, (names.CONTROLLER, names.REGULATOR)))
-
-
-def _find_bag(path: Path) -> Path:
-    if not path.exists():
-        raise BagError(f"The run {path} does not exist; give the folder of a run or a bag.")
-    if (path / BAG).exists():
-        return path / BAG
-    if (path / SCENARIO_FILE).exists():
-        raise BagError(f"The run {path} has no folder {BAG}/; it was never recorded.")
-    return path
+    def _asked(self, topic: str) -> list[Asked]:
+        return read_asked(self.messages[self.topics.full(topic)])

@@ -18,7 +18,6 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run.events import nanoseconds, read_asked
-from tactile_hand_ros.run.reading import in_last_run, last_reset
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -122,7 +121,7 @@ def read_inputs(run: Run, scenario: Scenario) -> Inputs:
 
 
 def _poses(run: Run) -> list[Change]:
-    stamps, poses = _of_last_run(run, names.ACCEPTED_POSE, "pose", 7)
+    stamps, poses = _numbers(run, names.ACCEPTED_POSE, "pose", 7)
     return [
         Change(stamp, names.DESIRED_POSE, Target(pose[:3], rotation_from_quaternion(pose[3:])))
         for stamp, pose in zip(stamps, poses, strict=True)
@@ -130,16 +129,15 @@ def _poses(run: Run) -> list[Change]:
 
 
 def _forces(run: Run) -> list[Change]:
-    stamps, wrenches = _of_last_run(run, names.ACCEPTED_FORCE, "wrench", 6)
+    stamps, wrenches = _numbers(run, names.ACCEPTED_FORCE, "wrench", 6)
     forces = wrenches[:, 1].tolist()
     return [Change(stamp, names.GRASP_FORCE, f) for stamp, f in zip(stamps, forces, strict=True)]
 
 
-def _of_last_run(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Array]:
-    """Return ticks [ns] and numbers of the messages that belong to the last run in the bag."""
+def _numbers(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Array]:
+    """Return ticks [ns] and numbers of the messages of a topic."""
     series = run.series[run.topics.full(topic)]
-    own = in_last_run(series, run.series[run.topics.full(names.JOINT_STATES)])
-    return series.stamps[own].tolist(), series.rows(name, count)[own]
+    return series.stamps.tolist(), series.rows(name, count)
 
 
 def _configurations(run: Run, node: str, config: Config) -> list[Change]:
@@ -150,8 +148,9 @@ def _configurations(run: Run, node: str, config: Config) -> list[Change]:
         for _, _, event in read_messages(run.bag, [topic])
     ]
     # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
-    stamps = np.array([change.stamp for change in changes], dtype=np.int64)
-    return changes[last_reset(stamps) :] or [Change(0, PARAMETERS, config)]
+    stamps = [change.stamp for change in changes]
+    resets = [i for i in range(1, len(stamps)) if stamps[i] < stamps[i - 1]]
+    return changes[resets[-1] if resets else 0 :] or [Change(0, PARAMETERS, config)]
 
 
 def _values(event: Any) -> dict[str, Any]:
@@ -166,7 +165,5 @@ def _value(value: Any) -> Any:
 
 
 def _requests(run: Run, node: str) -> list[Change]:
-    topic = run.topics.full(names.accepted_requests(node))
-    states = run.series[run.topics.full(names.JOINT_STATES)]
-    found = read_asked(run.messages[topic], states)
+    found = read_asked(run.messages[run.topics.full(names.accepted_requests(node))])
     return [Change(each.stamp, each.key, each.value == "true") for each in found]

@@ -8,14 +8,10 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import lz4.frame
 import pytest
-import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Chunk
 from mcap.writer import Writer
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
@@ -24,9 +20,8 @@ from rosbags.rosbag2 import Writer as ForeignWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.metadata import BagMetadata, dump, offered_qos
-from tactile_hand_ros.bag.reader import read_raw, summarize
-from tactile_hand_ros.bag.records import unpacked
-from tactile_hand_ros.bag.recover import find_bag, is_whole, recover
+from tactile_hand_ros.bag.reader import find_bag, read_raw, summarize
+from tactile_hand_ros.bag.recover import is_whole, recover
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
@@ -228,7 +223,7 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
 
 def test_messages_of_an_unknown_channel_are_counted_as_left(tmp_path: Path) -> None:
     recovery = recover(foreign_file(tmp_path / "x.mcap", schema=9))
-    assert recovery.messages == 0 and recovery.left > len(payload(1))
+    assert recovery.messages == 0 and recovery.left == len(payload(1))
 
 
 def test_refusals(tmp_path: Path) -> None:
@@ -255,15 +250,6 @@ def test_files_compressed_by_rosbag2_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="ros2 bag convert"):
         recover(tmp_path / "run")
     assert not (tmp_path / "run_recovered").exists()
-
-
-@pytest.mark.parametrize("compression", ["lz4", "zstd"])
-def test_a_chunk_is_not_expanded_beyond_what_it_announces(compression: str) -> None:
-    """A frame of 1 kB may hold a gigabyte."""
-    large = {"lz4": lz4.frame.compress, "zstd": zstandard.compress}[compression](bytes(2**20))
-    stream = RecordBuilder()
-    Chunk(compression, large, 0, 0, 0, 1000).write(stream)
-    assert unpacked(stream.end()[9:]) == bytes(1000)
 
 
 def test_the_bag_of_a_run_is_found_in_its_folder(
