@@ -15,9 +15,9 @@ import pytest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.graph import Graph
+from support.messages import encoded
 from visualization_msgs.msg import MarkerArray
 
-from bench.written import TickMessages
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -120,9 +120,9 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
 @pytest.fixture(scope="module")
 def bags(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Record two runs with noise and a third one without, all of the same processes."""
+    """Record a run with noise and another without, of the same processes."""
     folder = tmp_path_factory.mktemp("bags")
-    recorded = {name: record(graph, folder / name) for name in ("first", "second")}
+    recorded = {"noisy": record(graph, folder / "noisy")}
     for key in NOISE:
         assert graph.set_parameter("tactile_sensor", key, 0.0).successful
     recorded["quiet"] = record(graph, folder / "quiet")
@@ -135,16 +135,6 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
     for message in read_raw(bag, [f"/{topic}" for topic in TICK_TOPICS]):
         found.setdefault(message.topic, []).append(message.data)
     return {topic: [data for data, _ in groupby(sent)] for topic, sent in found.items()}
-
-
-def encoded(run: Record) -> dict[str, list[bytes]]:
-    """Return the bytes of every topic for a run in-process."""
-    found: dict[str, list[bytes]] = {}
-    messages = TickMessages(run)
-    for row in range(len(run)):
-        for topic, _, data in messages.of(row):
-            found.setdefault(f"/{topic}", []).append(data)
-    return found
 
 
 def assert_same(recorded: Record, expected: Record) -> None:
@@ -172,7 +162,7 @@ def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph: Graph
         assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.pid}/maps").read_text()
 
 
-@pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("first", NOISE), ("second", NOISE)])
+@pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("noisy", NOISE)])
 def test_the_graph_gives_the_numbers_of_the_in_process_loop(
     bags: dict[str, Path], name: str, noise: dict[str, float]
 ) -> None:
@@ -202,23 +192,6 @@ def test_a_skin_that_is_too_late_to_be_believed_costs_no_tick(tmp_path: Path) ->
     with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
         recorded = Run(record(graph, tmp_path / "bag")).record
     assert_same(recorded, ClosedLoop(scenario).run())
-
-
-def test_one_process_gives_the_bytes_of_five(bags: dict[str, Path], tmp_path: Path) -> None:
-    with (
-        isolated_domain() as domain,
-        Graph(noisy(NOISE), domain, tmp_path, composed=True) as graph,
-    ):
-        assert payloads(record(graph, tmp_path / "bag")) == payloads(bags["first"])
-        assert graph.end(signal.SIGINT) == {"composed": 0}
-
-
-def test_two_runs_with_one_seed_carry_the_same_bytes(bags: dict[str, Path]) -> None:
-    first, second = payloads(bags["first"]), payloads(bags["second"])
-    assert set(first) == {f"/{topic}" for topic in TICK_TOPICS}
-    assert {topic: len(sent) for topic, sent in first.items()} == dict.fromkeys(first, 301)
-    assert first == second
-    assert first != payloads(bags["quiet"])
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "realtime"])

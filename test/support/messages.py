@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from bench.written import TickMessages
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
@@ -54,3 +56,13 @@ def joint_message(names: list[str], stamp_ns: int, **fields: ArrayLike) -> Joint
     """Return joint states with the given fields; the others stay empty."""
     lists = {name: np.asarray(values, float).tolist() for name, values in fields.items()}
     return JointState(header=header(stamp_ns, ""), name=names, **lists)
+
+
+def encoded(run: Record) -> dict[str, list[bytes]]:
+    """Return the bytes of every topic of the ticks for a run in-process."""
+    found: dict[str, list[bytes]] = {}
+    messages = TickMessages(run)
+    for row in range(len(run)):
+        for topic, _, data in messages.of(row):
+            found.setdefault(f"/{topic}", []).append(data)
+    return found

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the executor does with errors, turns and work, over real DDS, without a thread."""
+"""The nodes' own loop serves what rclpy's executors serve, in turn, survives errors, and stops."""
 
 from __future__ import annotations
 
+import signal
+import sys
+import textwrap
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int8
 from std_srvs.srv import Trigger
@@ -15,7 +23,7 @@ from std_srvs.srv import Trigger
 from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.ros.qos import user_qos
 
 GARBAGE = serialize_message(Int8(data=1))
@@ -34,18 +42,13 @@ class Survivor(Node):
 
 
 @pytest.fixture
-def context() -> Iterator[Any]:
-    with isolated_domain() as domain, private_context(domain) as made:
+def nodes() -> Iterator[list[Any]]:
+    with isolated_domain() as domain, private_context(domain) as context:
+        made: list[Any] = [Survivor("a", context), Survivor("b", context)]
+        made.append(Node("plain", context=context, start_parameter_services=False))
         yield made
-
-
-@pytest.fixture
-def nodes(context: Any) -> Iterator[list[Any]]:
-    made: list[Any] = [Survivor("a", context), Survivor("b", context)]
-    made.append(Node("plain", context=context, start_parameter_services=False))
-    yield made
-    for node in made:
-        node.destroy_node()
+        for node in made:
+            node.destroy_node()
 
 
 def publish(node: Node, topic: str, *messages: Any) -> None:
@@ -56,9 +59,9 @@ def publish(node: Node, topic: str, *messages: Any) -> None:
     assert publisher.wait_for_all_acked()
 
 
-def spin_until(nodes: list[Any], condition: Callable[[], Any]) -> None:
+def spin_until(nodes: list[Any], condition: Callable[[], Any], executor: Any = None) -> None:
     """Spin until a condition holds; a timer looks for it."""
-    executor = WaitSetExecutor(context=nodes[0].context)
+    executor = executor or WaitSetExecutor(context=nodes[0].context)
 
     def look() -> None:
         if condition():
@@ -67,6 +70,18 @@ def spin_until(nodes: list[Any], condition: Callable[[], Any]) -> None:
     nodes[-1].create_timer(0.002, look)
     spin(nodes, executor)
     assert executor.get_nodes() == []
+
+
+def succeed(_: Any, answer: Trigger.Response) -> Trigger.Response:
+    answer.success = True
+    return answer
+
+
+def asked(node: Node, service: str) -> Any:
+    """Call a service; return its future."""
+    client = node.create_client(Trigger, service)
+    assert client.wait_for_service(10.0)
+    return client.call_async(Trigger.Request())
 
 
 @pytest.mark.parametrize("spun", [True, False])
@@ -87,28 +102,115 @@ def test_after_a_message_of_damaged_bytes_the_next_is_received(
     assert got == [2.0]
 
 
+def test_messages_come_in_order_with_what_is_known_of_them_and_as_bytes(nodes: list[Any]) -> None:
+    got: list[float] = []
+    raw: list[bytes] = []
+
+    def note(message: Float64, info: Any) -> None:
+        assert info["source_timestamp"] > 0
+        got.append(message.data)
+
+    nodes[0].create_subscription(Float64, "x", note, 200)
+    nodes[0].create_subscription(Float64, "x", raw.append, 200, raw=True)
+    sent = [Float64(data=float(n)) for n in range(150)]
+    publish(nodes[1], "x", *sent)
+    spin_until(nodes, lambda: len(got) == len(raw) == len(sent))
+    assert got == [message.data for message in sent]
+    assert raw == [serialize_message(message) for message in sent]
+
+
+def test_services_and_clients_work_also_under_a_flood_of_messages(nodes: list[Any]) -> None:
+    """A service may await another one."""
+    here, there, _ = nodes
+    echo = here.create_publisher(Float64, "x", 10)
+    here.create_subscription(Float64, "x", echo.publish, 10)
+    inner = here.create_client(Trigger, "inner")
+    there.create_service(Trigger, "inner", succeed)
+
+    async def outer(_: Any, answer: Trigger.Response) -> Trigger.Response:
+        answer.success = (await inner.call_async(Trigger.Request())).success
+        return answer
+
+    here.create_service(Trigger, "outer", outer, callback_group=ReentrantCallbackGroup())
+    publish(there, "x", Float64())
+    assert inner.wait_for_service(10.0)
+    future = asked(there, "outer")
+    spin_until(nodes, future.done)
+    assert future.result().success
+
+
+def test_coroutine_callbacks_of_subscriptions_timers_and_tasks(nodes: list[Any]) -> None:
+    got: list[Any] = []
+
+    async def note(message: Float64) -> None:
+        got.append(message.data)
+
+    async def tick() -> None:
+        got.append("tick")
+
+    async def task() -> None:
+        got.append("task")
+
+    nodes[0].create_subscription(Float64, "x", note, 10)
+    nodes[0].create_timer(0.02, tick)
+    publish(nodes[1], "x", Float64(data=7.0))
+    executor = WaitSetExecutor(context=nodes[0].context)
+    executor.create_task(task)
+    spin_until(nodes, lambda: {7.0, "tick", "task"} <= set(got), executor)
+
+
+def test_entities_may_come_and_go_while_spinning(nodes: list[Any]) -> None:
+    """One that its own callback destroys gets no second message."""
+    here, there, _ = nodes
+    got: list[float] = []
+
+    def once(message: Float64) -> None:
+        got.append(message.data)
+        here.destroy_subscription(first)
+        here.create_subscription(Float64, "y", lambda m: got.append(m.data), 10)
+        later.reset()
+
+    def send_later() -> None:
+        if second.get_subscription_count():
+            second.publish(Float64(data=3.0))
+
+    first = here.create_subscription(Float64, "x", once, 10)
+    second = there.create_publisher(Float64, "y", 10)
+    later = there.create_timer(0.01, send_later)
+    later.cancel()
+    publish(there, "x", *(Float64(data=float(n)) for n in range(3)))
+    spin_until(nodes, lambda: 3.0 in got)
+    assert got == [0.0, 3.0]
+
+
+def test_quality_of_service_events_are_served(nodes: list[Any]) -> None:
+    events: list[Any] = []
+    callbacks = SubscriptionEventCallbacks(incompatible_qos=events.append)
+    here, best_effort = nodes[0], QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    here.create_subscription(Float64, "x", print, QoSProfile(depth=1), event_callbacks=callbacks)
+    nodes[1].create_publisher(Float64, "x", best_effort)
+    spin_until(nodes, lambda: events)
+
+
+def test_spin_returns_when_the_context_is_shut_down(nodes: list[Any]) -> None:
+    nodes[0].create_timer(0.05, nodes[0].context.try_shutdown)
+    spin(nodes[0])
+
+
 def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes: list[Any]) -> None:
     nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
-    client = nodes[2].create_client(Trigger, "s")
-    assert client.wait_for_service(10.0)
-    client.call_async(Trigger.Request())
+    asked(nodes[2], "s")
     spin_until(nodes, lambda: nodes[0].survived and nodes[1].survived)
     assert nodes[0].survived == nodes[1].survived == [("services", "'left'")]
 
 
-def test_an_error_in_a_service_that_no_node_survives_ends_the_loop(nodes: list[Any]) -> None:
-    nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
-    client = nodes[2].create_client(Trigger, "s")
-    assert client.wait_for_service(10.0)
-    client.call_async(Trigger.Request())
-    with pytest.raises(KeyError, match="left"):
-        spin(nodes[2])
-
-
-def test_a_callback_that_fails_ends_the_loop_of_a_node_that_is_not_guarded(
-    nodes: list[Any],
-) -> None:
-    nodes[2].create_timer(0.001, lambda: {}["left"])
+@pytest.mark.parametrize("kind", ["service", "timer"])
+def test_an_error_that_no_node_survives_ends_the_loop(nodes: list[Any], kind: str) -> None:
+    if kind == "service":
+        nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
+        asked(nodes[2], "s")
+    else:
+        nodes[2].create_timer(0.001, lambda: {}["left"])
     with pytest.raises(KeyError, match="left"):
         spin(nodes[2])
 
@@ -168,3 +270,58 @@ def test_no_executor_serves_what_is_taken_directly(nodes: list[Any]) -> None:
     executor = WaitSetExecutor(context=nodes[0].context)
     assert not executor.can_execute(taken_directly)
     executor.shutdown()
+
+
+PROGRAM = """
+import sys
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from tactile_hand_ros.ros.runner import run_node
+
+class Busy(Node):
+    def __init__(self):
+        super().__init__("busy")
+        echo = self.create_publisher(Float64, "x", 10)
+        if "busy" in sys.argv:
+            self.create_subscription(Float64, "x", echo.publish, 10)
+            self.create_timer(0.05, lambda: echo.publish(Float64()))
+        self.first = self.create_timer(0.01, self.started)
+        print("built", flush=True)
+
+    def started(self):
+        self.destroy_timer(self.first)
+        print("spinning", flush=True)
+
+    def close(self):
+        print("closed", flush=True)
+
+arguments = [argument for argument in sys.argv if argument not in ("busy", "idle")]
+sys.exit(run_node(Busy, arguments))
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "phase", "load"),
+    [
+        (signal.SIGINT, "spinning", "busy"),
+        (signal.SIGTERM, "built", "busy"),
+        (signal.SIGTERM, "spinning", "idle"),
+    ],
+)
+def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time(
+    tmp_path: Path, number: int, phase: str, load: str
+) -> None:
+    path = tmp_path / "program.py"
+    path.write_text(textwrap.dedent(PROGRAM))
+    with isolated_domain(), CapturedProcess([sys.executable, str(path), load]) as process:
+        process.wait_for_output(phase)
+        if load == "idle":
+            watched = psutil.Process(process.pid)
+            # The first moments are those of discovery.
+            wait_until(lambda: watched.cpu_percent(0.5) < 3.0, 60.0, "a node that waits")
+        process.send(number)
+        assert process.wait() == 0
+        # The node may be about to log that it is ready; rcl then misses the context, and says so.
+        known = (": ready", "publisher's context is invalid, at")
+        assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
+        assert "closed" in process.stdout

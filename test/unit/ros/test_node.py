@@ -1,28 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of all nodes: rhythm, peers, guarded callbacks; one node that nothing spins."""
+"""The base of all nodes: it survives bad messages and its own errors, says so, and knows peers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log, ParameterValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
-from support.spinning import spinning
+from std_srvs.srv import SetBool, Trigger
+from support.nodes import Process, facts, process
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutputError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.diagnostics import ERROR, OK
-from tactile_hand_ros.ros.endpoints import subscribe_directly
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
+from tactile_hand_ros.ros.endpoints import described, location, refusal, subscribe_directly
+from tactile_hand_ros.ros.messages import checked_number
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode, peer_count
-from tactile_hand_ros.ros.processes import wait_until
+
+HERE = Path(__file__).name
+
+
+class FatalError(Exception):
+    """Ends the node."""
 
 
 class Gains(Config):
@@ -33,14 +45,29 @@ class Gains(Config):
 
 
 class Example(TactileNode[Gains]):
-    """A node that fails on demand."""
+    """A node that fails on demand, in every way."""
+
+    fatal = (FatalError,)
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("example", Gains, **kwargs)
+        super().__init__("example", Gains, namespace="/left", **kwargs)
+        self.got: list[float] = []
         self.calls: list[Any] = []
+        self.error: Exception = KeyError("left")
+        self.subscribe(Float64, "x", self._on_x, sensor=True)
+        self.subscribe(Float64, "y", self.fail)
+        fail = self.guarded("ticks", self.fail)
+        self.subscribe(Float64, "later", lambda _: self.executor.after_reading(fail))
+        self.create_service(Trigger, "~/fail", self.fail)
+
+    def _on_x(self, message: Float64, info: Any) -> None:
+        assert info["source_timestamp"] > 0
+        self.got.append(self.config.gain * checked_number(message.data))
+
+    def fail(self, *_: Any) -> None:
+        raise self.error
 
     def on_config(self, config: Gains) -> None:
-        self.calls.append(config)
         if config.gain == 13.0:
             raise TactileHandError("13 brings bad luck.")
         if config.gain == 14.0:
@@ -53,62 +80,159 @@ class Example(TactileNode[Gains]):
             raise KeyError("left")
 
     def on_report(self) -> None:
-        self.calls.append("report")
+        self.diagnostics.value("messages", len(self.got))
 
     def to_safe_state(self, reason: str) -> None:
         self.calls.append(("safe", reason))
+        raise RuntimeError("not safe either")
 
     def on_rejected(self, source: str, reason: str) -> None:
         self.calls.append((source, reason))
 
 
 @pytest.fixture
-def context() -> Iterator[Any]:
-    with isolated_domain() as domain, private_context(domain) as made:
+def here() -> Iterator[Process]:
+    with process() as made:
         yield made
 
 
 @pytest.fixture
-def node(context: Any) -> Iterator[Example]:
-    made = Example(context=context, namespace="/left")
-    yield made
-    made.destroy_node()
+def node(here: Process) -> Example:
+    made = Example(context=here.context)
+    here.add(made)
+    return made
 
 
-def test_health_is_reported_when_a_peer_comes_or_goes(node: Example) -> None:
-    statuses: list[DiagnosticStatus] = []
-    user = Node("user", context=node.context)
-    user.create_subscription(
-        DiagnosticArray, names.DIAGNOSTICS, lambda m: statuses.extend(m.status), qos.user_qos()
-    )
-    node.create_publisher(Float64, "x", 1)
-    key = "publications /left/x"
+def logged(here: Process) -> Callable[[], list[str]]:
+    """Return what gives the lines that the node has logged."""
+    here.receive(Log, "/rosout")
+    return lambda: [m.msg for m in here.messages("/rosout", 0) if "example" in m.name]
+
+
+def test_a_bad_message_is_counted_logged_once_and_survived(here: Process, node: Example) -> None:
+    lines = logged(here)
+    for value in (math.nan, math.nan, 2.0):
+        here.send("/left/x", Float64(data=value))
+    here.wait(lambda: node.got == [2.0], "the good message after the bad ones")
+    reason = "data is nan, expected a finite number up to 1e+09."
+    status = node.diagnostics.status()
+    assert (status.level, status.name) == (WARN, "/left/example")
+    assert status.message == f"2 messages on x rejected: {reason}"
+    assert facts(node)["rejected x"] == "2" and facts(node)["messages"] == "1"
+    assert node.calls == [("x", reason)] * 2
+    here.wait(lambda: lines() == [f"rejected a message on 'x': {reason}"], "a line")
+
+
+def test_no_callback_ends_a_node(here: Process, node: Example) -> None:
+    """What was not foreseen is logged once for each source, and makes the node safe each time."""
+    lines = logged(here)
+    node.create_timer(0.01, node.fail)
+    for topic in ("y", "later"):
+        here.send(f"/left/{topic}", Float64(data=1.0))
+    answer = here.call(Trigger, "/left/example/fail")
+    timer = "timer Example.fail"
+    sources = {"y", "ticks", "~/fail", timer, "safe state"}
+    here.wait(lambda: set(node.diagnostics.errors) == sources, "all sources")
+    here.wait(lambda: node.diagnostics.errors[timer] > 3, "the timer to go on")
+    assert not answer.success
+    assert answer.message.startswith(f"KeyError at {HERE}:") and "'left'" in answer.message
+    here.wait(lambda: len(lines()) == len(sources), "a line for each")
+    assert sum(line.startswith(f"error in 'y': KeyError at {HERE}:") for line in lines()) == 1
+    errors = node.diagnostics.errors
+    assert errors["safe state"] == len(node.calls) == sum(errors.values()) - len(node.calls)
+    status = node.diagnostics.status()
+    assert status.level == ERROR and " errors in " in status.message
+    assert facts(node)["errors y"] == "1" and "KeyError" in facts(node)["last error y"]
+
+
+def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the_node(
+    node: Example,
+) -> None:
+    node.error = UnsafeOutputError("nan")
+    assert node.guarded("ticks", node.fail)() is None
+    assert node.diagnostics.errors["ticks"] == 1 and node.diagnostics.rejected == {}
+    node.error = FatalError("end")
+    with pytest.raises(FatalError, match="end"):
+        node.guarded("ticks", node.fail)()
+    node.error = MessageError("end")
+    node.context.try_shutdown()
+    with pytest.raises(MessageError, match="end"):
+        node.guarded("ticks", node.fail)()
+    assert node.diagnostics.errors["ticks"] == 1
+
+
+def test_a_coroutine_is_left_alone(node: Example) -> None:
+    async def later() -> None: ...
+
+    assert node.guarded("topic", later) is later
+
+
+def test_a_service_refuses_in_the_fields_of_its_type() -> None:
+    for kind in (Trigger, SetBool):
+        answer = refusal(kind.Request(), kind.Response(success=True, message="yes"), "no")
+        assert (answer.success, answer.message) == (False, "no")
+    request = SetParameters.Request(parameters=[ParameterMessage(name="a")] * 2)
+    results = refusal(request, SetParameters.Response(), "no").results
+    assert [(each.successful, each.reason) for each in results] == [(False, "no"), (False, "no")]
+    answer = refusal(request, SetParametersAtomically.Response(), "no")
+    assert (answer.result.successful, answer.result.reason) == (False, "no")
+    other = object()
+    assert refusal(request, other, "no") is other
+
+
+def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
+    try:
+        checked_number(math.nan)
+    except MessageError as error:
+        assert location(error).startswith("ros/messages.py:")
+        assert described(error).startswith("MessageError at ros/messages.py:")
+    try:
+        np.array([1.0]).reshape(7)
+    except ValueError as error:
+        assert location(error).startswith(f"{HERE}:")
+    assert location(ValueError("never raised")) == "unknown"
+
+
+def test_a_parameter_of_an_unknown_type_is_refused(here: Process, node: Example) -> None:
+    good = Parameter("gain", value=2.0).to_parameter_msg()
+    for number, name in ((10, "gain"), (255, "no_such")):
+        odd = ParameterMessage(name=name, value=ParameterValue(type=number))
+        service = "/left/example/set_parameters"
+        both = here.call(SetParameters, service, parameters=[odd, good])
+        assert [result.successful for result in both.results] == [False, False]
+        assert f"has type {number}" in both.results[0].reason
+        service += "_atomically"
+        together = here.call(SetParametersAtomically, service, parameters=[good, odd])
+        assert not together.result.successful
+    assert node.diagnostics.errors == {} and node.config.gain == 1.0
+
+
+def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Example) -> None:
+    here.receive(DiagnosticArray, names.DIAGNOSTICS)
+    node.create_publisher(Float64, "z", 1)
 
     def is_reported(count: str) -> bool:
-        facts = {pair.key: pair.value for pair in statuses[-1].values} if statuses else {}
-        return facts.get(key) == count
+        found = [s for m in here.messages(names.DIAGNOSTICS, 0) for s in m.status]
+        values = {pair.key: pair.value for pair in found[-1].values} if found else {}
+        assert {status.name for status in found} <= {"/left/example"}
+        return values.get("publications /left/z") == count
 
-    with spinning(node, user):
-        reader = user.create_subscription(Float64, "/left/x", print, 1)
-        wait_until(lambda: is_reported("1"))
-        user.destroy_subscription(reader)
-        wait_until(lambda: is_reported("0"))
-    assert {status.name for status in statuses} == {"/left/example"}
-    assert node.calls[-1] == "report"
-    user.destroy_node()
+    reader = here.user.create_subscription(Float64, "/left/z", print, 1)
+    here.wait(lambda: is_reported("1"), "the reader")
+    here.user.destroy_subscription(reader)
+    here.wait(lambda: is_reported("0"), "its end")
 
 
-def test_peers_are_counted_by_topic_and_end(node: Example, context: Any) -> None:
+def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> None:
     """Those that no executor serves as well."""
-    node.create_publisher(Float64, "x", 1)
-    subscribe_directly(node, Float64, "x", QoSProfile(depth=1))
-    wait_until(lambda: peer_count(_texts(node.peers()), "publications", "/left/x") == 1)
-    wait_until(lambda: node.peers()["subscriptions /left/x"] == 1)
-    assert peer_count({}, "publications", "/left/x") == 0
+    node.create_publisher(Float64, "z", 1)
+    subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
 
+    def count(end: str) -> int:
+        return peer_count({k: str(n) for k, n in node.peers().items()}, end, "/left/z")
 
-def _texts(counts: dict[str, int]) -> dict[str, str]:
-    return {key: str(count) for key, count in counts.items()}
+    here.wait(lambda: count("publications") == count("subscriptions") == 1, "both")
+    assert peer_count({}, "publications", "/left/z") == 0
 
 
 def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
@@ -122,7 +246,7 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
     status = node.diagnostics.status()
     assert (status.level, status.message) == (ERROR, "13 brings bad luck.")
     assert change(2.0)[0] and node.diagnostics.status().level == OK
-    assert change(14.0)[0] and node.diagnostics.errors == {"configuration": 1}
+    assert change(14.0)[0] and node.diagnostics.errors["configuration"] == 1
     assert node.calls[-1][0] == "safe"
     assert change(15.0) == (False, "15 is too much.")
     successful, reason = change(16.0)
@@ -133,11 +257,29 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
 
 def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> None:
     given = QoSProfile(depth=7)
-    made = node.subscribe(Float64, "x", print, profile=given, raw=True)
+    made = node.subscribe(Float64, "a", print, profile=given, raw=True)
     assert made.qos_profile.depth == 7 and made.raw
     plain, sensor = (node.subscribe(Float64, n, print, sensor=n == "s") for n in ("p", "s"))
     assert plain.qos_profile.depth == qos.tick_qos().depth and not plain.raw
     known = set(node.get_parameters_by_prefix("qos_overrides"))
-    assert known and all(name.startswith("/left/s.subscription.") for name in known)
+    assert any("/left/s." in name for name in known)
+    assert not any("/left/p." in name for name in known)
     made.qos_profile.depth = 9
     assert given.depth == 7 and sensor.qos_profile.depth == plain.qos_profile.depth
+
+
+def test_a_sensor_subscription_may_be_made_best_effort() -> None:
+    override = "qos_overrides./left/x.subscription.reliability:=best_effort"
+    with (
+        isolated_domain() as domain,
+        private_context(domain, ["--ros-args", "-p", override]) as context,
+    ):
+        here = Process(context)
+        node = Example(context=context)
+        node.check_ready()
+        here.add(node)
+        best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+        here.send("/left/x", Float64(data=1.0), best_effort)
+        here.wait(lambda: node.got == [1.0], "the message")
+        assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
+        here.close()

@@ -15,6 +15,7 @@ from rclpy.node import Node
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
 from tactile_hand_ros.ros.middleware import isolated_domain
 
@@ -166,3 +167,20 @@ def test_arguments_are_explained_or_rejected_in_a_sentence(
     captured = capfd.readouterr()
     assert printed in (captured.err if code else captured.out)
     assert "src/" not in captured.err
+
+
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        ("minimum_norma:=1.0", "unknown parameter 'minimum_norma', did you mean 'minimum_normal'"),
+        ("qos_overrides./q.subscription.depth:=3", "unknown parameter 'qos_overrides./q"),
+    ],
+)
+def test_a_wrong_parameter_ends_the_start_with_a_sentence(
+    parameter: str, words: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    argv = ["program", "--ros-args", "-p", parameter]
+    monkeypatch.setattr("sys.argv", argv)
+    assert runner.run_node(ForceOptimizerNode, argv) == 2
+    printed = capfd.readouterr().err
+    assert words in printed and "Traceback" not in printed
