@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
@@ -17,6 +17,7 @@ from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 from support.nodes import Process, facts, tapped
+from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
@@ -27,9 +28,15 @@ from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, Joints, WrenchCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import (
+    ContactsCodec,
+    JointCodec,
+    Joints,
+    WrenchCodec,
+    stamp_to_ns,
+)
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.plant import Plant, true_reading
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
@@ -138,12 +145,8 @@ def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
     here.receive(WrenchStamped, names.ACCEPTED_FORCE)
     requests = names.accepted_requests(names.REGULATOR)
     here.receive(DiagnosticArray, requests)
-    here.receive(DiagnosticArray, names.rejected(names.REGULATOR))
     assert tick(node, 0) == 10.0
-    here.send(names.USER_GRASP_FORCE, Float64(data=-3.0))
     here.send(names.USER_GRASP_FORCE, Float64(data=12.0))
-    (refused,) = here.messages(names.rejected(names.REGULATOR), 1)
-    assert asked([refused])[0][2] == 0
     stamps = iter(range(TICK, 10_000 * TICK, TICK))
     here.wait(lambda: tick(node, next(stamps)) > 10.0)
     (accepted,) = here.messages(names.ACCEPTED_FORCE, 1)
@@ -158,6 +161,28 @@ def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
     assert list(force) == [0.0, 10.0, 0.0]
     grip = deserialize_message(sent["grip_state"][-1], JointState)
     assert list(grip.name) == ["finger_1", "finger_2", "finger_3"]
+
+
+def test_what_a_user_asks_in_vain_is_answered_with_the_last_tick_and_no_flood(
+    here: Process,
+) -> None:
+    node, topic = here.make(SlipRegulatorNode), names.rejected(names.REGULATOR)
+    here.receive(DiagnosticArray, topic)
+    here.wait(lambda: node.peers()[f"publications /{topic}"] == 1, "the match")
+    node.reject(names.CONTACTS, "no command of a user")
+    tick(node, TICK)
+    for number in range(12):
+        node.reject(names.USER_GRASP_FORCE, str(number))
+    here.messages(topic, 10)
+    tick(node, 2 * TICK)
+    here.send(names.USER_GRASP_FORCE, Float64(data=-3.0))
+    *known, last = here.messages(topic, 11)
+    expected = [(str(number), str(number), TICK) for number in range(10)]
+    assert asked(known) == expected
+    (status,) = last.status
+    assert (status.level, status.name) == (WARN, names.REGULATOR)
+    assert status.values[0].key == names.USER_GRASP_FORCE and "-3.0" in status.message
+    assert stamp_to_ns(last.header.stamp) == 2 * TICK
 
 
 def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here: Process) -> None:
@@ -366,6 +391,62 @@ def receive(node: Any, message: PoseStamped) -> None:
 def test_only_the_optimal_law_needs_an_optimal_force(here: Process, law: str, mode: str) -> None:
     node = here.make(ManipulationControllerNode, **{"law.name": law})
     assert tick(node, 0, shape=np.nan * FRACTIONS).mode.value == mode
+
+
+def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here: Process) -> None:
+    node = here.make(ManipulationControllerNode)
+    here.receive(PoseStamped, names.ACCEPTED_POSE)
+    centre = STATE.contacts.positions.mean(axis=0)
+
+    def desire(offset: float) -> None:
+        receive(node, pose_message(centre + [0.0, offset, 0.0], np.eye(3), 0))
+
+    def answers() -> list[list[float]]:
+        return [list(tick(node, stamp * TICK).torque) for stamp in (0, 1)]
+
+    still = answers()
+    desire(0.05)
+    pulled = list(tick(node, 2 * TICK).torque)
+    node.on_restart()
+    assert answers() == still and pulled not in still
+    desire(0.01)
+    node.on_restart()
+    assert answers() != still
+    poses = here.messages(names.ACCEPTED_POSE, 2)
+    assert [stamp_to_ns(each.header.stamp) for each in poses] == [2 * TICK, 0]
+
+
+def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here: Process) -> None:
+    node = ForceOptimizerNode(context=here.context)
+    contacts, answered = names.CONTACTS, names.optimal_force(HAND.finger_names[-1])
+    here.receive(WrenchStamped, answered)
+    publisher = here.user.create_publisher(PoseArray, contacts, qos.tick_qos())
+    here.wait(lambda: publisher.get_subscription_count() == 1)
+    encode, reading = ContactsCodec(3).encode, true_reading(STATE)
+    for number in range(1000, 1041):
+        publisher.publish(encode(reading.positions, reading.quaternions, number * TICK))
+    assert publisher.wait_for_all_acked()
+    with spinning(node):
+        found = [stamp_to_ns(m.header.stamp) // TICK for m in here.messages(answered, 3)]
+    assert found == [1000, 1024, 1040]  # the first of all, of 2048 ms, and the newest
+    assert facts(node)["ticks_left_out"] == "38"
+    node.destroy_node()
+
+
+def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(
+    here: Process,
+) -> None:
+    node = here.make(ForceOptimizerNode, minimum_normal=0.1)
+
+    def change(name: str, value: Any) -> Any:
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    refused = change("minimum_normal", 0.335)
+    assert not refused.successful and "it must be below 0.333" in refused.reason
+    assert node.get_parameter("minimum_normal").value == node.config.minimum_normal == 0.1
+    assert change("weights", [1.0, 1.0, 1.0]).successful
+    assert change("minimum_normal", 0.33).successful
+    assert not [key for key in facts(node) if "fault" in key]
 
 
 def test_services_change_the_controller_and_report_the_result(here: Process) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, facts, tapped
 
@@ -88,3 +90,12 @@ def test_a_plant_that_holds_says_why(here: Process) -> None:
     )
     here.wait(lambda: facts(node)["mode"] == "holding", "the hold")
     here.wait(lambda: any("running -> holding: no usable joint_command" in x for x in lines), "log")
+
+
+def test_who_comes_late_still_gets_the_description_of_the_hand(here: Process) -> None:
+    """Though it is published once, before anybody listens."""
+    here.make(PlantNode, composed=False, autostart=False)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    here.receive(String, names.ROBOT_DESCRIPTION, latched)
+    (message,) = here.messages(names.ROBOT_DESCRIPTION, 1)
+    assert message.data == HAND.description
