@@ -4,18 +4,25 @@
 from tactile_hand_ros.nodes.common import ModeLog
 
 
-def test_five_lines_a_second_and_the_count_begins_again_each_second() -> None:
+def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second() -> None:
     lines: list[str] = []
     now = [7.0]
     log = ModeLog(lines.append, lambda: now[0])
-    log.note("hold")
-    for time, expected in ((7.0, 5), (7.999, 0), (8.0, 5), (9.5, 5), (10.0, 0)):
+    for mode, reason in (("drive", ""), ("drive", ""), ("hold", "no contact"), ("drive", "")):
+        log.note(mode, reason)
+    assert lines == ["drive -> hold: no contact", "hold -> drive"]
+    for time, expected, unlogged in (
+        (7.999, 3, 0),
+        (8.0, 5, 97),
+        (8.999, 0, 0),
+        (9.5, 5, 195),
+        (10.0, 0, 0),
+    ):
         now[0] = time
         lines.clear()
-        for change in range(6):
+        for change in range(100):
             log.note("drive" if change % 2 else "hold", f"{change}")
-            log.note("other")
         assert len(lines) == expected, time
-        if time in (8.0, 9.5):
-            assert "changes before it not logged" in lines[0]
-            assert not any("not logged" in line for line in lines[1:])
+        told = f" ({unlogged} changes before it not logged)" if unlogged else ""
+        assert not lines or lines[0] == f"drive -> hold{told}: 0"
+        assert not any("not logged" in line for line in lines[1:])

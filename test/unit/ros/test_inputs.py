@@ -474,50 +474,26 @@ def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
     ]
 
 
-class World:
-    """A time-out, and a wall clock that a test moves."""
-
-    def __init__(self) -> None:
-        self.now = 70_000 * MS
-        self.silence = SilenceTimeout(0.5, lambda: self.now)
-
-    def after(self, wall: int, stamp: int) -> bool:
-        """Let wall time pass [ns], then bring a trigger with a stamp [ns]."""
-        self.now += wall
-        return self.silence.triggered(stamp)
-
-
-TIMEOUT = 500 * MS
-
-
-def test_inputs_are_missing_at_the_time_out_and_not_before() -> None:
-    world = World()
-    assert not world.after(0, 3000 * MS)
-    assert not world.after(TIMEOUT - 1, 3000 * MS + TIMEOUT - 1)
-    assert world.after(1, 3000 * MS + TIMEOUT) and world.silence.expired
-
-
-def test_the_time_out_needs_time_by_the_wall_clock_too() -> None:
-    world = World()
-    assert not world.after(0, 3000 * MS)
-    assert not world.after(2 * MS, 10**18)
-    assert not world.after(TIMEOUT - 2 * MS - 1, 10**18)
-
-
-def test_time_starts_again_when_the_stamps_jump_back() -> None:
-    world = World()
-    assert not world.after(0, 10**18)
-    assert not world.after(TIMEOUT, 3000 * MS)
-    assert not world.after(TIMEOUT - 1, 3000 * MS + TIMEOUT)
-    assert world.after(1, 3000 * MS + TIMEOUT)
-
-
-def test_inputs_stay_missing_until_a_set_is_complete_and_then_the_time_starts_again() -> None:
-    world = World()
-    world.after(0, 0)
-    assert world.after(TIMEOUT, TIMEOUT)
-    assert world.after(0, 0)  # whatever the stamps do meanwhile
-    assert world.silence.complete() and not world.silence.expired
-    assert not world.silence.complete()
-    assert not world.after(0, TIMEOUT + 1)
-    assert not world.after(TIMEOUT - 1, 2 * TIMEOUT)
+def test_inputs_are_missing_when_the_time_out_has_passed_by_the_stamps_and_by_the_wall_clock(
+    ear: Ear,
+) -> None:
+    """One stamp ahead is no time, nor is time that stands still; a step back starts it again."""
+    for wall, stamp, heard in (
+        (0, 10_000, []),
+        (600, 3_000, []),
+        (0, 3_499, []),
+        (499, 3_500, []),
+        (1, 3_501, ["blind"]),
+        (0, 3_502, ["blind"]),
+    ):
+        ear.now += wall * MS
+        ear.joints(stamp)
+        assert [kind for kind, *_ in ear.heard] == heard, stamp
+        ear.heard.clear()
+    ear.others(3_502)
+    ear.now += 499 * MS
+    for wall, stamp, heard in ((0, 3_503, []), (499, 4_003, []), (1, 4_004, ["blind"])):
+        ear.now += wall * MS
+        ear.joints(stamp)
+        assert [kind for kind, *_ in ear.heard] == heard, stamp
+        ear.heard.clear()

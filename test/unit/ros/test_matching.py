@@ -61,16 +61,6 @@ def test_a_repeated_value_of_an_open_stamp_replaces_the_first():
     assert matcher.put("b", 1, "y") == ("new", "y")
 
 
-def test_an_incomplete_older_stamp_is_given_up():
-    matcher = StampMatcher(("a", "b"))
-    matcher.put("a", 1, 0)
-    matcher.put("a", 2, 0)
-    assert matcher.put("b", 2, 0) == (0, 0)
-    assert matcher.pending == 0
-    assert matcher.put("b", 1, 0) is None
-    assert matcher.pending == 0
-
-
 SECOND = 1_000_000_000
 
 
@@ -113,15 +103,6 @@ def test_just_so_many_incomplete_stamps_are_kept_and_the_first_to_come_goes_firs
         matcher.put("a", 2000, 0)
         assert matcher.pending == memory and matcher.missing(1000) == []
         assert matcher.missing(0) == matcher.missing(2000) == ["b"]
-
-
-def test_later_incomplete_stamps_stay_when_one_is_complete():
-    matcher = StampMatcher(("a", "b"))
-    for stamp in (1, 2, 3, 4):
-        matcher.put("a", stamp, f"a{stamp}")
-    assert matcher.put("b", 2, "b2") == ("a2", "b2")
-    assert matcher.pending == 2
-    assert [matcher.put("b", stamp, "b") for stamp in (3, 4)] == [("a3", "b"), ("a4", "b")]
 
 
 SHORTEST = 100_000_000
