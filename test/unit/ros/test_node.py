@@ -161,12 +161,6 @@ def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the
     assert node.diagnostics.errors["ticks"] == 1
 
 
-def test_a_coroutine_is_left_alone(node: Example) -> None:
-    async def later() -> None: ...
-
-    assert node.guarded("topic", later) is later
-
-
 def test_a_service_refuses_in_the_fields_of_its_type() -> None:
     for kind in (Trigger, SetBool):
         answer = refusal(kind.Request(), kind.Response(success=True, message="yes"), "no")
