@@ -7,6 +7,7 @@ the model of the hand, nothing else, and reads no clock: time is in the stamps.
 
 from __future__ import annotations
 
+import enum
 from collections import Counter, deque
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.holds import (
-    MIN_INTERNAL_FORCE,
     GuardHold,
     GuardHoldConfig,
     JointTerms,
@@ -37,11 +37,9 @@ STUCK = "the command does not change although the joints move"
 PULLS = "the command pulls the fingers off what they press"
 UNSTEADY = "commands have failed again and again; waiting until they are steady"
 
-_STUCK_MOTION = 0.002  # rad that a joint may move while all torques stay the same to the bit
-_JUMP = 0.02  # N m, change of a torque within a tick
+_STUCK_MOTION = 0.002  # rad, above the steps of encoders, that torques may ignore to the bit
 _PULL = 0.2  # fraction of the internal force with which a command may pull the fingers apart
-_CALM_TIME = 0.5  # s of good commands after which earlier holds are forgotten
-_FIRST_PATIENCE = 0.02  # s, doubled at each further hold
+_CALM_TIME = 0.5  # s without a hold after which the next one ends immediately
 _CALM = 0.8  # fraction of the speed limit below which a joint counts as slow again
 
 
@@ -62,7 +60,7 @@ class GuardConfig(Config):
     )
     patience: float = param(
         0.05,
-        "longest time for which commands must be good to take over, when holds follow each other",
+        "time for which commands must be good to take over, when holds follow each other",
         unit="s",
         ge=0.0,
         le=10.0,
@@ -78,27 +76,38 @@ class TorqueCommand(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """A past tick: stamp in ns, joint rates there, and the torque that acted from it on."""
+    """A past tick: stamp in ns, joint angles and rates, and the torque that acted from it on."""
 
     stamp: int
+    theta: Array
     rates: Array
     torque: Array
+
+
+class State(enum.Enum):
+    """What reaches the joints: commands, the hold, or commands that take over from it."""
+
+    ACT = "act"
+    HOLD = "hold"
+    BLEND = "blend"
 
 
 class CommandGuard:
     """Decides at each tick what torque reaches the joints.
 
     Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
-    finite, of the wrong shape, stuck or refused, and joints that are too fast, begin a hold; see
-    `GuardHold`. Good commands take over again within `blend_time`: immediately after a single hold,
-    and where holds follow each other, as on a computer that is too busy, after a time that doubles
-    with each up to `patience`. The hand then rests instead of switching to and fro.
+    finite, of the wrong shape, stuck or refused, joints that are too fast, and joint states that
+    are not finite begin a hold; see `GuardHold`. Good commands take over again within
+    `blend_time`: immediately after a single hold, and where holds follow each other, as on a
+    computer that is too busy, after `patience`. The hand then rests instead of switching to and
+    fro.
 
     Attributes:
+        state: Whether commands act.
         reason: Why the joints are held; empty while commands act.
         held: How many ticks were held since the reset.
         holds: How many holds have begun since the reset, by reason.
-        age: Age of the last judged command, ticks; -1 before the first.
+        age: Age of the last judged command, in ticks that have passed; -1 before the first.
     """
 
     def __init__(self, config: GuardConfig, hand: Hand, tick: int) -> None:
@@ -119,12 +128,12 @@ class CommandGuard:
     def reset(self) -> None:
         """Forget everything, as at the start."""
         self._past.clear()
-        self._share = 1.0  # of the command in the torque; less than 1 in a hold
         self._last: Array | None = None  # commanded torque inside the limits
         self._newest: TorqueCommand | None = None
         self._posture = np.zeros(self._hand.joints)  # when the torque last changed
-        self._good = self._ticks(_CALM_TIME)  # good commands in a row
-        self._patience = 0  # good commands in a row after which they take over
+        self.state = State.ACT
+        self._bad: int | None = None  # last tick without a good command, ns
+        self._patience = 0  # ns for which commands must be good to take over
         self.reason = ""
         self.held = 0
         self.holds: Counter[str] = Counter()
@@ -133,7 +142,7 @@ class CommandGuard:
     @property
     def holding(self) -> bool:
         """Whether the joints are held, or commands are still taking over."""
-        return self._share < 1.0
+        return self.state is not State.ACT
 
     def step(
         self,
@@ -152,36 +161,51 @@ class CommandGuard:
             command: The newest command; None before the first.
             refused: Why no command may act now, such as a second sender; empty if they may.
         """
-        if not (np.isfinite(theta).all() and np.isfinite(rates).all()):
+        is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
+        if is_blind and not self._past:
             self._note(BLIND)
-            return self._past[-1].torque if self._past else np.zeros(self._hand.joints)
-        reason = self._with_patience(refused or self._judge(stamp, theta, rates, command))
-        if not reason:
-            self._share = min(1.0, self._share + 1e-9 * self._tick / self._config.blend_time)
-            self.reason = ""
-        if reason or self.holding:
-            torque = self._guarded(stamp, theta, rates, command, reason)
-        else:
+            return np.zeros(self._hand.joints)
+        if is_blind:  # as if the joints went on as before, or did what the hold wants of them
+            last, before = self._past[-1], self._past[max(-2, -len(self._past))]
+            on = 2.0 * last.theta - before.theta, 2.0 * last.rates - before.rates
+            theta, rates = self._hold.reference if self.state is State.HOLD else on
+        reason = BLIND if is_blind else refused or self._judge(stamp, theta, rates, command)
+        state, reason = self.state, self._moved_on(stamp, reason)
+        if self.state is State.ACT:
             assert command is not None
             torque = self._limited(command.torque)
-        self._past.append(_Sample(stamp, rates, torque))
+        else:
+            torque = self._guarded(state, stamp, theta, rates, command, reason)
+        self._past.append(_Sample(stamp, theta, rates, torque))
         return torque
 
-    def _with_patience(self, reason: str) -> str:
-        """Return why the joints are held: for a reason, or because of the holds before this one."""
+    def _moved_on(self, stamp: int, reason: str) -> str:
+        """Change the state where it is time; return why the joints are held, empty if they act.
+
+        Args:
+            stamp: The tick, ns.
+            reason: Why no command may act now; empty if it may.
+        """
+        before, since_bad = self.state, np.inf if self._bad is None else stamp - self._bad
+        if reason:
+            if before is not State.HOLD:
+                is_calm = since_bad > 1e9 * _CALM_TIME
+                self._patience = 0 if is_calm else round(1e9 * self._config.patience)
+            self._bad, self.state = stamp, State.HOLD
+        elif before is State.HOLD and since_bad > self._patience:
+            self.state = State.BLEND
+            self._blend_start = stamp - self._tick
+        elif before is State.HOLD:
+            reason = UNSTEADY
+        if self.state is State.BLEND and self._share(stamp) >= 1.0:
+            self.state = State.ACT
         if not reason:
-            self._good += 1
-            return UNSTEADY if self._share == 0.0 and self._good <= self._patience else ""
-        if self._share > 0.0:  # a hold begins
-            is_calm = self._good >= self._ticks(_CALM_TIME)
-            longer = max(2 * self._patience, self._ticks(_FIRST_PATIENCE))
-            longest = self._ticks(self._config.patience)
-            self._patience = 0 if is_calm else min(longer, longest)
-        self._good = 0
+            self.reason = ""
         return reason
 
-    def _ticks(self, seconds: float) -> int:
-        return round(1e9 * seconds / self._tick)
+    def _share(self, stamp: int) -> float:
+        """Return how far commands have taken over at a tick in ns, up to 1."""
+        return min(1.0, 1e-9 * (stamp - self._blend_start) / self._config.blend_time)
 
     def _is_stuck(self, theta: Array, command: TorqueCommand) -> bool:
         """Return whether new commands repeat an old torque although the joints have moved.
@@ -201,7 +225,7 @@ class CommandGuard:
         """Return why a command may not act; empty if it may."""
         if command is None:
             return NO_COMMAND
-        self.age = -((command.stamp - stamp) // self._tick)
+        self.age = int((stamp - command.stamp) / self._tick)  # in ticks that have passed
         if self.age < 0:
             return AHEAD
         if self.age > self._config.age_limit:
@@ -221,14 +245,17 @@ class CommandGuard:
         """Return whether a command turns the internal force around.
 
         To release the object, fingers cease to press and open. Only a wrong command pulls them off
-        with a force like that with which they press. It is a jump; only after one the tips are
-        looked at.
+        with a force like that with which they press. It is a jump, larger than the pull of which it
+        would consist; only after one the tips are looked at.
         """
-        if not self._past or np.abs(torque - self._past[-1].torque).max() < _JUMP:
+        if not self._past:
+            return False
+        jump = np.abs(torque - self._past[-1].torque).max()
+        if jump < self._hand.least_force * self._hand.spans.min():
             return False
         terms = JointTerms(*self._hand.dynamics(theta, rates))
         _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
-        if np.linalg.norm(presses, axis=1).sum() < MIN_INTERNAL_FORCE:
+        if np.linalg.norm(presses, axis=1).sum() < self._hand.least_force:
             return False
         _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
         return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))
@@ -244,28 +271,29 @@ class CommandGuard:
         return torque
 
     def _guarded(
-        self, stamp: int, theta: Array, rates: Array, command: TorqueCommand | None, reason: str
+        self,
+        before: State,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        command: TorqueCommand | None,
+        reason: str,
     ) -> Array:
-        """Hold the joints, or let a good command take over a little more."""
+        """Hold the joints, or let a good command take over a little more; `before` is the state."""
         terms = JointTerms(*self._hand.dynamics(theta, rates))
-        pressed = self._pressed(stamp, rates, terms)
         if reason:
-            self._engage(theta, rates, pressed, reason)
-        torque = self._hold.step(theta, rates, terms, pressed if reason else None)
+            if before is State.ACT:
+                self._hold.engage(theta, rates, self._pressed(stamp, rates, terms))
+            elif before is State.BLEND:
+                self._hold.brake(theta, rates)
+            self._note(reason)
+        seen = None if reason == BLIND else (theta, rates)
+        torque = self._hold.step(seen, terms, follows=bool(reason))
         if not reason:
             assert command is not None
-            torque = torque + self._share * (self._limited(command.torque) - torque)
+            torque = torque + self._share(stamp) * (self._limited(command.torque) - torque)
         limit = self._hand.effort_limits
         return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
-
-    def _engage(self, theta: Array, rates: Array, pressed: Array, reason: str) -> None:
-        """Begin a hold, or return to the one that commands were taking over from."""
-        if not self.holding:
-            self._hold.engage(theta, rates, pressed)
-        elif self._share > 0.0:
-            self._hold.brake(theta, rates)
-        self._share = 0.0
-        self._note(reason)
 
     def _note(self, reason: str) -> None:
         self.held += 1
@@ -277,12 +305,11 @@ class CommandGuard:
     def _pressed(self, stamp: int, rates: Array, terms: JointTerms) -> Array:
         """Return the torque with which the contacts pressed, tau - M theta'' - bias, shape (m,).
 
-        The mean over the last ticks; while holding, over the last one, which the hold averages.
+        The mean over the last ticks.
         """
-        samples = list(self._past)[-1:] if self.holding else list(self._past)
-        if not samples or stamp <= samples[0].stamp:
+        if not self._past or stamp <= self._past[0].stamp:
             return np.zeros(self._hand.joints)
-        first = samples[0]
+        first = self._past[0]
         acceleration = (rates - first.rates) / (1e-9 * (stamp - first.stamp))
-        torque = np.mean([sample.torque for sample in samples], axis=0)
+        torque = np.mean([sample.torque for sample in self._past], axis=0)
         return np.asarray(torque - terms.inertia @ acceleration - terms.bias)

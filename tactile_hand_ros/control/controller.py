@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, all_finite
-from tactile_hand_ros.control.holds import PostureHold, PostureHoldConfig, bearable_fraction
+from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
+from tactile_hand_ros.control.holds import bandwidth, bearable_fraction, required_bandwidth, spring
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
@@ -25,13 +25,25 @@ from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implau
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 Array = NDArray[np.float64]
 
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
 _LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
+_LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
+
+
+class PostureHoldConfig(Config):
+    """What the stiffness of the hold follows from, beside the period of the ticks."""
+
+    latency: int = param(
+        3, "ticks by which a torque may act late", unit="ticks", live=True, ge=0, le=100
+    )
+    rate_lag: float = param(
+        0.0, "time by which the measured joint rates are late", unit="s", live=True, ge=0.0, le=0.1
+    )
 
 
 class ControllerConfig(Config):
@@ -93,8 +105,9 @@ class ControllerConfig(Config):
 
 
 class Mode(enum.Enum):
-    """What the controller is doing."""
+    """What the controller is doing: its state."""
 
+    NO_GRASP = "no grasp"
     DRIVE = "drive"
     HOLD = "hold"
     OPEN = "open"
@@ -107,14 +120,19 @@ class Held(NamedTuple):
     Attributes:
         internal: Torque of the internal force, shape (m,), N m.
         load: Torque that compensates the load, shape (m,), N m.
-        grasp_force: k_f of that tick, N; 0 where it is not known.
-        rise: Fraction by which k_f has asked for more since.
+        grasp_force: k_f to which the internal force belongs, N; 0 where it is not known.
     """
 
     internal: Array
     load: Array
     grasp_force: float = 0.0
-    rise: float = 0.0
+
+    def raised(self, grasp_force: float) -> Held:
+        """Return it with the internal force of a larger k_f, N; it never falls."""
+        if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
+            return self
+        factor = grasp_force / self.grasp_force
+        return Held(factor * self.internal, self.load, grasp_force)
 
 
 class Command(NamedTuple):
@@ -122,7 +140,7 @@ class Command(NamedTuple):
 
     Attributes:
         torque: Joint torques, shape (m,), N m.
-        mode: Drive, hold, open or disabled.
+        mode: Drive, hold, open or disabled; hold also without a grasp.
         pose: What the hand estimates of the object; None when it does not know.
         reason: Why it holds, or why a target was refused; empty otherwise.
         do_not_send: Whether to keep it back: an input is missing or implausible, and the guard of
@@ -141,14 +159,15 @@ class Controller:
 
     Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
     or implausible, or the contacts lie on a line, the hand holds its posture and its last good
-    grasp force.
+    grasp force, with a spring as stiff as the period of the ticks allows; see `holds`.
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
-        doubts: Whether joints and touch did not fit each other when they last came; touch teaches
-            nothing then. An open or disabled hand doubts nothing.
+        touch_rejected: Whether joints and touch did not fit each other when they last came; touch
+            teaches nothing then. An open or disabled hand rejects nothing.
         joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
             integral and the reference wait for the end of that.
+        warning: Why this grasp could not be held without inputs; empty where it could.
     """
 
     def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
@@ -166,7 +185,6 @@ class Controller:
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
         self._inputs = InputCheck(self.hand)
         self._reference = SmoothReference()
-        self._hold = PostureHold(config.hold)
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
@@ -188,19 +206,37 @@ class Controller:
         self._law.reset()
         self._inputs.reset()
         self._reference.reset()
-        self._hold.release()
-        self._held: Held | None = None  # nothing has been grasped
-        self._last_torque: Array | None = None
-        self._last_stamp: int | None = None
-        self._trust()
-        self._mode: Mode | None = None  # of the last answer
-        self._grasp: Grasp | None = None
         self._targets.reset()
+        self._mode = Mode.NO_GRASP
+        self._held: Held | None = None  # nothing is known to be held
+        self._posture = np.zeros(self.hand.joints)  # that a hold keeps
+        self._grasp: Grasp | None = None
+        self._last_torque: Array | None = None  # of the law, one tick ago
+        self._last_stamp: int | None = None
+        self._period = _LONGEST_PERIOD  # of the ticks, s
+        self._new_grasp()
+        self._trust()
+
+    def _new_grasp(self) -> None:
+        self.warning = ""
+        self._required: float | None = None  # bandwidth of a hold per root of k_f
 
     def _trust(self) -> None:
         """Forget all doubts."""
         self.touch_rejected = False
         self._doubted: int | None = None  # first tick of those with an implausible input
+
+    def _enter(self, mode: Mode, theta: Array) -> None:
+        """Change the state; a hold keeps the posture in which it begins, shape (m,), rad."""
+        if mode is self._mode:
+            return
+        self._mode, self._last_torque = mode, None
+        if mode is not Mode.DRIVE:
+            self._reference.reset()
+            self._posture = theta.copy()
+        if mode in (Mode.OPEN, Mode.DISABLED):
+            self._trust()
+            self._held = Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
 
     @property
     def target(self) -> Target | None:
@@ -293,8 +329,6 @@ class Controller:
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         dt = self._elapsed(stamp)
-        self._last_stamp = stamp
-        self._targets.accepted = None
         self._targets.begin_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
@@ -306,13 +340,7 @@ class Controller:
         if problem:
             self._inputs.begin_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
-        pressing = None
-        if self._compares_forces and forces is not None and applied is not None:
-            pressing = forces, applied
-        c = self.config
-        limits = Tolerances(c.touch_tolerance, c.force_tolerance, c.touch_latency)
-        tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
-        self.touch_rejected = bool(problem)
+        tips, problem = self._checked(stamp, theta, rates, contacts, forces, applied)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
             return self._doubt(stamp, theta, rates, problem, applied)
@@ -327,13 +355,34 @@ class Controller:
             )
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
-        total = parts.total
         # The square overflows only for torques that no joint could have: one check for all of them.
+        total = parts.total
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
-        torque = self._drive(parts, total, theta, grasp_force)
+        self._enter(Mode.DRIVE, theta)
+        self._held = Held(parts.internal, parts.load_compensation, grasp_force)
+        self._judge_hold(theta, contacts, optimal_forces, grasp_force)
+        torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _checked(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array,
+        contacts: Contacts,
+        forces: Array | None,
+        applied: Array | None,
+    ) -> tuple[Fingertips, str]:
+        """Return the fingertips, and why joints and touch do not fit; see `step`."""
+        pressing, c = None, self.config
+        if self._compares_forces and forces is not None and applied is not None:
+            pressing = forces, applied
+        limits = Tolerances(c.touch_tolerance, c.force_tolerance, c.touch_latency)
+        tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
+        self.touch_rejected = bool(problem)
+        return tips, problem
 
     def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
         """Return the pose on the way to the target that the law aims at in this tick."""
@@ -341,17 +390,6 @@ class Controller:
         self._law.acts = not self.joints_held
         passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
-
-    def _drive(self, parts: LawTorque, total: Array, theta: Array, grasp_force: float) -> Array:
-        """Return what the joints can bear of the law's torques; remember it for a later hold."""
-        weight = self._weight(theta)
-        bearable = self._bearable(parts, weight)
-        if bearable is not parts:
-            parts, total = bearable, bearable.total
-        self._hold.release()
-        self._mode = Mode.DRIVE
-        self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        return _sum(self._for_middle_of_period(total), weight)
 
     def hold(
         self,
@@ -389,32 +427,56 @@ class Controller:
             grasp_force: k_f where it is known, N. The held force rises with it and never falls.
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
-        self._last_torque = None
         self._targets.begin_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
-        self._mode = Mode.HOLD
-        self._reference.reset()
-        kept = self._kept(theta, grasp_force, applied)
-        self._hold.engage(theta, kept.internal + kept.load)
-        held = self._with_gravity(self._posture_torque(theta, rates), theta)
-        more = kept.rise * kept.internal
-        torque = held + bearable_fraction(more, held, self.hand.effort_limits) * more
-        return Command(torque, Mode.HOLD, None, reason)
+        self._enter(Mode.HOLD, theta)
+        held = self._kept(theta, applied, grasp_force)
+        rest = _sum(held.load + self._spring(theta, rates), self._weight(theta))
+        fraction = bearable_fraction(held.internal, rest, self.hand.effort_limits)
+        return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
-    def _kept(self, theta: Array, grasp_force: float, applied: Array | None) -> Held:
+    def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
         """Return what the hold keeps, for a k_f in N and torques applied since the last tick."""
-        kept = self._held
-        if kept is None:
-            kept = self._nothing
+        if self._held is None:
+            kept = Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
             if applied is None or not applied.any() or not all_finite(applied):
                 return kept  # still nothing that is known to act
             weight = self._weight(theta)
-            kept = kept._replace(internal=applied if weight is None else applied - weight)
-        if kept.grasp_force > 0.0 and math.isfinite(grasp_force):
-            kept = kept._replace(rise=max(kept.rise, grasp_force / kept.grasp_force - 1.0))
-        self._held = kept
-        return kept
+            self._held = kept._replace(internal=applied if weight is None else applied - weight)
+        self._held = self._held.raised(grasp_force)
+        return self._held
+
+    def _spring(self, theta: Array, rates: Array) -> Array:
+        """Return the torque that brings the joints back to the posture to hold, (m,), N m."""
+        inertia = self.hand.dynamics(theta, rates)[1]
+        return spring(inertia, self._bandwidth, self._posture - theta, -rates)
+
+    @property
+    def _bandwidth(self) -> float:
+        """That of the hold, rad/s: a torque is held for a period and acts some ticks late."""
+        c = self.config.hold
+        return bandwidth((0.5 + c.latency) * self._period + c.rate_lag)
+
+    def _judge_hold(
+        self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
+    ) -> None:
+        """Warn once in a grasp if a hold could not keep it at this rate of the ticks."""
+        if self.config.law.name != "optimal" or self.warning or self._period == _LONGEST_PERIOD:
+            return
+        if self._required is None:
+            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
+            self._required = required_bandwidth(self.hand, theta, contacts, forces)
+        required, has = math.sqrt(grasp_force) * self._required, self._bandwidth
+        if required > has:
+            c, rate = self.config.hold, 1.0 / self._period
+            needed = 0.5 + c.latency, bandwidth(1.0) / required - c.rate_lag
+            faster = f"{needed[0] / needed[1]:.0f} Hz" if needed[1] > 0.0 else "a smaller rate_lag"
+            self.warning = (
+                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a bandwidth"
+                f" of {has:.0f} rad/s, k_f = {grasp_force:.3g} N needs {required:.0f} rad/s, which"
+                f" takes {faster}"
+            )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:
         """Return why f* or k_f is implausible; empty if they are not."""
@@ -441,20 +503,10 @@ class Controller:
         return held._replace(do_not_send=is_new or held.do_not_send)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
-        self._trust()
-        self._hold.release()
-        self._reference.reset()
+        self._enter(Mode.DISABLED, theta)
         self._regrasp.follow(theta)
-        self._last_torque = None
-        self._mode = Mode.DISABLED
-        self._held = self._nothing
-        torque = self._with_gravity(-self.config.law.damping * rates, theta)
+        torque = _sum(-self.config.law.damping * rates, self._weight(theta))
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
-
-    def _posture_torque(self, theta: Array, rates: Array) -> Array:
-        """Return the torque of the safe hold, shape (m,), N m."""
-        inertia = self.hand.dynamics(theta, rates)[1]
-        return self._hold.torque(theta, rates, inertia)
 
     def _regrasped(self, contacts: Contacts) -> bool:
         """Return whether closing fingers have all touched; then a new grasp begins."""
@@ -463,33 +515,28 @@ class Controller:
         self._regrasp.finish()
         self._law.reset()
         self._inputs.begin_grasp()
-        self._reference.reset()
         self._targets.begin_grasp()
+        self._new_grasp()
         return True
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
-        self._trust()
-        self._mode = Mode.OPEN
-        self._last_torque = None
-        self._held = self._nothing
-        self._hold.move(self._regrasp.posture(contacts, dt), self._held.internal)
-        torque = self._with_gravity(self._posture_torque(theta, rates), theta)
+        self._enter(Mode.OPEN, theta)
+        self._posture = self._regrasp.posture(contacts, dt)
+        torque = _sum(self._spring(theta, rates), self._weight(theta))
         return Command(torque, Mode.OPEN, None, "released by the user")
-
-    @property
-    def _nothing(self) -> Held:
-        """What an open or disabled hand holds."""
-        return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
 
     def _elapsed(self, stamp: int) -> float:
         """Return the time since the last tick in s; 0 after an interruption.
 
         Nothing is integrated over it, and fingers that open or close continue from where they are.
         """
-        continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
-        if self._last_stamp is None or not continues:
+        before, self._last_stamp = self._last_stamp, stamp
+        if before is None or stamp <= before:
             return 0.0
-        return min(max(0.0, 1e-9 * (stamp - self._last_stamp)), _LONGEST_GAP)
+        passed = 1e-9 * (stamp - before)
+        self._period = min(self._period, passed)
+        continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
+        return min(passed, _LONGEST_GAP) if continues else 0.0
 
     def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
         if not contacts.all_touching:
@@ -499,30 +546,38 @@ class Controller:
                 if not touching
             ]
             return f"no contact at {', '.join(names)}; holding until all fingers touch again"
-        if self.config.law.name == "optimal":
-            if not all_finite(forces):
-                return "no optimal force f*; holding until the optimizer has an answer"
+        if self.config.law.name == "optimal" and not all_finite(forces):
+            return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"
         return ""
 
-    def _for_middle_of_period(self, torque: Array) -> Array:
-        """Extrapolate by half a period: a torque that is held for T is T/2 old on average."""
+    def _ahead(self, torque: Array, dt: float) -> Array:
+        """Extrapolate by half a period: a torque that is held for T is T/2 old on average.
+
+        Args:
+            torque: That of this tick, shape (m,), N m.
+            dt: Time since the last one, s.
+        """
         last, self._last_torque = self._last_torque, torque
-        if not self.config.midpoint_hold or last is None:
+        if not self.config.midpoint_hold or last is None or dt <= 0.0:
             return torque
-        return torque + 0.5 * (torque - last)
+        return torque + 0.5 * self._period / dt * (torque - last)
 
-    def _bearable(self, parts: LawTorque, weight: Array | None) -> LawTorque:
-        """Return the torques with as much of the internal force as the joints can bear."""
-        limits = self.hand.effort_limits
-        rest = _sum(parts.load_compensation + parts.drive + parts.damping, weight)
-        fraction = bearable_fraction(parts.internal, rest, limits)
-        return parts if fraction == 1.0 else parts._replace(internal=fraction * parts.internal)
+    def _bearable(self, parts: LawTorque, weight: Array | None) -> Array:
+        """Return what the joints can bear of a law's torques and the links' weight, (m,), N m.
 
-    def _with_gravity(self, torque: Array, theta: Array) -> Array:
-        """Return a torque that carries the links too, where that is wanted."""
-        return _sum(torque, self._weight(theta))
+        First comes the internal force with the load, whose shape is kept, then the drive; damping
+        takes what is left, joint by joint.
+        """
+        limits, carried = self.hand.effort_limits, _sum(parts.load_compensation, weight)
+        fraction = bearable_fraction(parts.internal, carried, limits)
+        internal = parts.internal if fraction == 1.0 else fraction * parts.internal
+        torque = internal + carried
+        fraction = bearable_fraction(parts.drive, torque, limits)
+        drive = parts.drive if fraction == 1.0 else fraction * parts.drive
+        torque = torque + drive + parts.damping
+        return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
     def _weight(self, theta: Array) -> Array | None:
         """Return the torques that carry the links, shape (m,), N m; None where not wanted."""

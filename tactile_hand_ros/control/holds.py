@@ -1,21 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Holding the joints without a law: what the controller and the guard at the joints fall back to.
 
-`PostureHold` is the controller's: it knows the torque of the internal force and the load from its
-law. `GuardHold` runs where torque meets the joints, from joint states and a model of the hand
-alone. The contacts press on the joints with J_h^T f_c, which equation (3) gives from what is known,
-over the last n ticks of length T:
+Both keep the torque with which the contacts press, and add a spring and a damper that follow the
+inertia, M_h (w^2 e + 2 w e'), with e from the posture to hold.
 
-    tau_c = mean(tau) - M_h (theta'_n - theta'_0) / (n T) - (C_h theta' + N_h).
+A grasp under constant joint torques is a mechanism under load: where it gives way, the torques no
+longer balance. With forces f on the object and motions of joints and object that keep the contacts
+(rolling, A1), the torques that are missing are K_geo = d(J_h^T f) - d(G f) at constant f: the
+Hessian of the fingers, the rolling of their tips, and the lever of the forces on a turned object.
+Where K_geo is negative the grasp buckles, unless the spring is stiffer:
+w^2 N^T M_h N + K_geo > 0, with N the motions that keep the contacts. See `required_bandwidth`.
 
-The guard's hold keeps that torque, and nothing else of the last command: no drive and no damping.
+How stiff a spring may be follows from how late it acts: its loop (w^2 + 2 w s) / s^2 crosses over
+at 2.06 w with a phase margin of 1.33 rad, which a delay d lowers by 2.06 w d. See `bandwidth`.
+
+`GuardHold` runs where torque meets the joints, from joint states and a model of the hand alone.
 With the posture q(t) that brings the joints from theta_0, theta'_0 to rest it answers
 
     tau = tau_c + (s - 1) J^T f_int + C_h theta' + N_h
-          + M_h (q'' + 2 w (q' - theta') + w^2 (q - theta)).
+          + M_h (q'' + 2 w (q' - theta') + w^2 (q - theta)),
 
-f_int is the internal part of the tip forces; s grows with the load on the tips. See
-docs/safe_hold.md for the derivation and measurements.
+where tau_c is the torque with which the contacts pressed when it began, f_int the internal part of
+the tip forces, and s grows with the load on the tips. See docs/safe_hold.md.
 """
 
 from __future__ import annotations
@@ -28,89 +34,89 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts, hand_jacobian
+from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 Array = NDArray[np.float64]
 
-
+_PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 57 at a third of it
+_MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
+_STEP = 1e-5  # of finite differences, rad
 
 
-class PostureHoldConfig(Config):
-    """Stiffness of the safe hold."""
-
-    bandwidth: float = param(
-        40.0, "stiffness w of the hold: joints return like w^2 M_h", unit="rad/s", gt=0.0, le=1e3
-    )
+def bandwidth(delay: float) -> float:
+    """Return the largest w, rad/s, of a hold whose torques act late by up to a delay in s."""
+    return _PHASE / delay
 
 
-class PostureHold:
-    """Holds the joints where they are, on top of the torque of the internal force.
+def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
+    """Return M_h (w^2 away + 2 w rates), shape (m,), N m, finite whatever was measured.
 
-    tau = tau_internal + M_h (w^2 (theta_hold - theta) - 2 w theta'). The internal force never
-    fades, which would drop the object, nor does it grow here, which would crush it: only the
-    regulator raises it.
-
-    The spring bears more than a wrong grasp force: two fingers that press against each other with a
-    constant torque buckle, as if there were a negative stiffness of force times lever, 11 N m/rad
-    with 1 kg in the hand. Shaped by the inertia it may be as stiff as late torques allow: 40 rad/s
-    stay damped at 250 Hz with torques that act three ticks late. A guard at the joints, without
-    delay, holds stiffer; see `GuardHold`.
+    Args:
+        inertia: M_h, shape (m, m).
+        w: Bandwidth, rad/s.
+        away: From the joints to the posture to hold, shape (m,), rad.
+        rates: Rates of that posture less those of the joints, shape (m,), rad/s.
     """
+    away = np.clip(away, -_MAX_OFFSET, _MAX_OFFSET)
+    rates = np.clip(rates, -_MAX_RATE, _MAX_RATE)
+    return np.asarray(inertia @ (w * w * away + 2.0 * w * rates))
 
-    def __init__(self, config: PostureHoldConfig) -> None:
-        """Start released."""
-        self._config = config
-        self._posture: Array | None = None
-        self._internal = np.zeros(0)
 
-    @property
-    def active(self) -> bool:
-        """Whether the joints are held."""
-        return self._posture is not None
+def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Array) -> float:
+    """Return the smallest w, rad/s, with which a grasp does not buckle, with a margin.
 
-    def engage(self, theta: Array, internal: Array) -> None:
-        """Hold from now on; has no effect while already holding.
+    It grows with the square root of the forces.
 
-        Args:
-            theta: Posture to hold, shape (m,), rad.
-            internal: Torque to keep, shape (m,), N m.
-        """
-        if self._posture is None:
-            self._posture, self._internal = theta.copy(), internal.copy()
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Where it holds an object; all fingers must touch.
+        forces: Internal forces on the object in palm axes, shape (k, 3), N.
+    """
+    k, m = hand.fingers, hand.joints
+    tips, axes = hand.fingertips(theta), np.tile(np.eye(3), (k, 1, 1))
+    jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, m)
+    constraint = np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T])
+    _, sizes, basis = np.linalg.svd(constraint)
+    motions = basis[int((sizes > 1e-9 * sizes[0]).sum()) :].T
+    arms = contacts.positions - tips.positions
+    stiffness = np.empty((motions.shape[1],) * 2)
+    for i, motion in enumerate(motions.T):
+        rates, velocity, spin = motion[:m], motion[m : m + 3], motion[m + 3 :]
+        ahead, behind = (hand.fingertips(theta + sign * _STEP * rates) for sign in (1.0, -1.0))
+        rolling = np.cross(spin, arms)
+        missing = np.empty(m + 6)
+        missing[:m] = (
+            _pressing(ahead, np.cross(arms, forces), forces)
+            - _pressing(behind, np.cross(arms, forces), forces)
+        ) / (2.0 * _STEP) + np.einsum("kim,ki->m", tips.angular, np.cross(rolling, forces))
+        moved = tips.linear @ rates + rolling - velocity
+        missing[m : m + 3], missing[m + 3 :] = 0.0, -np.cross(moved, forces).sum(axis=0)
+        stiffness[:, i] = motions.T @ missing
+    joints = motions[:m]
+    root = np.linalg.cholesky(joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints)
+    scaled = np.linalg.solve(root, np.linalg.solve(root, 0.5 * (stiffness + stiffness.T)).T)
+    return math.sqrt(_MARGIN * max(0.0, -float(np.linalg.eigvalsh(scaled)[0])))
 
-    def move(self, theta: Array, internal: Array) -> None:
-        """Hold another posture with another torque from now on, both of shape (m,)."""
-        self._posture, self._internal = theta, internal
 
-    def release(self) -> None:
-        """Let go of the posture."""
-        self._posture = None
-
-    def torque(self, theta: Array, rates: Array, inertia: Array) -> Array:
-        """Return the holding torque, shape (m,), N m; `engage` must have been called.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            inertia: M_h, shape (m, m), kg m^2.
-        """
-        assert self._posture is not None
-        w = self._config.bandwidth
-        away = np.clip(self._posture - theta, -_MAX_OFFSET, _MAX_OFFSET)
-        rates = np.clip(rates, -_MAX_RATE, _MAX_RATE)
-        return np.asarray(self._internal + inertia @ (w * w * away - 2.0 * w * rates))
+def _pressing(tips: Fingertips, moments: Array, forces: Array) -> Array:
+    """Return J^T f + J_Omega^T t of forces and moments at the tip centers, shape (m,), N m."""
+    linear = np.einsum("kim,ki->m", tips.linear, forces)
+    return np.asarray(linear + np.einsum("kim,ki->m", tips.angular, moments))
 
 
 @compiled
-def bearable_fraction(internal: Array, rest: Array, limits: Array) -> float:
-    """Return the largest s for which |s internal + rest| stays within the effort limits.
+def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
+    """Return the largest s for which |s part + rest| stays within the effort limits.
 
     A joint at its limit gives less than it is asked for, so that the internal force no longer
     balances and pushes the object away. The same fraction in all joints keeps the balance.
 
     Args:
-        internal: Torque of the internal force, shape (m,), N m.
+        part: Torque of the internal force, or of the drive, shape (m,), N m.
         rest: All other torque, shape (m,), N m.
         limits: Effort limits of the joints, shape (m,), N m.
 
@@ -119,28 +125,20 @@ def bearable_fraction(internal: Array, rest: Array, limits: Array) -> float:
     """
     fraction = 1.0
     for i in range(len(limits)):
-        if abs(internal[i] + rest[i]) > limits[i] and internal[i] != 0.0:
-            room = limits[i] - np.sign(internal[i]) * rest[i]
-            fraction = min(fraction, room / abs(internal[i]))
+        if abs(part[i] + rest[i]) > limits[i] and part[i] != 0.0:
+            room = limits[i] - np.sign(part[i]) * rest[i]
+            fraction = min(fraction, room / abs(part[i]))
     return max(fraction, 0.0)
-
-
-FELT_TIME = 0.005
-"""Time over which the torque of the contacts is averaged [s]."""
-
-MIN_INTERNAL_FORCE = 0.05
-"""Fingers that press less in all hold nothing [N]."""
-
-_MAX_PRODUCT = (
-    0.25  # largest w T: the hold stays damped with a tick of delay, see docs/safe_hold.md
-)
 
 
 class GuardHoldConfig(Config):
     """How joints are held while there is no command for them."""
 
-    bandwidth: float = param(
-        100.0, "stiffness w: the joints return like w^2 M_h", unit="rad/s", gt=0.0, le=1e4
+    rate_lag: float = param(
+        0.0, "time by which the measured joint rates are late", unit="s", ge=0.0, le=0.1
+    )
+    resolution: float = param(
+        0.0, "error of a measured joint angle, which is no load", unit="rad", ge=0.0, le=0.1
     )
     stopping_time: float = param(
         0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
@@ -170,8 +168,15 @@ class JointTerms(NamedTuple):
     bias: Array
 
 
+_LOAD_TIME = 0.005  # s over which the load is averaged
+
+
 class GuardHold:
-    """Holds the joints from joint states alone; `engage` at the first tick, `step` at each."""
+    """Holds the joints from joint states alone; `engage` at the first tick, `step` at each.
+
+    Attributes:
+        reference: Posture and rates on the way to rest, each of shape (m,), rad and rad/s.
+    """
 
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
         """Take the model.
@@ -182,7 +187,8 @@ class GuardHold:
             tick: Time between two calls of `step`, s.
         """
         self._config, self._hand, self._tick = config, hand, tick
-        self._bandwidth = min(config.bandwidth, _MAX_PRODUCT / tick)
+        # Held for a tick, so half a tick late, or one and a half where a drive takes a tick.
+        self._bandwidth = bandwidth(1.5 * tick + config.rate_lag)
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
         """Hold from now on.
@@ -192,9 +198,9 @@ class GuardHold:
             rates: Joint rates, shape (m,), rad/s.
             pressed: Torque tau_c with which the contacts press, shape (m,), N m.
         """
-        self._pressed = self._felt = pressed.copy()
+        self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
         tips = self._hand.fingertips(theta)
-        self._load, internal = split_forces(tip_forces(tips, pressed))
+        _, internal = split_forces(tip_forces(tips, pressed))
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
         self._internal = joint_torque(tips, internal)
         self._most = self._largest_factor()
@@ -203,7 +209,7 @@ class GuardHold:
 
     def _largest_factor(self) -> float:
         """Return s at the limit of the internal force or of a joint, at least 1."""
-        if self._internal_force < MIN_INTERNAL_FORCE:
+        if self._internal_force < self._hand.least_force:
             return 1.0
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._internal)
@@ -217,38 +223,50 @@ class GuardHold:
     def brake(self, theta: Array, rates: Array) -> None:
         """Come to rest from this posture and these rates, with the internal force as it is."""
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
+        self.reference = self._start, self._speed
 
-    def step(self, theta: Array, rates: Array, terms: JointTerms, pressed: Array | None) -> Array:
+    def step(
+        self, joints: tuple[Array, Array] | None, terms: JointTerms, *, follows: bool
+    ) -> Array:
         """Return the holding torque, shape (m,), N m.
 
         Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+            joints: Angles, rad, and rates, rad/s, each of shape (m,); None where they are not
+                known, and are assumed to follow the reference.
             terms: The model at this posture.
-            pressed: Torque with which the contacts pressed in the last tick, shape (m,), N m; None
-                while a command takes over, whose drive is no load.
+            follows: Whether the internal force follows the load; not while a command takes over,
+                whose drive is no load.
         """
-        if pressed is not None:
-            self._follow_load(terms.tips, pressed)
-        posture, speed, acceleration = self._reference()
-        w = self._bandwidth
-        wanted = acceleration + 2.0 * w * (speed - rates) + w * w * (posture - theta)
+        acceleration = self._move_reference()
+        posture, speed = self.reference
+        theta, rates = joints or self.reference
+        away, w = posture - theta, self._bandwidth
+        if follows:
+            self._follow_load(terms, away)
         internal = self._pressed + (self._factor - 1.0) * self._internal
-        self._ticks += 1
-        return np.asarray(internal + terms.bias + terms.inertia @ wanted)
+        held = internal + terms.bias + terms.inertia @ acceleration
+        return np.asarray(held + spring(terms.inertia, w, away, speed - rates))
 
-    def _follow_load(self, tips: Fingertips, pressed: Array) -> None:
-        """Raise the internal force by what the load has grown; it never falls while holding."""
-        fraction = 1.0 - math.exp(-self._tick / FELT_TIME)
-        self._felt = self._felt + fraction * (pressed - self._felt)
-        if self._internal_force > MIN_INTERNAL_FORCE:
-            load, _ = split_forces(tip_forces(tips, self._felt))
-            grown = float(np.linalg.norm(load - self._load))
-            factor = 1.0 + grown / (self._config.friction * self._internal_force)
-            self._factor = min(max(self._factor, factor), self._most)
+    def _follow_load(self, terms: JointTerms, away: Array) -> None:
+        """Raise the internal force by what the load has grown; it never falls while holding.
 
-    def _reference(self) -> tuple[Array, Array, Array]:
-        """Return posture, rates and accelerations on the way to rest, which begin without a jerk.
+        The load has deflected the spring, which angles alone show: no noise of rates is taken for
+        it. Angles know it to their resolution.
+        """
+        if self._internal_force < self._hand.least_force:
+            return
+        fraction = -math.expm1(-self._tick / _LOAD_TIME)
+        self._deflected = self._deflected + fraction * (away - self._deflected)
+        c, stiffness = self._config, self._bandwidth**2 * terms.inertia
+        deflection = np.sign(self._deflected) * np.maximum(
+            np.abs(self._deflected) - c.resolution, 0.0
+        )
+        load, _ = split_forces(tip_forces(terms.tips, stiffness @ deflection))
+        factor = 1.0 + float(np.linalg.norm(load)) / (c.friction * self._internal_force)
+        self._factor = min(max(self._factor, factor), self._most)
+
+    def _move_reference(self) -> Array:
+        """Move the reference ahead on the way to rest; return its acceleration, which has no jerk.
 
         With x = t / T: q' = theta'_0 (1 + x) e^-x, which ends 2 T theta'_0 from the start.
         """
@@ -256,8 +274,9 @@ class GuardHold:
         x = self._ticks * self._tick / stopping
         fading = math.exp(-x)
         posture = self._start + stopping * (2.0 - (2.0 + x) * fading) * self._speed
-        speed = (1.0 + x) * fading * self._speed
-        return posture, speed, -(x * fading / stopping) * self._speed
+        self.reference = posture, (1.0 + x) * fading * self._speed
+        self._ticks += 1
+        return -(x * fading / stopping) * self._speed
 
 
 def tip_forces(tips: Fingertips, torque: Array) -> Array:

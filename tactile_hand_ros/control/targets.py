@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import bisect
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.reach import check_reach
@@ -23,7 +23,9 @@ Array = NDArray[np.float64]
 class SmoothReference:
     """Follows desired poses like a critically damped spring, from where the grasp is.
 
-    x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation.
+    x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation,
+    in steps that are exact for any time: with e = x - x_d and a = x' + e / T,
+    e(t) = (e + a t) exp(-t / T) and x'(t) = (x' - a t / T) exp(-t / T).
     """
 
     def __init__(self) -> None:
@@ -33,7 +35,7 @@ class SmoothReference:
     def reset(self) -> None:
         """Forget where the reference is."""
         self._pose: Target | None = None
-        self._velocity, self._spin = np.zeros(3), np.zeros(3)
+        self._rates = np.zeros(6)  # velocity, and the rate of the rotation vector
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
         """Return the pose to follow at this tick.
@@ -48,33 +50,15 @@ class SmoothReference:
             self._pose = None
             return target
         if self._pose is None:
-            self._pose = Target(now.position, now.orientation)
-            self._velocity, self._spin = np.zeros(3), np.zeros(3)
-        position, orientation, self._velocity, self._spin = _followed(
-            *self._pose, self._velocity, self._spin, *target, time, dt
-        )
-        self._pose = Target(position, orientation)
+            self._pose, self._rates = Target(now.position, now.orientation), np.zeros(6)
+        turn = vector_from_rotation(self._pose.orientation @ target.orientation.T)
+        error = np.concatenate([self._pose.position - target.position, turn])
+        fading, course = math.exp(-dt / time), self._rates + error / time
+        error = fading * (error + dt * course)
+        self._rates = fading * (self._rates - dt / time * course)
+        orientation = rodrigues(*error[3:]) @ target.orientation
+        self._pose = Target(target.position + error[:3], orientation)
         return self._pose
-
-
-@compiled
-def _followed(
-    position: Array,
-    orientation: Array,
-    velocity: Array,
-    spin: Array,
-    desired_position: Array,
-    desired_orientation: Array,
-    time: float,
-    dt: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Return pose, velocity and spin of the reference after a time dt, in s."""
-    turn = vector_from_rotation(desired_orientation @ orientation.T)
-    missing = desired_position - position
-    velocity = velocity + dt * (missing / time**2 - 2.0 * velocity / time)
-    spin = spin + dt * (turn / time**2 - 2.0 * spin / time)
-    turned = rodrigues(dt * spin[0], dt * spin[1], dt * spin[2])
-    return position + dt * velocity, turned @ orientation, velocity, spin
 
 
 MOST_WAITING = 1000
@@ -138,7 +122,7 @@ class TargetQueue:
 
     def begin_tick(self) -> None:
         """Take new poses again: a tick has time to check a few of them."""
-        self._checked = 0
+        self._checked, self.accepted = 0, None
 
     def begin_grasp(self) -> None:
         """Drop the target of the last grasp; poses that wait are judged by the new one."""

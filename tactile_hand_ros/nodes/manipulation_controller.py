@@ -246,6 +246,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if hasattr(self, "_inputs"):
             self._inputs.report()
         self._report.report(self._controller.target)
+        if self._controller.warning:
+            self.diagnostics.fault("stiffness", self._controller.warning, WARN)
+        else:
+            self.diagnostics.clear("stiffness")
 
     def _on_joint_hold(self, message: Bool) -> None:
         self.joints_held = message.data

@@ -7,10 +7,10 @@ import pytest
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.control.holds import (
-    GuardHold,
-    JointTerms,
+    bandwidth,
     joint_torque,
     split_forces,
+    spring,
     tip_forces,
 )
 from tactile_hand_ros.hand.hand import Hand
@@ -64,14 +64,6 @@ def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
     assert made.reason == reason and made.held == 1 and np.isfinite(answer).all()
 
 
-def test_joint_states_that_are_not_finite_repeat_the_last_torque():
-    made = guard()
-    last = follow(made)
-    other = step(made, last, TORQUE + 0.01)
-    np.testing.assert_array_equal(step(made, last + 1, TORQUE, theta=np.full(9, np.nan)), other)
-    assert made.reason == command_guard.BLIND
-
-
 def test_torques_stay_inside_the_limits_of_the_urdf():
     made = guard()
     np.testing.assert_array_equal(step(made, 0, np.full(9, 1e308)), np.full(9, 20.0))
@@ -83,19 +75,6 @@ def test_at_rest_the_hold_answers_with_the_torque_that_was_there():
     made = guard(**{"hold.reserve": 0.0})
     last = follow(made) - 1
     np.testing.assert_allclose(step(made, last + 9, TORQUE, answers=last), TORQUE, atol=1e-12)
-
-
-def test_the_posture_of_the_first_held_tick_is_kept():
-    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
-    last = follow(made) - 1
-    step(made, last + 4, TORQUE, answers=last)
-    pushed = THETA + 0.01
-    for late in range(5, 9):
-        answer = step(made, last + late, TORQUE, answers=last, theta=pushed)
-    spring = 100.0**2 * HAND.dynamics(pushed, STILL)[1] @ np.full(9, -0.01)
-    change = HAND.gravity_torque(pushed) - HAND.gravity_torque(THETA)
-    limit = HAND.effort_limits
-    np.testing.assert_allclose(answer, np.clip(TORQUE + change + spring, -limit, limit), atol=1e-9)
 
 
 def test_before_the_first_command_gravity_is_carried():
@@ -119,65 +98,12 @@ def test_a_torque_may_stay_the_same_while_the_joints_rest():
     assert not made.holds
 
 
-def held_after(made, tick, good):
-    """Send a late command and then good ones; return for how many of these the joints are held."""
-    step(made, tick, TORQUE, answers=tick - 4)
-    held = 0
-    for more in range(1, good + 1):
-        step(made, tick + more, TORQUE)
-        held += bool(made.reason)
-    return held
-
-
-def test_holds_that_follow_each_other_last_longer_and_longer():
-    """On a computer that is too busy the hand rests instead of switching to and fro."""
-    made = guard(patience=0.1)
-    tick = follow(made)
-    held = []
-    for _ in range(6):
-        held.append(held_after(made, tick, 60))
-        tick += 61
-    assert held == [0, 10, 20, 40, 50, 50]  # ticks of 2 ms
-    assert made.holds == {command_guard.LATE: 6}
-    for _ in range(260):
-        step(made, tick, TORQUE)
-        tick += 1
-    assert held_after(made, tick, 60) == 0
-
-
-def test_commands_that_are_never_good_for_long_do_not_take_over_any_more():
-    made = guard()
-    tick = follow(made)
-    for _ in range(8):
-        held_after(made, tick, 20)
-        tick += 21
-    assert held_after(made, tick, 20) == 20 and made.reason == command_guard.UNSTEADY
-
-
 def moving(seed=3, ticks=8):
     """Return joint rates and torques of some ticks."""
     random = np.random.default_rng(seed)
     return 0.1 * random.standard_normal((ticks, 9)), TORQUE + 0.1 * random.standard_normal(
         (ticks, 9)
     )
-
-
-def test_what_the_contacts_press_with_follows_from_the_last_ticks():
-    """From as many as may be late and two; of a hold that continues, from the last one alone."""
-    made, (rates, torques) = guard(age_limit=1), moving()
-    for tick in range(6):
-        step(made, tick, torques[tick], rates=rates[tick])
-    tips, inertia, bias = HAND.dynamics(THETA, rates[6])
-    pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - bias
-    hold, terms = GuardHold(made._config.hold, HAND, 0.002), JointTerms(tips, inertia, bias)
-    hold.engage(THETA, rates[6], pressed)
-    held = step(made, 6, rates=rates[6])
-    np.testing.assert_allclose(held, hold.step(THETA, rates[6], terms, pressed), rtol=1e-12)
-    terms = JointTerms(*HAND.dynamics(THETA, rates[7]))
-    pressed = held - terms.inertia @ (rates[7] - rates[6]) / 0.002 - terms.bias
-    found = step(made, 7, rates=rates[7])
-    np.testing.assert_allclose(found, hold.step(THETA, rates[7], terms, pressed), rtol=1e-12)
-    assert np.abs(found).max() < 20.0 and made.held == 2
 
 
 def test_where_no_time_has_passed_nothing_presses():
@@ -283,14 +209,6 @@ def test_the_first_command_acts_at_once_after_the_start():
     assert not made.reason and made.holding
 
 
-def test_half_a_second_of_good_commands_makes_up_for_earlier_holds():
-    for good, held in ((249, 10), (250, 0)):
-        made = guard()
-        tick = follow(made)
-        held_after(made, tick, good)
-        assert held_after(made, tick + good + 1, 20) == held
-
-
 def test_a_command_that_comes_again_is_judged_by_its_age_alone_unless_it_was_stuck():
     made = guard()
     last, moved = follow(made) - 1, THETA + 0.01
@@ -341,13 +259,14 @@ def test_to_let_go_step_by_step_is_no_jump():
 
 
 def test_fingers_that_hardly_press_may_be_pulled_anywhere():
-    for force, reason in ((0.049, ""), (0.051, command_guard.PULLS)):
+    """A hundredth of a finger's weight, of which a jump turns around what presses."""
+    for fraction, reason in ((0.9, ""), (20.0, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
-        share = force / np.linalg.norm(presses, axis=1).sum()
+        share = fraction * HAND.least_force / np.linalg.norm(presses, axis=1).sum()
         for tick in range(6):
             step(made, tick, weight + share * (TORQUE - weight))
-        step(made, 6, weight - (TORQUE - weight))
+        step(made, 6, weight - share * 2.0 * (TORQUE - weight))
         assert made.reason == reason
 
 
@@ -372,24 +291,6 @@ def test_while_commands_take_over_their_drive_is_no_load():
         np.testing.assert_allclose(torque, TORQUE + 0.1 * more * carry, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("late", "age", "reason"),
-    [
-        (1 - TICK, 0, ""),
-        (-TICK, -1, command_guard.AHEAD),
-        (0, 0, ""),
-        (1, 1, ""),
-        (3 * TICK, 3, ""),
-        (3 * TICK + 1, 4, command_guard.LATE),
-    ],
-)
-def test_age_is_counted_in_ticks_that_have_begun(late, age, reason):
-    made = guard()
-    stamp = follow(made) * TICK
-    made.step(stamp, THETA, STILL, TorqueCommand(stamp - late, TORQUE + 1e-6))
-    assert (made.age, made.reason) == (age, reason)
-
-
 @pytest.mark.parametrize("limit", [0, 1, 5])
 def test_a_command_may_be_as_old_as_the_configuration_says(limit):
     for late, reason in ((limit, ""), (limit + 1, command_guard.LATE)):
@@ -398,3 +299,85 @@ def test_a_command_may_be_as_old_as_the_configuration_says(limit):
         for tick in range(1, late + 1):
             step(made, last + tick, TORQUE, answers=last)
         assert made.reason == reason
+
+
+def test_the_posture_of_the_first_held_tick_is_kept():
+    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    last = follow(made) - 1
+    step(made, last + 4, TORQUE, answers=last)
+    pushed = THETA + 0.001
+    for late in range(5, 9):
+        answer = step(made, last + late, TORQUE, answers=last, theta=pushed)
+    inertia = HAND.dynamics(pushed, STILL)[1]
+    back = spring(inertia, bandwidth(0.003), THETA - pushed, STILL)
+    change = HAND.gravity_torque(pushed) - HAND.gravity_torque(THETA)
+    np.testing.assert_allclose(answer, TORQUE + change + back, atol=1e-9)
+
+
+BAD = [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.nan, THETA)]
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("what", ["theta", "rates"])
+def test_joint_states_that_are_not_finite_begin_a_hold_without_the_drive(bad, what):
+    """The last torque drove the joints: repeated, it would go on doing so."""
+    made, tick = guard(**{"hold.reserve": 0.0}), 8
+    drive = 0.1 * HAND.dynamics(THETA, STILL)[1] @ np.ones(9) / 0.002
+    for each in range(tick):
+        step(made, each, TORQUE + drive, rates=0.1 * each * np.ones(9))
+    held = [step(made, tick + more, TORQUE + drive, **{what: bad}) for more in range(100)]
+    assert made.reason == command_guard.BLIND and made.holds == {command_guard.BLIND: 1}
+    np.testing.assert_allclose(held[-1], TORQUE, atol=0.2)  # the posture moved a little
+    assert np.abs(drive).max() > 0.5
+
+
+def held_after(made, tick, good):
+    """Send a late command and then good ones; return for how many of these the joints are held."""
+    step(made, tick, TORQUE, answers=tick - 4)
+    held = 0
+    for more in range(1, good + 1):
+        step(made, tick + more, TORQUE)
+        held += bool(made.reason)
+    return held
+
+
+def test_where_holds_follow_each_other_commands_must_be_good_for_a_while():
+    """On a computer that is too busy the hand rests instead of switching to and fro."""
+    made = guard(patience=0.1)
+    tick = follow(made)
+    for expected, good in ((0, 60), (50, 60), (20, 20), (50, 60), (50, 250), (0, 20)):
+        assert held_after(made, tick, good) == expected  # ticks of 2 ms
+        tick += good + 1
+    assert made.holds == {command_guard.LATE: 5}  # one continued
+
+
+@pytest.mark.parametrize(
+    ("late", "age", "reason"),
+    [
+        (-TICK, -1, command_guard.AHEAD),
+        (1 - TICK, 0, ""),
+        (1, 0, ""),
+        (TICK, 1, ""),
+        (4 * TICK - 1, 3, ""),
+        (4 * TICK, 4, command_guard.LATE),
+    ],
+)
+def test_age_is_counted_in_ticks_that_have_passed(late, age, reason):
+    made = guard()
+    stamp = follow(made) * TICK
+    made.step(stamp, THETA, STILL, TorqueCommand(stamp - late, TORQUE + 1e-6))
+    assert (made.age, made.reason) == (age, reason)
+
+
+def test_what_the_contacts_press_with_follows_from_the_last_ticks():
+    """From as many as may be late and two, so that neither drive nor damping is kept."""
+    random = np.random.default_rng(3)
+    made, rates = guard(age_limit=1, **{"hold.reserve": 0.0}), 0.1 * random.standard_normal((7, 9))
+    torques = TORQUE + 0.1 * random.standard_normal((6, 9))
+    for tick in range(6):
+        step(made, tick, torques[tick], rates=rates[tick])
+    inertia = HAND.dynamics(THETA, rates[6])[1]
+    weight = HAND.dynamics(THETA, rates[6])[2]
+    pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - weight
+    held = step(made, 6, rates=rates[6])  # braking begins without a torque of its own
+    np.testing.assert_allclose(held, pressed + weight, rtol=1e-12)

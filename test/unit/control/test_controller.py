@@ -144,7 +144,7 @@ def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, re
         pushed - held.torque, -bench.stiffness(away) @ np.full(9, 0.01), atol=1e-9
     )
     rubbed = bench.step(rates=np.ones(9), **given(bench)).torque
-    damping = 2.0 / 40.0 * bench.stiffness(bench.theta) @ np.ones(9)
+    damping = 2.0 * 0.007 / 0.5 * bench.stiffness(bench.theta) @ np.ones(9)
     np.testing.assert_allclose(rubbed - held.torque, -damping, atol=1e-9)
     again = bench.step()
     assert again.mode is Mode.DRIVE
@@ -518,7 +518,7 @@ def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
     first = bench.step(theta=there)
     assert first.mode is Mode.OPEN
     np.testing.assert_allclose(first.torque, REST, atol=1e-4)
-    assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.2
+    assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.5
 
 
 @pytest.mark.parametrize("wound_up", ["integral", "reference"])

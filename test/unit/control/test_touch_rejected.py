@@ -171,23 +171,27 @@ def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_sh
     np.testing.assert_allclose(given - weight, share * force, atol=1e-9)
 
 
-def test_the_grasp_force_has_the_room_that_weight_load_drive_and_damping_leave():
-    """Each of them has another sign in another joint; the grasp force alone gives way."""
-    values = {"gravity_compensation": True, "law__integral__k_p": 30.0, "law__damping": 3.0}
-    rates, torques = np.linspace(-1.0, 1.5, 9), []
-    for force in (0.0, 10.0, 1e3):
-        bench = Bench(**values)
-        bench.controller.command(bench.target(-0.1, 0.15, 0.0, turn=(0.1, 0.0, -0.1)))
-        assert bench.step(20, rates=rates, grasp_force=0.0).reason == ""
-        torques.append(bench.step(rates=rates, grasp_force=force).torque)
-    rest, forced, most = torques
-    limits = bench.controller.hand.effort_limits
-    assert np.abs(rest).max() > 2.0 and np.abs(forced / limits).max() < 1.0
-    force = forced - rest
-    used = np.abs(force) > 1e-9
-    room = (limits - np.sign(force) * rest)[used] / np.abs(force)[used]
-    np.testing.assert_allclose(most, rest + room.min() * force, atol=1e-9)
-    assert np.abs(most / limits).max() == pytest.approx(1.0)
+def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
+    """Each gives way as a whole, but for the damping, of which each joint gives what it can."""
+    limits = Bench().controller.hand.effort_limits
+    rates = np.linspace(-1.0, 1.5, 9)
+
+    def torque(force, k_p=0.0, damping=0.0):
+        bench = Bench(law__k_p=k_p, law__k_o=0.0, law__damping=damping)
+        bench.controller.command(bench.target(0.0, 0.0, 0.03))
+        return bench.step(rates=rates, grasp_force=force).torque
+
+    force, drive = torque(40.0), torque(0.0, 250.0)
+    assert np.abs(force / limits).max() < 1.0
+    pressed, wanted = torque(40.0, 1e4), 40.0 * drive
+    assert np.abs(wanted + force).max() > limits.max()
+    moved = pressed - force
+    fraction = moved @ wanted / (wanted @ wanted)
+    assert 0.0 < fraction < 1.0
+    np.testing.assert_allclose(moved, fraction * wanted, atol=1e-9)
+    assert np.abs(pressed / limits).max() == pytest.approx(1.0)
+    damped = torque(40.0, 1e4, damping=30.0)
+    np.testing.assert_allclose(damped, np.clip(pressed - 30.0 * rates, -limits, limits), atol=1e-9)
 
 
 def integrated(*pauses):

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Holds are as stiff as the ticks allow, and stiff enough for hands of any size."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from support.hands import scaled_paper
+
+from studies.faults.situations import SITUATIONS, scenario
+from studies.stalls import GuardedLoop, Watch
+from tactile_hand_ros.control.command_guard import GuardConfig
+from tactile_hand_ros.control.contact import in_palm
+from tactile_hand_ros.control.holds import (
+    GuardHold,
+    GuardHoldConfig,
+    JointTerms,
+    bandwidth,
+    joint_torque,
+    required_bandwidth,
+    spring,
+    tip_forces,
+)
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
+
+HAND = Hand.load("paper")
+THETA = np.tile([1.047, 0.0, 1.571], 3)
+STILL = np.zeros(9)
+TIPS = HAND.fingertips(THETA)
+# Towards the middle of the tips: forces in balance that only press the tips together.
+INTERNAL = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
+TOTAL = np.linalg.norm(INTERNAL, axis=1).sum()
+PRESSED = joint_torque(TIPS, INTERNAL)
+
+
+def hold(tick=0.002, **changes) -> GuardHold:
+    return GuardHold(GuardHoldConfig().changed(changes), HAND, tick)
+
+
+def terms(theta, rates) -> JointTerms:
+    return JointTerms(*HAND.dynamics(theta, rates))
+
+
+@pytest.mark.parametrize("late", [1, 0])
+@pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
+@pytest.mark.parametrize("lag", [0.0, 0.0016])
+def test_a_moving_free_hand_comes_to_rest_and_stays(tick, late, lag):
+    """Stable at every rate, also with joint states a tick old and rates behind a filter."""
+    made, theta, rates = hold(tick, rate_lag=lag), THETA, np.linspace(-0.5, 0.5, 9)
+    made.engage(theta, rates, STILL)
+    waiting, seen = [np.zeros(9)] * late, rates
+    for _ in range(round(1.0 / tick)):
+        model = terms(theta, rates)
+        seen = seen + (1.0 - np.exp(-tick / lag) if lag else 1.0) * (rates - seen)
+        waiting.append(made.step((theta, seen), model, follows=False))
+        rates = rates + tick * np.linalg.solve(model.inertia, waiting.pop(0) - model.bias)
+        theta = theta + tick * rates
+    assert_allclose(rates, 0.0, atol=1e-4)
+    assert np.abs(theta - THETA).max() < 0.012
+
+
+def test_braking_begins_without_a_step_of_the_torque_and_ends_in_a_spring():
+    made, rates = hold(reserve=0.0), np.linspace(-0.5, 0.5, 9)
+    made.engage(THETA, rates, PRESSED)
+    model = terms(THETA, rates)
+    first = made.step((THETA, rates), model, follows=False)
+    assert_allclose(first, PRESSED + model.bias, atol=1e-12)
+    for _ in range(100):
+        made.step((THETA, STILL), terms(THETA, STILL), follows=False)
+    posture, speed = made.reference
+    assert_allclose(posture, THETA + 2.0 * 0.006 * rates, atol=1e-9)
+    assert_allclose(speed, 0.0, atol=1e-9)
+    model, off = terms(posture, STILL), np.linspace(0.0, 0.01, 9)
+    found = made.step((posture - off, STILL), model, follows=False)
+    assert_allclose(found, PRESSED + spring(model.inertia, bandwidth(0.003), off, STILL), atol=1e-9)
+
+
+def factor_under(made, load: float, ticks: int = 200) -> float:
+    """Return how many times the first internal force the hold answers to a load on each tip [N].
+
+    The load has deflected the spring; its torque is taken off the answer.
+    """
+    made.engage(THETA, STILL, PRESSED)
+    model, w = terms(THETA, STILL), bandwidth(0.003)
+    torque = joint_torque(TIPS, np.tile([0.0, 0.0, load], (3, 1)))
+    away = np.linalg.solve(w * w * model.inertia, torque)
+    for _ in range(ticks):
+        answer = made.step((THETA - away, STILL), model, follows=True)
+    internal = answer - spring(model.inertia, w, away, STILL)
+    return float(internal @ PRESSED / (PRESSED @ PRESSED))
+
+
+def test_the_internal_force_grows_with_the_load_and_never_falls():
+    made = hold(reserve=0.0, friction=0.5)
+    grown = 1.0 + 3.0 / (0.5 * TOTAL)
+    assert factor_under(made, -1.0) == pytest.approx(grown, rel=1e-6)
+    for _ in range(100):
+        torque = made.step((THETA, STILL), terms(THETA, STILL), follows=True)
+    assert_allclose(torque, grown * PRESSED, rtol=1e-6, atol=1e-12)
+
+
+def test_the_internal_force_ends_at_its_limit_and_at_the_joints():
+    assert factor_under(hold(squeeze_limit=1.5 * TOTAL), -5.0) == pytest.approx(1.5, rel=1e-6)
+    assert factor_under(hold(squeeze_limit=0.5 * TOTAL), -5.0) == pytest.approx(1.0)
+    joints = factor_under(hold(squeeze_limit=1e4, friction=0.01), -5.0)
+    assert joints * np.abs(PRESSED).max() == pytest.approx(HAND.effort_limits.max(), rel=1e-6)
+
+
+def test_what_an_encoder_cannot_tell_is_no_load():
+    """Angles that jump between two steps of 14 bits leave the internal force as it is."""
+    step, random = 2.0 * np.pi / 2**14, np.random.default_rng(1)
+    made = hold(reserve=0.0, resolution=step)
+    made.engage(THETA, STILL, PRESSED)
+    model = terms(THETA, STILL)
+    for _ in range(2000):
+        theta = THETA + step * random.integers(-1, 2, 9)
+        torque = made.step((theta, STILL), model, follows=True)
+    found = torque - spring(model.inertia, bandwidth(0.003), THETA - theta, STILL)
+    assert_allclose(found, PRESSED, atol=1e-9)
+
+
+@pytest.mark.parametrize("fraction", [0.9, 1.1])
+def test_a_hundredth_of_a_fingers_weight_is_the_least_internal_force(fraction):
+    share = fraction * HAND.least_force / TOTAL
+    made = hold(reserve=0.5)
+    made.engage(THETA, STILL, share * PRESSED)
+    found = made.step((THETA, STILL), terms(THETA, STILL), follows=True)
+    assert_allclose(found, (1.5 if fraction > 1.0 else 1.0) * share * PRESSED, atol=1e-12)
+
+
+def test_it_brakes_again_from_another_posture_with_the_internal_force_as_it_is():
+    made = hold(reserve=0.5)
+    made.engage(THETA, np.full(9, 0.1), PRESSED)
+    for _ in range(3):
+        made.step((THETA, STILL), terms(THETA, STILL), follows=False)
+    other = THETA + 0.02
+    made.brake(other, STILL)
+    found = made.step((other, STILL), terms(other, STILL), follows=False)
+    assert_allclose(found, 1.5 * PRESSED, atol=1e-9)
+
+
+def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_makes():
+    """Along it a torque of rounding would be a force of mega-newtons."""
+    straight = THETA.copy()
+    straight[2] = 1e-8
+    assert np.abs(tip_forces(HAND.fingertips(straight), PRESSED)).max() < 50.0
+
+
+@given(st.floats(-1e308, 1e308), st.floats(-1e308, 1e308))
+def test_whatever_is_read_the_spring_is_finite(away, rate):
+    inertia = HAND.dynamics(THETA, STILL)[1]
+    found = spring(inertia, 100.0, np.full(9, away), np.full(9, rate))
+    assert np.isfinite(found).all()
+    if abs(away) < 3.0 and abs(rate) < 900.0:
+        assert_allclose(found, inertia.sum(axis=1) * (1e4 * away + 200.0 * rate), atol=1e-9)
+
+
+def required(folder, scale, mass, force=18.0):
+    """Return the bandwidth that the paper's hand in another size needs."""
+    plant = Plant(load_scenario("gravity", scaled_paper(folder, scale, mass)).plant)
+    contacts = plant.state.contacts
+    shape = ForceOptimizer(ForceOptimizerConfig(), 3).solve(contacts).forces
+    forces = in_palm(contacts.rotations, shape, force)
+    return required_bandwidth(plant.hand, plant.state.theta, contacts, forces)
+
+
+def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
+    """w^2 M_h >= force x lever, and M_h grows with the square of the size."""
+    full = required(tmp_path, 1.0, 0.25)
+    assert full == pytest.approx(np.sqrt(1.5) * 18.49, rel=1e-3)  # buckles in the plant at 18.5
+    for scale, mass, force in ((0.25, 0.25, 18.0), (1.0, 0.03, 18.0), (0.25, 0.01, 5.0)):
+        found = required(tmp_path, scale, mass, force)
+        expected = full * np.sqrt(0.25 / mass * force / 18.0 / scale)
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
+def stalled(folder, scale, mass, moment):
+    """Run a guarded loop until its commands stop at a moment, s; return it after one more."""
+    chosen = load_scenario("gravity", scaled_paper(folder, scale, mass))
+    guarded = GuardedLoop(chosen, chosen.plant.guard)
+    guarded.run(moment)
+    watch = Watch(guarded)
+    watch.run(1.0, answers=False)
+    return watch.outcome()
+
+
+@settings(max_examples=4, derandomize=True, suppress_health_check=list(HealthCheck), deadline=None)
+@given(
+    scale=st.sampled_from([0.25, 0.25, 1.0]),
+    mass=st.floats(np.log(0.01), np.log(0.25)).map(np.exp),
+    moment=st.floats(0.3, 0.6),
+)
+def test_hands_of_any_size_keep_the_object_while_commands_stop(tmp_path, scale, mass, moment):
+    outcome = stalled(tmp_path, scale, mass, moment)
+    assert not outcome.is_dropped and outcome.moved < 3e-3
+
+
+def test_the_lightest_hand_keeps_the_object(tmp_path):
+    outcome = stalled(tmp_path, 0.25, 0.01, 0.5)
+    assert not outcome.is_dropped and outcome.moved < 1e-3
+
+
+@pytest.mark.parametrize(("mass", "warns"), [(0.03, False), (0.01, True)])
+def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
+    tmp_path, mass, warns
+):
+    """At 1 kHz with torques three ticks late: 30 g a link are enough, 10 g are not."""
+    chosen = load_scenario("gravity", scaled_paper(tmp_path, 0.25, mass))
+    guarded = GuardedLoop(chosen, chosen.plant.guard)
+    guarded.run(0.5)
+    loop, controller = guarded.loop, guarded.loop.controller
+    assert bool(controller.warning) == warns
+    if warns:
+        assert (
+            "would buckle: at 1000 Hz the hold has a bandwidth of 143 rad/s" in controller.warning
+        )
+        return
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(theta, rates, "silence")
+    watch = Watch(guarded)
+    watch.run(1.0, answers=True, delay=3)
+    assert watch.moved < 3e-3 and loop.state.contacts.all_touching
+
+
+@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 1e-3), ("moving", 4e-3)])
+def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
+    """At 250 Hz: a spring that is too soft lets two fingers buckle."""
+    guarded = GuardedLoop(scenario(situation, "processes"), GuardConfig())
+    guarded.run(SITUATIONS[situation].time + 0.1)
+    loop, controller = guarded.loop, guarded.loop.controller
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(theta, rates, "silence")
+    watch = Watch(guarded)
+    watch.run(2.0, answers=True, delay=3)
+    assert watch.moved < farthest and loop.state.contacts.all_touching
