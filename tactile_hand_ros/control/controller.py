@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
-from tactile_hand_ros.control.holds import bandwidth, bearable_fraction, required_bandwidth, spring
+from tactile_hand_ros.control.holds import bearable_fraction, required_bandwidth, spring, stiffest
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
@@ -43,6 +43,9 @@ class PostureHoldConfig(Config):
     )
     rate_lag: float = param(
         0.0, "time by which the measured joint rates are late", unit="s", live=True, ge=0.0, le=0.1
+    )
+    resolution: float = param(
+        0.0, "error of a measured joint angle", unit="rad", live=True, ge=0.0, le=0.1
     )
 
 
@@ -213,13 +216,15 @@ class Controller:
         self._grasp: Grasp | None = None
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
+        self._seen: tuple[int | None, Array] | None = None  # of the last hold: stamp and joints
         self._period = _LONGEST_PERIOD  # of the ticks, s
         self._new_grasp()
         self._trust()
 
     def _new_grasp(self) -> None:
         self.warning = ""
-        self._required: float | None = None  # bandwidth of a hold per root of k_f
+        # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
+        self._required: tuple[float, float] | None = None
 
     def _trust(self) -> None:
         """Forget all doubts."""
@@ -450,13 +455,20 @@ class Controller:
     def _spring(self, theta: Array, rates: Array) -> Array:
         """Return the torque that brings the joints back to the posture to hold, (m,), N m."""
         inertia = self.hand.dynamics(theta, rates)[1]
-        return spring(inertia, self._bandwidth, self._posture - theta, -rates)
+        w, differs = self._stiffest(inertia)
+        before, self._seen = self._seen, (self._last_stamp, theta)
+        if differs and before is not None and before[0] is not None and self._last_stamp:
+            passed = 1e-9 * (self._last_stamp - before[0])
+            if 0.0 < passed <= _LONGEST_GAP:
+                rates = (theta - before[1]) / passed
+        return spring(inertia, w, self._posture - theta, -rates)
 
-    @property
-    def _bandwidth(self) -> float:
-        """That of the hold, rad/s: a torque is held for a period and acts some ticks late."""
+    def _stiffest(self, inertia: Array) -> tuple[float, bool]:
+        """Return the bandwidth of the hold, rad/s, and whether it takes differences of angles."""
         c = self.config.hold
-        return bandwidth((0.5 + c.latency) * self._period + c.rate_lag)
+        late = (0.5 + c.latency) * self._period
+        limits = self.hand.effort_limits
+        return stiffest(inertia, limits, self._period, late, c.rate_lag, c.resolution)
 
     def _judge_hold(
         self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
@@ -466,16 +478,16 @@ class Controller:
             return
         if self._required is None:
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
-            self._required = required_bandwidth(self.hand, theta, contacts, forces)
-        required, has = math.sqrt(grasp_force) * self._required, self._bandwidth
+            inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
+            needed = required_bandwidth(self.hand, theta, contacts, forces)
+            self._required = needed, self._stiffest(inertia)[0]
+        required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
         if required > has:
-            c, rate = self.config.hold, 1.0 / self._period
-            needed = 0.5 + c.latency, bandwidth(1.0) / required - c.rate_lag
-            faster = f"{needed[0] / needed[1]:.0f} Hz" if needed[1] > 0.0 else "a smaller rate_lag"
+            rate = 1.0 / self._period
             self.warning = (
                 f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a bandwidth"
-                f" of {has:.0f} rad/s, k_f = {grasp_force:.3g} N needs {required:.0f} rad/s, which"
-                f" takes {faster}"
+                f" of {has:.0f} rad/s, k_f = {grasp_force:.3g} N needs {required:.0f} rad/s, about"
+                f" {rate * required / has:.0f} Hz"
             )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:

@@ -12,7 +12,7 @@ Where K_geo is negative the grasp buckles, unless the spring is stiffer:
 w^2 N^T M_h N + K_geo > 0, with N the motions that keep the contacts. See `required_bandwidth`.
 
 How stiff a spring may be follows from how late it acts: its loop (w^2 + 2 w s) / s^2 crosses over
-at 2.06 w with a phase margin of 1.33 rad, which a delay d lowers by 2.06 w d. See `bandwidth`.
+at 2.06 w with a phase margin of 1.33 rad, which a delay d lowers by 2.06 w d. See `stiffest`.
 
 `GuardHold` runs where torque meets the joints, from joint states and a model of the hand alone.
 With the posture q(t) that brings the joints from theta_0, theta'_0 to rest it answers
@@ -40,15 +40,34 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 Array = NDArray[np.float64]
 
-_PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 57 at a third of it
+_PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
+_NOISE = 0.05  # of the effort limits that a step of an encoder may cost as damping
 _MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
 _STEP = 1e-5  # of finite differences, rad
 
 
-def bandwidth(delay: float) -> float:
-    """Return the largest w, rad/s, of a hold whose torques act late by up to a delay in s."""
-    return _PHASE / delay
+def stiffest(
+    inertia: Array, limits: Array, tick: float, late: float, rate_lag: float, resolution: float
+) -> tuple[float, bool]:
+    """Return the largest bandwidth w of a hold, rad/s, and whether it needs rates of its own.
+
+    Differences of angles are half a tick late, less than rates behind a filter, and jump by a step
+    of the encoder in a tick. Where the fingers are light that is no torque to speak of.
+
+    Args:
+        inertia: M_h, shape (m, m).
+        limits: Effort limits of the joints, shape (m,), N m.
+        tick: Time between two ticks, s.
+        late: Time after which a torque acts, at most, s.
+        rate_lag: Time by which the measured rates are late, s.
+        resolution: Error of an angle, rad.
+    """
+    measured, own = _PHASE / (late + rate_lag), _PHASE / (late + 0.5 * tick)
+    noise = 2.0 * own * resolution / tick * inertia.diagonal()
+    if own > measured and (noise < _NOISE * limits).all():
+        return own, True
+    return measured, False
 
 
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
@@ -176,6 +195,7 @@ class GuardHold:
 
     Attributes:
         reference: Posture and rates on the way to rest, each of shape (m,), rad and rad/s.
+        bandwidth: Stiffness w of this hold, rad/s.
     """
 
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
@@ -187,8 +207,6 @@ class GuardHold:
             tick: Time between two calls of `step`, s.
         """
         self._config, self._hand, self._tick = config, hand, tick
-        # Held for a tick, so half a tick late, or one and a half where a drive takes a tick.
-        self._bandwidth = bandwidth(1.5 * tick + config.rate_lag)
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
         """Hold from now on.
@@ -199,7 +217,12 @@ class GuardHold:
             pressed: Torque tau_c with which the contacts press, shape (m,), N m.
         """
         self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
-        tips = self._hand.fingertips(theta)
+        tips, inertia, _ = self._hand.dynamics(theta, rates)
+        c, limits = self._config, self._hand.effort_limits
+        # A torque is held for a tick, so half a tick late; the other half is for the drive.
+        how = self._tick, self._tick, c.rate_lag, c.resolution
+        self.bandwidth, self._differs = stiffest(inertia, limits, *how)
+        self._seen = theta
         _, internal = split_forces(tip_forces(tips, pressed))
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
         self._internal = joint_torque(tips, internal)
@@ -240,7 +263,10 @@ class GuardHold:
         acceleration = self._move_reference()
         posture, speed = self.reference
         theta, rates = joints or self.reference
-        away, w = posture - theta, self._bandwidth
+        if self._differs and joints is not None and self._ticks > 1:
+            rates = (theta - self._seen) / self._tick
+        self._seen = theta
+        away, w = posture - theta, self.bandwidth
         if follows:
             self._follow_load(terms, away)
         internal = self._pressed + (self._factor - 1.0) * self._internal
@@ -257,7 +283,7 @@ class GuardHold:
             return
         fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
-        c, stiffness = self._config, self._bandwidth**2 * terms.inertia
+        c, stiffness = self._config, self.bandwidth**2 * terms.inertia
         deflection = np.sign(self._deflected) * np.maximum(
             np.abs(self._deflected) - c.resolution, 0.0
         )

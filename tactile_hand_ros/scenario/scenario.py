@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import ValidationError, field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
 from tactile_hand_ros.control.command_guard import GuardConfig
-from tactile_hand_ros.control.controller import ControllerConfig
+from tactile_hand_ros.control.controller import ControllerConfig, PostureHoldConfig
 from tactile_hand_ros.control.grasp import VirtualFrame
 from tactile_hand_ros.control.holds import GuardHoldConfig
 from tactile_hand_ros.control.laws import Target
@@ -27,6 +27,7 @@ from tactile_hand_ros.scenario.files import (
     put_changes,
     read_layers,
 )
+from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorConfig
 
@@ -160,7 +161,7 @@ class Scenario(Config):
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
             # Defaults too: those of a node need not be those of the scenario.
             data[node] = {**section, **top}
-        _limit_hold(data)
+        _derive_holds(data)
         return data
 
     @model_validator(mode="after")
@@ -199,27 +200,40 @@ class Scenario(Config):
         return section
 
 
-def _limit_hold(data: dict[str, Any]) -> None:
-    """Let hold and controller press up to the regulator's limit, unless they have their own.
+def _derive_holds(data: dict[str, Any]) -> None:
+    """Let the holds follow the regulator's limit and the encoders, unless they have their own.
 
     Args:
         data: A scenario before validation; what is not a mapping is left to the validation.
     """
-    place: Any = data
-    for name, model in (("plant", PlantConfig), ("guard", GuardConfig), ("hold", GuardHoldConfig)):
-        section = place.get(name, {})
-        if isinstance(section, model):
-            section = {key: getattr(section, key) for key in section.model_fields_set}
-        if not isinstance(section, dict):
-            return
-        place[name] = place = dict(section)
-    regulator, controller = data["slip_regulator"], data["manipulation_controller"]
-    if isinstance(regulator, dict):
-        default = SlipRegulatorConfig.model_fields["maximum"].default
-        limit = regulator.get("maximum", default)
-        place.setdefault("squeeze_limit", limit)
-        if isinstance(controller, dict):
-            data["manipulation_controller"] = {"grasp_force_limit": limit, **controller}
+    plant = _given(data.get("plant"), PlantConfig)
+    controller = _given(data.get("manipulation_controller"), ControllerConfig)
+    regulator = _given(data.get("slip_regulator"), SlipRegulatorConfig)
+    guard = _given((plant or {}).get("guard", {}), GuardConfig)
+    hold = _given((guard or {}).get("hold", {}), GuardHoldConfig)
+    posture = _given((controller or {}).get("hold", {}), PostureHoldConfig)
+    if plant is None or controller is None or regulator is None:
+        return
+    if guard is None or hold is None or posture is None:
+        return
+    limit = regulator.get("maximum", SlipRegulatorConfig.model_fields["maximum"].default)
+    derived = {"squeeze_limit": limit}
+    try:
+        encoder = EncoderConfig.model_validate(plant.get("encoder", {}))
+    except ValidationError:
+        pass  # which the validation of the scenario will name
+    else:
+        seen = {"rate_lag": encoder.rate_lag, "resolution": encoder.resolution}
+        derived, posture = {**derived, **seen}, {**seen, **posture}
+    data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
+    data["manipulation_controller"] = {"grasp_force_limit": limit, **controller, "hold": posture}
+
+
+def _given(section: Any, model: type[Config]) -> dict[str, Any] | None:
+    """Return what was given of a section; None where it is not one."""
+    if isinstance(section, model):
+        return {key: getattr(section, key) for key in section.model_fields_set}
+    return section if isinstance(section, dict) else None
 
 
 def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
@@ -241,11 +255,19 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     for node in NODES:
         for name in _SHARED:  # said once at the top
             data[node].pop(name, None)
-    hold = data["plant"]["guard"]["hold"]
-    if hold["squeeze_limit"] == scenario.slip_regulator.maximum:
-        del hold["squeeze_limit"]  # which follows that limit
-    if data["manipulation_controller"]["grasp_force_limit"] == scenario.slip_regulator.maximum:
-        del data["manipulation_controller"]["grasp_force_limit"]
+    encoder, limit = scenario.plant.encoder, scenario.slip_regulator.maximum
+    controller = data["manipulation_controller"]
+    derived = (
+        (data["plant"]["guard"]["hold"], "squeeze_limit", limit),
+        (data["plant"]["guard"]["hold"], "rate_lag", encoder.rate_lag),
+        (data["plant"]["guard"]["hold"], "resolution", encoder.resolution),
+        (controller["hold"], "rate_lag", encoder.rate_lag),
+        (controller["hold"], "resolution", encoder.resolution),
+        (controller, "grasp_force_limit", limit),
+    )
+    for section, name, value in derived:  # what follows from other values anyway
+        if section[name] == value:
+            del section[name]
     return data
 
 

@@ -11,7 +11,6 @@ from support.grasps import Array, moved
 from support.plants import plant
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
-from tactile_hand_ros.control.holds import bandwidth
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -65,7 +64,7 @@ class Bench:
 
     def stiffness(self, theta: Array) -> Array:
         """Return that of the safe hold at ticks of 2 ms, shape (9, 9), N m/rad."""
-        return bandwidth(3.5 * 1e-9 * TICK) ** 2 * self.controller.hand.dynamics(theta, REST)[1]
+        return (0.5 / 0.007) ** 2 * self.controller.hand.dynamics(theta, REST)[1]
 
     @property
     def centroid(self) -> Array:

@@ -7,7 +7,6 @@ import pytest
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.control.holds import (
-    bandwidth,
     joint_torque,
     split_forces,
     spring,
@@ -309,7 +308,7 @@ def test_the_posture_of_the_first_held_tick_is_kept():
     for late in range(5, 9):
         answer = step(made, last + late, TORQUE, answers=last, theta=pushed)
     inertia = HAND.dynamics(pushed, STILL)[1]
-    back = spring(inertia, bandwidth(0.003), THETA - pushed, STILL)
+    back = spring(inertia, 250.0, THETA - pushed, STILL)
     change = HAND.gravity_torque(pushed) - HAND.gravity_torque(THETA)
     np.testing.assert_allclose(answer, TORQUE + change + back, atol=1e-9)
 
