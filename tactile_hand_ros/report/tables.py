@@ -24,9 +24,13 @@ def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
     """Return a row for each disturbance: when, how far the object went, and when it was back."""
     return [
         [
-            f"event at {each.start:g} s",
-            f"{milli(each.largest, 'm')} away, "
-            + (f"back after {each.time:.2f} s" if each.time < math.inf else "not back"),
+            f"event at {each.start_s:g} s",
+            f"{milli(each.largest_error_m, 'm')} away, "
+            + (
+                f"back after {each.recovery_time_s:.2f} s"
+                if each.recovery_time_s < math.inf
+                else "not back"
+            ),
         ]
         for each in recoveries
     ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from tactile_hand_ros.control.margins import (
 )
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.run.metrics import Plain
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ _BALANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Assumption:
+class Assumption(Plain):
     """One assumption and how it held.
 
     Attributes:
@@ -65,11 +66,6 @@ class Assumption:
     below: bool
     held_fraction: float
     broken: list[tuple[float, float]]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data; NaN becomes None."""
-        plain = asdict(self)
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in plain.items()}
 
 
 def assumptions(record: Record, hand: Hand) -> list[Assumption]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -153,9 +153,11 @@ def _commands(record: Record) -> list[Event]:
     known = np.isfinite(desired).all(axis=1)
     before = np.vstack([np.full((1, 7), np.nan), desired[:-1]])
     new = np.flatnonzero(known & (desired != before).any(axis=1))
-    return [
-        Event(float(record.times[row]), "command", "", "a new pose is commanded") for row in new
-    ]
+    return _at(record, new, "command", "", "a new pose is commanded")
+
+
+def _at(record: Record, rows: Iterable[int], kind: Kind, finger: str, text: str) -> list[Event]:
+    return [Event(float(record.times[row]), kind, finger, text) for row in rows]
 
 
 def _disturbances(scenario: Scenario) -> list[Event]:
@@ -185,14 +187,11 @@ def _of_fingers(record: Record) -> list[Event]:
         sliding = record.true_sliding[:, i] > SLIDING
         alarm = record.grip[:, i] == ContactState.SLIP
         lost, made = _edges(_held_through(missing[:, i], unknown))
-        seen: list[tuple[Kind, list[int], str]] = [
-            ("slip", _starts(record, sliding), f"{name} starts to slide"),
-            ("detection", _starts(record, alarm), f"slip of {name} is detected"),
-            ("contact_lost", lost, f"{name} loses contact"),
-            ("contact_made", made, f"{name} touches"),
-        ]
-        for kind, rows, text in seen:
-            found += [Event(float(record.times[row]), kind, finger, text) for row in rows]
+        slips, alarms = _starts(record, sliding), _starts(record, alarm)
+        found += _at(record, slips, "slip", finger, f"{name} starts to slide")
+        found += _at(record, alarms, "detection", finger, f"slip of {name} is detected")
+        found += _at(record, lost, "contact_lost", finger, f"{name} loses contact")
+        found += _at(record, made, "contact_made", finger, f"{name} touches")
     return found
 
 
@@ -203,15 +202,11 @@ def _held_through(flags: Flags, unknown: Flags) -> Flags:
 
 
 def _gaps(record: Record) -> list[Event]:
-    return [
-        Event(
-            float(record.times[first]),
-            "gap",
-            "",
-            f"nothing was recorded for {record.times[last] - record.times[first]:.3g} s",
-        )
-        for first, last in gaps(record)
-    ]
+    found: list[Event] = []
+    for first, last in gaps(record):
+        lasted = record.times[last] - record.times[first]
+        found += _at(record, [first], "gap", "", f"nothing was recorded for {lasted:.3g} s")
+    return found
 
 
 def _edges(flags: Flags) -> tuple[list[int], list[int]]:
@@ -234,7 +229,6 @@ def _reactions(record: Record) -> list[Event]:
         start = record.grasp_force[max(0, row - 1)]
         soon = record.times[row:] <= record.times[row] + _REACTION
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + _RISE) * start)
-        if len(risen):
-            time = float(record.times[row + risen[0]])
-            found.append(Event(time, "reaction", "", f"the grasp force rises above {start:.3g} N"))
+        text = f"the grasp force rises above {start:.3g} N"
+        found += _at(record, row + risen[:1], "reaction", "", text)
     return found

@@ -23,30 +23,40 @@ BACK = 0.001
 """Position error below which an object counts as back [m]."""
 
 
+def json_ready(value: Any) -> Any:
+    """Replace what JSON has no word for, in nested plain data, by None."""
+    if isinstance(value, Mapping):
+        return {key: json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Plain:
+    """A dataclass of numbers and texts."""
+
+    def to_dict(self: Any) -> dict[str, Any]:
+        """Return plain data for JSON, in which NaN and infinity become None."""
+        plain: dict[str, Any] = json_ready(asdict(self))
+        return plain
+
+
 @dataclass(frozen=True)
-class Settling:
+class Settling(Plain):
     """What became of the pose after a disturbance started.
 
     Attributes:
-        start: When it started, s.
-        largest: Largest error of the contact centroid until the next event or the end, m.
-        time: From the start until the error stays below `BACK`, s; infinite where it does not.
-        last: Error at the next event or the end, m.
+        start_s: When it started.
+        largest_error_m: Largest error of the contact centroid until the next event or the end.
+        recovery_time_s: From the start until the error stays below `BACK`; infinite where it does
+            not.
+        last_error_m: Error at the next event or the end.
     """
 
-    start: float
-    largest: float
-    time: float
-    last: float
-
-    def to_dict(self) -> dict[str, float]:
-        """Return plain data with units in the names."""
-        return {
-            "start_s": self.start,
-            "largest_error_m": self.largest,
-            "recovery_time_s": self.time,
-            "last_error_m": self.last,
-        }
+    start_s: float
+    largest_error_m: float
+    recovery_time_s: float
+    last_error_m: float
 
 
 def recoveries(record: Record, scenario: Scenario) -> list[Settling]:
@@ -87,7 +97,7 @@ START_S = 0.02
 
 
 @dataclass(frozen=True)
-class Metrics:
+class Metrics(Plain):
     """Results of a run; NaN where the record does not show them, mappings go by finger.
 
     Final values are those of the last tick, so they are NaN when the grasp was lost by then.
@@ -146,20 +156,6 @@ class Metrics:
     slip_alarm_count: int
     dropped_at_s: float
     goal_reached: bool | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON, in which NaN and infinity become None."""
-        plain: dict[str, Any] = json_ready(asdict(self))
-        return plain
-
-
-def json_ready(value: Any) -> Any:
-    """Replace what JSON has no word for, in nested plain data, by None."""
-    if isinstance(value, Mapping):
-        return {key: json_ready(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def metrics(

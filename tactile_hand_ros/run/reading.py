@@ -98,23 +98,19 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     Raises:
         BagError: If there is no such hand, or more than one to choose from.
     """
-    known = sorted(
-        t.removesuffix(names.JOINT_STATES) for t in topics if t.endswith("/" + names.JOINT_STATES)
-    )
-    hands = ", ".join(prefix.strip("/") or "/" for prefix in known)
-    if not known:
-        raise BagError(
-            f"The bag {bag} has no topic {names.JOINT_STATES}, without which there are no ticks; "
-            "record it along with the others."
-        )
-    if namespace is None:
-        if len(known) > 1:
-            raise BagError(f"The bag {bag} holds several hands; choose a namespace: {hands}.")
-        return known[0]
-    prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
-    if prefix not in known:
-        raise BagError(f"The bag {bag} has no hand in the namespace '{namespace}', only: {hands}.")
-    return prefix
+    prefixes = [t.removesuffix(names.JOINT_STATES) for t in topics]
+    hands = {prefix.strip("/"): prefix for prefix in prefixes if prefix.endswith("/")}
+    wanted = next(iter(hands)) if namespace is None and len(hands) == 1 else namespace
+    if wanted is not None and (name := wanted.strip("/")) in hands:
+        return hands[name]
+    if not hands:
+        problem = f"has no topic {names.JOINT_STATES}, without which there are no ticks"
+    elif namespace is None:
+        problem = "holds several hands; choose a namespace"
+    else:
+        problem = f"has no hand in the namespace '{namespace}', only"
+    listed = ", ".join(sorted(hand or "/" for hand in hands))
+    raise BagError(f"The bag {bag} {problem}{': ' if hands else ''}{listed}.")
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:

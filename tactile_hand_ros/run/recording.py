@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.run.metrics import json_ready
+from tactile_hand_ros.run.metrics import Plain
 from tactile_hand_ros.run.reading import HandTopics, Series, first_ticks
 
 Times = NDArray[np.int64]
@@ -36,7 +35,7 @@ class TopicCount:
 
 
 @dataclass(frozen=True)
-class BagMetrics:
+class BagMetrics(Plain):
     """Completeness and timing of a bag, by its log times.
 
     Attributes:
@@ -62,11 +61,6 @@ class BagMetrics:
     command_latency_median_s: float
     command_latency_p99_s: float
     command_latency_max_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON, in which NaN becomes None."""
-        plain: dict[str, Any] = json_ready(asdict(self))
-        return plain
 
 
 def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int) -> BagMetrics:

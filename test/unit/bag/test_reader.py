@@ -51,11 +51,16 @@ def test_summary(bag: Path) -> None:
     assert (summary.start_time, summary.end_time, summary.message_count) == (0, 19, 20)
 
 
-def test_single_file_still_knows_where_it_comes_from(tmp_path: Path) -> None:
-    """The scenario is inside the file as well as in the metadata.yaml that was left behind."""
-    with BagWriter(tmp_path / "run") as writer:
-        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine"})
-    assert summarize(tmp_path / "run" / "run_0.mcap").custom_data == {"scenario": "name: mine"}
+def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path: Path) -> None:
+    """Those of the folder are written last. A folder may be named like a file."""
+    folder = tmp_path / "run.mcap"
+    with BagWriter(folder) as writer:
+        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine\n"})
+        writer.custom_data |= {"lost_messages": "3", "scenario": "name: x\nseed: 1\n"}
+    assert summarize(folder).custom_data == writer.custom_data
+    assert summarize(writer.path).custom_data == {"scenario": "name: mine\n"}
+    BagWriter(tmp_path / "other.mcap").close()
+    assert summarize(tmp_path / "other.mcap").custom_data == {}
 
 
 def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: Path) -> None:
@@ -76,21 +81,6 @@ def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: P
     file = tmp_path / "run" / "run_0.mcap"
     assert summarize(file).counts == {"/x": 5, "/y": 1}
     assert [m.log_time for m in read_raw(file, ["/x"])] == [0, 1, 2, 3, 4]
-
-
-def test_folder_may_be_named_like_a_file(tmp_path: Path) -> None:
-    """Also without custom data, which are then not looked for in a file."""
-    folder = tmp_path / "run.mcap"
-    BagWriter(folder).close()
-    assert summarize(folder).custom_data == {}
-
-
-def test_custom_data_of_the_folder_count_before_those_inside(tmp_path: Path) -> None:
-    """They are written last."""
-    with BagWriter(tmp_path / "run") as writer:
-        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine"})
-        writer.custom_data["lost_messages"] = "3"
-    assert summarize(tmp_path / "run").custom_data == {"lost_messages": "3"}
 
 
 def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:

@@ -13,27 +13,13 @@ from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.errors import BagError
 
 LINE = "=" * 80 + "\n"
-TYPES = [
-    "builtin_interfaces/msg/Time",
-    "std_msgs/msg/Empty",
-    "std_msgs/msg/Float64",
-    "std_msgs/msg/String",
-    "std_msgs/msg/Float64MultiArray",
-    "rosgraph_msgs/msg/Clock",
-    "rcl_interfaces/msg/Log",
-    "rcl_interfaces/msg/ParameterEvent",
-    "diagnostic_msgs/msg/DiagnosticArray",
-    "geometry_msgs/msg/PoseArray",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/WrenchStamped",
-    "geometry_msgs/msg/TwistWithCovarianceStamped",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/JoyFeedbackArray",
-    "sensor_msgs/msg/PointCloud2",
-    "sensor_msgs/msg/MultiDOFJointState",
-    "trajectory_msgs/msg/JointTrajectory",
-    "visualization_msgs/msg/MarkerArray",
-]
+TYPES = """
+builtin_interfaces/msg/Time std_msgs/msg/Empty std_msgs/msg/Float64MultiArray rcl_interfaces/msg/Log
+rcl_interfaces/msg/ParameterEvent diagnostic_msgs/msg/DiagnosticArray geometry_msgs/msg/PoseArray
+geometry_msgs/msg/TwistWithCovarianceStamped sensor_msgs/msg/JointState sensor_msgs/msg/PointCloud2
+sensor_msgs/msg/JoyFeedbackArray sensor_msgs/msg/MultiDOFJointState
+trajectory_msgs/msg/JointTrajectory visualization_msgs/msg/MarkerArray
+""".split()
 
 
 def source(package: str, name: str) -> str:

@@ -57,11 +57,6 @@ def test_contacts_lost_and_made(record: Record) -> None:
     assert text == "ring finger loses contact"
 
 
-def test_missing_messages_are_no_lost_contact(record: Record) -> None:
-    record.contact_positions[50:60] = record.forces[50:60] = np.nan
-    assert told(record, "contact_lost") == []
-
-
 def test_new_poses(record: Record) -> None:
     record.desired_position[:10] = np.nan
     record.desired_position[70:] = [0.0, 0.1, 0.0]
@@ -83,12 +78,6 @@ def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, 
     assert len(told(record, "detection")) == alarm_count(record) == count
 
 
-def test_a_pause_of_just_20_ms_does_not_part_an_alarm(record: Record) -> None:
-    assert record.times[4] - record.times[2] == 0.02
-    record.grip[1, 0] = record.grip[4, 0] = ContactState.SLIP
-    assert alarm_count(record) == 1
-
-
 def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
     record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = ContactState.SLIP
     assert alarm_count(record) == 3
@@ -96,22 +85,16 @@ def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
     assert alarm_count(record) == 3
 
 
-@pytest.mark.parametrize(("squeeze", "count"), [(10.2, 0), (10.21, 1)])
-def test_a_reaction_is_a_rise_by_more_than_two_percent(
-    record: Record, squeeze: float, count: int
-) -> None:
-    record.grip[33:38, 0] = ContactState.SLIP
-    record.grasp_force[40:] = squeeze
-    assert len(told(record, "reaction")) == count
-
-
-@pytest.mark.parametrize(("row", "count"), [(33, 1), (57, 1), (58, 1), (59, 0)])
-def test_a_reaction_comes_within_a_quarter_of_a_second(
-    record: Record, row: int, count: int
+@pytest.mark.parametrize(
+    ("row", "force", "count"),
+    [(33, 12.0, 1), (58, 12.0, 1), (59, 12.0, 0), (40, 10.2, 0), (40, 10.21, 1)],
+)
+def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
+    record: Record, row: int, force: float, count: int
 ) -> None:
     """It is measured against the grasp force before the alarm."""
     record.grip[33:38, 0] = ContactState.SLIP
-    record.grasp_force[row:] = 12.0
+    record.grasp_force[row:] = force
     found = [each for each in events(record) if each.kind == "reaction"]
     assert [each.time for each in found] == [pytest.approx(0.01 * row)] * count
     assert all(each.text == "the grasp force rises above 10 N" for each in found)
@@ -124,25 +107,22 @@ def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Recor
 
 
 def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: Record) -> None:
+    """Before touch has reported anything, none is lost."""
+    record.contact_positions[:3] = record.forces[:3] = np.nan
     record.contact_positions[50:60] = record.forces[50:60] = np.nan
     record.contact_positions[60:, 1] = np.nan
     assert told(record, "contact_lost") == [(pytest.approx(0.6), "ring_finger")]
+    assert told(record, "contact_made") == []
     assert told(record, "gap") == [(pytest.approx(0.49), "")]
     text = next(each.text for each in events(record) if each.kind == "gap")
     assert text == "nothing was recorded for 0.11 s"
-
-
-def test_nothing_is_lost_before_touch_has_said_anything(record: Record) -> None:
-    record.contact_positions[:10] = record.forces[:10] = np.nan
-    assert told(record, "contact_lost") == told(record, "contact_made") == []
 
 
 def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
     pushes = [
         {"kind": "step", "start": 0.5, "force": [0.0, 0.0, 0.0], "torque": [0.0, 0.6, 0.8]},
         {"kind": "step", "start": 0.25, "force": [2.0, 0.0, 0.0], "torque": [0.5, 0.0, 0.0]},
-        {"kind": "step", "start": 4.0, "force": [0.0, 0.0, 0.0]},
-        {"kind": "step", "start": 4.5, "force": [1.0, 0.0, 0.0]},
+        {"kind": "step", "start": 3.5, "force": [0.0, 0.0, 0.0]},
     ]
     changed = {
         "plant.disturbances": pushes,
@@ -156,8 +136,10 @@ def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
         (0.5, "step of 1 N m"),
         (0.75, "the object is dropped"),
         (3.0, "friction becomes 0.2"),
-        (4.0, "step of 0 N"),
+        (3.5, "step of 0 N"),
     ]
+    cut_short = events(record, load_scenario("pull", {"duration": 4.0}))
+    assert [each.time for each in cut_short if each.kind == "disturbance"] == [2.0]
 
 
 def test_calls_and_refusals_are_told_with_what_was_asked() -> None:
