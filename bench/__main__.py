@@ -25,7 +25,7 @@ from tactile_hand_ros.report.tables import markdown as as_markdown
 from tactile_hand_ros.report.tables import rich_table
 
 if TYPE_CHECKING:
-    from bench.result import Result
+    from bench.result import Measurement
     from bench.workload import Workload
 
 SECTIONS = ("blocks", "libraries", "lockstep", "start", "realtime")
@@ -54,7 +54,7 @@ def bench(
     if out.is_dir():
         raise ConfigurationError(f"--out: {out} is a folder, expected the name of a file.")
     check_writable(out.parent)
-    results: list[Result] = []
+    results: list[Measurement] = []
     with steps("measuring", len(chosen)) as advance:
         work = Workload.prepare(ticks, repeats, seconds, hertz)
         for name in chosen:
@@ -69,7 +69,7 @@ def bench(
     print(f"saved in {out}")
 
 
-def _measure(name: str, work: Workload) -> list[Result]:
+def _measure(name: str, work: Workload) -> list[Measurement]:
     from bench import baselines, blocks, graph
 
     measurements = {

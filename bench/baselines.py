@@ -9,11 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from bench.result import Result
+from bench.result import Measurement
 from bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
@@ -34,26 +33,6 @@ def problem(contacts: Contacts, weights: Array) -> Problem:
     rows[:6] = grasp_map(centered(contacts.positions), contacts.rotations)
     rows[6, 1::3] = 1.0
     return weights, rows, np.array([0.0] * 6 + [1.0])
-
-
-def _osqp_anew(weights: Array, rows: Array, right: Array) -> Array:
-    n = len(weights)
-    normals = np.zeros((n // 3, n))
-    normals[np.arange(n // 3), 1 + 3 * np.arange(n // 3)] = 1.0
-    solver = osqp.OSQP()
-    solver.setup(
-        sparse.diags(2.0 * weights, format="csc"),
-        np.zeros(n),
-        sparse.csc_matrix(np.vstack([rows, normals])),
-        np.concatenate([right, np.zeros(n // 3)]),
-        np.concatenate([right, np.full(n // 3, np.inf)]),
-        verbose=False,
-        eps_abs=1e-6,
-        eps_rel=1e-6,
-        polishing=True,
-    )
-    found: Array = solver.solve(raise_error=False).x
-    return found
 
 
 def _by_qpsolvers(name: str) -> Callable[[Array, Array, Array], Array]:
@@ -83,7 +62,7 @@ def _by_qpsolvers(name: str) -> Callable[[Array, Array, Array], Array]:
 
 def _solvers() -> dict[str, Callable[[Array, Array, Array], Array]]:
     """Return the solvers that are installed."""
-    found: dict[str, Callable[[Array, Array, Array], Array]] = {"OSQP set up anew": _osqp_anew}
+    found = {}
     for label, name in (("OSQP by qpsolvers", "osqp"), ("quadprog", "quadprog"), ("DAQP", "daqp")):
         try:
             found[label] = _by_qpsolvers(name)
@@ -92,7 +71,7 @@ def _solvers() -> dict[str, Callable[[Array, Array, Array], Array]]:
     return found
 
 
-def measure_solvers(work: Workload) -> list[Result]:
+def measure_solvers(work: Workload) -> list[Measurement]:
     """Solve (13) for the same contacts with other solvers; who answers otherwise is left out."""
     optimizer = ClosedLoop(work.scenario).optimizer
     grasps = work.grasps[:: max(1, len(work.record) // 1000)]
@@ -110,13 +89,13 @@ def measure_solvers(work: Workload) -> list[Result]:
             times[name].append(1e6 * (time.perf_counter() - began))
             apart[name] = max(apart[name], float(np.abs(theirs - ours.forces.ravel()).max()))
     return [
-        Result(f"(13), {name}, over ours", "x", np.divide(times[name], times["(13), ours"]))
+        Measurement(f"(13), {name}, over ours", "x", np.divide(times[name], times["(13), ours"]))
         for name in solvers
         if apart[name] < _AGREE
     ]
 
 
-def measure_steps(work: Workload) -> list[Result]:
+def measure_steps(work: Workload) -> list[Measurement]:
     """Step MuJoCo's model of the same hand and box under the same torques, in turns with ours."""
     try:
         from bench.mujoco_model import MujocoPlant
@@ -135,4 +114,6 @@ def measure_steps(work: Workload) -> list[Result]:
         theirs.append(1e6 * (time.perf_counter() - between) / per_tick)
         if peer.contacts < plant.hand.fingers:
             break
-    return [Result("plant, one step, over MuJoCo's", "x", np.divide(ours, theirs), maximum=5.0)]
+    return [
+        Measurement("plant, one step, over MuJoCo's", "x", np.divide(ours, theirs), maximum=5.0)
+    ]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-from bench.result import Result
+from bench.result import Measurement
 from bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 
@@ -21,7 +21,7 @@ def _times(calls: Iterator[Callable[[], object]]) -> list[float]:
     return found
 
 
-def measure_blocks(work: Workload) -> list[Result]:
+def measure_blocks(work: Workload) -> list[Measurement]:
     """Measure (13), the controller and the plant on the inputs of a run, as the nodes call them."""
     loop, record = ClosedLoop(work.scenario), work.record
     solves = (lambda c=contacts: loop.optimizer.solve(c) for contacts in work.grasps)
@@ -38,9 +38,9 @@ def measure_blocks(work: Workload) -> list[Result]:
     )
     steps = (lambda torque=torque: loop.plant.advance(torque) for torque in record.command)
     return [
-        Result("(13), exact, with checks", "us", _times(solves), maximum=15.0),
-        Result("controller, one tick", "us", _times(answers)),
-        Result("plant, one tick of 2 ms", "us", _times(steps), maximum=120.0),
+        Measurement("(13), exact, with checks", "us", _times(solves), maximum=15.0),
+        Measurement("controller, one tick", "us", _times(answers)),
+        Measurement("plant, one tick of 2 ms", "us", _times(steps), maximum=120.0),
     ]
 
 
@@ -52,7 +52,7 @@ def in_process_rate(work: Workload, ticks: int) -> float:
     return ticks / (time.perf_counter() - began)
 
 
-def measure_loop(work: Workload) -> list[Result]:
+def measure_loop(work: Workload) -> list[Measurement]:
     """Run the whole loop in-process; every other rate is to be read beside this one."""
     rates = [in_process_rate(work, len(work.record)) for _ in range(work.repeats)]
-    return [Result("in-process, one plant step a tick", "ticks/s", rates)]
+    return [Measurement("in-process, one plant step a tick", "ticks/s", rates)]

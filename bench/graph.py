@@ -3,25 +3,63 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+import tempfile
+import time
+from pathlib import Path
 from typing import Any
 
 from bench.bare_loop import missed_by_bare_loop
-from bench.result import Result
-from bench.runs import run_graph
+from bench.result import Measurement
 from bench.wire import rate
 from bench.workload import Workload
 from bench.written import written_calls
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.ros.middleware import isolated_domain
+from tactile_hand_ros.ros.processes import CapturedProcess, executable_path
 from tactile_hand_ros.scenario.scenario import NODES
 
 PRIORITY = 50
+_TIMEOUT = 600.0  # s, on top of the simulated time
 _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIORITY}))"
 _FINEST = 1000.0  # Hz: beyond this rate a tick is shorter than the ordinary step of the plant
 _BARE_FACTOR, _FEW = 2.0, 0.1  # of what a bare loop misses, and %: what may be missed
 
 
-def measure_lockstep(work: Workload) -> list[Result]:
+class BenchError(TactileHandError):
+    """A run that was to be measured did not come to its end."""
+
+
+def run_graph(seconds: float, *options: str) -> dict[str, Any]:
+    """Run the orchestrator to its end.
+
+    Args:
+        seconds: Simulated time [s].
+        *options: Its further options.
+
+    Returns:
+        Its summary, and under `wall_s` how long all of it took.
+
+    Raises:
+        BenchError: If there is nothing to measure.
+    """
+    fixed = ["--quiet", "--no-report", "--duration", str(seconds)]
+    command = [executable_path("orchestrator")]
+    with isolated_domain(), tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        with CapturedProcess([*command, *fixed, "--out", folder, *options]) as orchestrator:
+            code, said = orchestrator.wait(_TIMEOUT + seconds), orchestrator.stderr
+        wall = time.perf_counter() - began
+        file = Path(folder) / "latest" / "summary.json"
+        if code not in (0, 1) or not ("--no-record" in options or file.is_file()):
+            raise BenchError(f"a run to be measured ended with {code}: {said}")
+        summary: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.is_file() else {}
+    return {**summary, "wall_s": wall}
+
+
+def measure_lockstep(work: Workload) -> list[Measurement]:
     """Run the scenario in lockstep, recorded, composed and in six processes, and their limits.
 
     The limit of composed nodes is the in-process loop that writes the same bag; that of six
@@ -36,16 +74,16 @@ def measure_lockstep(work: Workload) -> list[Result]:
         six.append(run_graph(seconds, "--processes"))
     composed, apart = _speeds(one), _speeds(six)
     return [
-        Result("in-process, writing the same bag", "ticks/s", written),
-        Result("composed, lockstep, recording", "ticks/s", composed),
-        Result(
+        Measurement("in-process, writing the same bag", "ticks/s", written),
+        Measurement("composed, lockstep, recording", "ticks/s", composed),
+        Measurement(
             "  of the loop that writes the same bag", "", _over(composed, written), minimum=0.75
         ),
-        Result("messages of six processes alone, recorded", "ticks/s", wire),
-        Result("six processes, lockstep, recording", "ticks/s", apart),
-        Result("  of the wire's limit", "", _over(apart, wire), minimum=0.6),
-        Result("start to first tick, composed", "s", _starts(one), maximum=2.0),
-        Result("start to first tick, six processes", "s", _starts(six), maximum=3.0),
+        Measurement("messages of six processes alone, recorded", "ticks/s", wire),
+        Measurement("six processes, lockstep, recording", "ticks/s", apart),
+        Measurement("  of the wire's limit", "", _over(apart, wire), minimum=0.6),
+        Measurement("start to first tick, composed", "s", _starts(one), maximum=2.0),
+        Measurement("start to first tick, six processes", "s", _starts(six), maximum=3.0),
     ]
 
 
@@ -61,14 +99,16 @@ def _over(values: list[float], limits: list[float]) -> list[float]:
     return [value / limit for value, limit in zip(values, limits, strict=True)]
 
 
-def measure_short_run(work: Workload) -> list[Result]:
+def measure_short_run(work: Workload) -> list[Measurement]:
     """Take the time of a run that does next to nothing, from the command to its end."""
     options = ("--composed", "--no-record")
     walls = [float(run_graph(0.05, *options)["wall_s"]) for _ in range(work.repeats)]
-    return [Result("run paper --duration 0.05 --composed --no-record", "s", walls, maximum=3.0)]
+    return [
+        Measurement("run paper --duration 0.05 --composed --no-record", "s", walls, maximum=3.0)
+    ]
 
 
-def measure_real_time(work: Workload) -> list[Result]:
+def measure_real_time(work: Workload) -> list[Measurement]:
     """Count missed deadlines composed, recording, beside a bare loop, at each rate.
 
     Also under SCHED_FIFO where this machine permits it.
@@ -82,9 +122,9 @@ def measure_real_time(work: Workload) -> list[Result]:
                 run = run_graph(work.seconds, *real_time_options(hertz, priority))
                 missed.append(100.0 * float(run["real_time"]["missed_fraction"]))
             where = f"{hertz:g} Hz{', SCHED_FIFO' if priority else ''}"
-            loop = Result(f"bare loop, {where}: missed", "%", bare)
+            loop = Measurement(f"bare loop, {where}: missed", "%", bare)
             allowed = max(_FEW, _BARE_FACTOR * loop.marks[0])
-            found += [loop, Result(f"composed, {where}: missed", "%", missed, maximum=allowed)]
+            found += [loop, Measurement(f"composed, {where}: missed", "%", missed, maximum=allowed)]
     return found
 
 

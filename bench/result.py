@@ -20,7 +20,7 @@ COLUMNS = ("measurement", "median", "1 to 99 %", "target", "")
 
 
 @dataclass(frozen=True)
-class Result:
+class Measurement:
     """Samples of one quantity.
 
     Attributes:
@@ -62,7 +62,7 @@ class Result:
         return [self.name, number(median, self.unit), spread, target, self.verdict]
 
 
-def to_json(results: Sequence[Result]) -> dict[str, Any]:
+def to_json(results: Sequence[Measurement]) -> dict[str, Any]:
     """Return results and machine as plain data."""
     machine = {"cpus": os.cpu_count(), "system": platform.platform(), "versions": versions()}
     rows = []

@@ -8,6 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -162,27 +163,13 @@ def fuzz(
     out: Annotated[Path, typer.Option(help="Folder for inputs that were not survived.")] = Path(
         "fuzz"
     ),
-    live: Annotated[bool, typer.Option(help="Also attack running nodes, half of the time.")] = True,
-    again: Annotated[
-        Path | None, typer.Option("--replay", help="Read a kept input again instead.")
-    ] = None,
 ) -> None:
-    """Feed hostile bytes, requests and files to readers and nodes; count deaths, hangs, growth."""
-    from studies.fuzz.fuzz import fuzz as run_fuzz
-    from studies.fuzz.fuzz import replay
-    from studies.fuzz.live import fuzz_nodes
-    from studies.fuzz.targets import reading_targets
+    """Feed hostile bytes to running nodes until one dies, hangs, grows or moves."""
+    from studies.fuzz import GROWTH, fuzz_nodes
 
-    with reading_targets() as targets:
-        if again is not None:
-            print(replay(targets, again) or "survived")
-            return
-        fraction = 0.5 if live else 1.0
-        report = run_fuzz(targets, fraction * seconds, seed, out)
-    if live:
-        fuzz_nodes(report, (1.0 - fraction) * seconds, out)
-    print(json.dumps(report.data(), indent=2))
-    if report.findings or report.grew:
+    report = fuzz_nodes(seconds, seed, out)
+    print(json.dumps(asdict(report), indent=2))
+    if report.finding or report.growth > GROWTH:
         raise typer.Exit(1)
 
 
@@ -223,7 +210,7 @@ def soak(
         with steps(f"soak, {where}", 2 * round(seconds)) as advance:
             scenario = s.soak_scenario(rate)
             seen = s.soak(scenario, seconds, composed=composed, priority=priority, progress=advance)
-        print(where, json.dumps(s.summary(seen), indent=2))
+        print(where, json.dumps(seen.summary(), indent=2))
 
 
 def stalls(

@@ -19,10 +19,10 @@ import numpy as np
 import tactile_hand_ros
 from tactile_hand_ros.report.style import PAGE, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.sweep import measured
-from tactile_hand_ros.sweep.table import FAILED, LOST, MISSED, REACHED, Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

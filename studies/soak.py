@@ -31,33 +31,33 @@ class Soak:
         late: Commands that were not there when the next tick was due.
         held: Ticks in which the joints were held.
         is_held: Whether all fingers touch at the end.
-        times: When the samples were taken, s.
-        memory: Resident memory of the hand's nodes at these times, bytes.
-        recorder: The same of the recorder, which keeps the index of its bag.
-        descriptors: Open files and sockets of all nodes.
-        threads: Threads of all nodes.
+        samples: Time [s], resident memory of the hand's nodes and of the recorder, which keeps the
+            index of its bag [bytes], open files and sockets, and threads of all nodes.
     """
 
     ticks: int = 0
     late: int = 0
     held: int = 0
     is_held: bool = False
-    times: list[float] = field(default_factory=list)
-    memory: list[int] = field(default_factory=list)
-    recorder: list[int] = field(default_factory=list)
-    descriptors: list[int] = field(default_factory=list)
-    threads: list[int] = field(default_factory=list)
+    samples: list[tuple[float, ...]] = field(default_factory=list)
 
-    def slope(self, memory: list[int]) -> float:
-        """Return how fast a memory grows after the warm-up, bytes/s, as a straight line fits it."""
-        first = int(_WARM * len(self.times))
-        if len(self.times) - first < 2:
-            return 0.0
-        return float(np.polyfit(self.times[first:], memory[first:], 1)[0])
-
-    def growth(self, samples: list[int]) -> int:
-        """Return by how much something is more at the end than after the warm-up."""
-        return samples[-1] - samples[int(_WARM * len(samples))]
+    def summary(self) -> dict[str, float]:
+        """Return what the run shows, by name and unit; memory grows as a straight line fits it."""
+        ticks, samples = max(1, self.ticks), np.array(self.samples)
+        warm = samples[int(_WARM * len(samples)) :]
+        times, nodes, recorder, descriptors, threads = warm.T
+        per_minute = 60.0 / 1024.0
+        return {
+            "seconds": float(times[-1]),
+            "ticks": self.ticks,
+            "late_percent": 100.0 * self.late / ticks,
+            "held_percent": 100.0 * self.held / ticks,
+            "memory_KiB_per_min": per_minute * float(np.polyfit(times, nodes, 1)[0]),
+            "recorder_KiB_per_min": per_minute * float(np.polyfit(times, recorder, 1)[0]),
+            "more_descriptors": float(descriptors[-1] - descriptors[0]),
+            "more_threads": float(threads[-1] - threads[0]),
+            "drops": float(not self.is_held),
+        }
 
 
 def soak_scenario(rate: float, *, lockstep: bool = False) -> Scenario:
@@ -97,7 +97,11 @@ def soak(
         hand.begin()
         start, pause = time.monotonic(), threading.Event()
         while (now := time.monotonic() - start) < seconds:
-            _sample(seen, nodes, now)
+            resident = {name: node.memory_info().rss for name, node in nodes.items()}
+            recorder = resident.pop(names.RECORDER)
+            descriptors = sum(node.num_fds() for node in nodes.values())
+            threads = sum(node.num_threads() for node in nodes.values())
+            seen.samples.append((now, sum(resident.values()), recorder, descriptors, threads))
             progress(f"{now:.0f} s")
             hand.forget_but(10_000)
             pause.wait(_PERIOD)
@@ -106,28 +110,3 @@ def soak(
     seen.ticks = int(facts.get("tick_ns", 0)) // scenario.plant.tick
     seen.late, seen.held = int(facts.get("late_commands", 0)), int(facts.get("held_ticks", 0))
     return seen
-
-
-def _sample(seen: Soak, nodes: dict[str, psutil.Process], now: float) -> None:
-    resident = {name: node.memory_info().rss for name, node in nodes.items()}
-    seen.times.append(now)
-    seen.recorder.append(resident.pop(names.RECORDER))
-    seen.memory.append(sum(resident.values()))
-    seen.descriptors.append(sum(node.num_fds() for node in nodes.values()))
-    seen.threads.append(sum(node.num_threads() for node in nodes.values()))
-
-
-def summary(seen: Soak) -> dict[str, float]:
-    """Return what a long run shows, by name and unit."""
-    ticks = max(1, seen.ticks)
-    return {
-        "seconds": seen.times[-1] if seen.times else 0.0,
-        "ticks": seen.ticks,
-        "late_percent": 100.0 * seen.late / ticks,
-        "held_percent": 100.0 * seen.held / ticks,
-        "memory_KiB_per_min": 60.0 / 1024.0 * seen.slope(seen.memory),
-        "recorder_KiB_per_min": 60.0 / 1024.0 * seen.slope(seen.recorder),
-        "more_descriptors": seen.growth(seen.descriptors),
-        "more_threads": seen.growth(seen.threads),
-        "drops": float(not seen.is_held),
-    }

@@ -23,9 +23,9 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.table import LOST, REACHED, Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table, Tally, keep
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
 """As without a guard: the last torque acts for a second."""

@@ -16,19 +16,19 @@ from studies.faults.in_process import run_in_process
 from studies.faults.injection import injected
 from studies.faults.outcome import Outcome, judge, recovery, why_not_begun
 from studies.faults.running_hand import RunningHand
-from studies.faults.space import Run
-from tactile_hand_ros.sweep.engine import Point, Study, workers
+from studies.faults.space import Injection
+from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study, workers
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.table import LOST, REACHED, Tally, keep
+from tactile_hand_ros.sweep.table import Tally, keep
 
-_RECOVERY = 10.0  # s, longest wait for a hand that drives again
+_RECOVERY = 60.0  # s, longest wait for a hand that drives again; a busy machine starts nodes slowly
 _AFTERWARDS = 0.3  # s that are watched after it does
 _STARTS = 3  # of a run that does not begin, after which it is not judged
 _SLACK = 20.0  # s of real time for a second of simulated time
 
 
 def run_campaign(
-    runs: list[Run],
+    runs: list[Injection],
     folder: Path,
     jobs: int = -1,
     watch: Callable[[Tally], None] = lambda _: None,
@@ -82,7 +82,7 @@ class Hands:
             return _row(inject(hand, run))
 
     @contextmanager
-    def _hand(self, run: Run) -> Iterator[RunningHand]:
+    def _hand(self, run: Injection) -> Iterator[RunningHand]:
         if self._key != (run.way, run.situation):
             self._stack.close()
             folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
@@ -97,7 +97,7 @@ class Hands:
             raise
 
 
-def inject(hand: RunningHand, run: Run) -> Outcome:
+def inject(hand: RunningHand, run: Injection) -> Outcome:
     """Inject one fault and return what became of the object.
 
     Before anything fails it is judged whether the hand has begun to hold; if not, nothing is

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from studies.faults import space
 from studies.faults.outcome import LET_GO, Outcome, distance
 from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
-from studies.faults.space import Run
+from studies.faults.space import Injection
 from studies.stalls import GuardedLoop
 from tactile_hand_ros.closed_loop.loop import Answer, SensingChain
 from tactile_hand_ros.control.command_guard import TorqueCommand
@@ -57,7 +57,7 @@ _NOTHING = Command(np.full(1, np.nan), Mode.HOLD, None, do_not_send=True)
 class Wires:
     """Carries messages from block to block, some of them badly."""
 
-    def __init__(self, run: Run, tick: float) -> None:
+    def __init__(self, run: Injection, tick: float) -> None:
         """Take the fault and the length of a tick [s]; all is well until `failing` is set."""
         self.failing = False
         self._names = _WIRES.get(run.component, ())
@@ -197,7 +197,7 @@ class FaultyChain(SensingChain):
 class FaultyLoop(GuardedLoop):
     """A closed loop with wires that fail and a guard in front of the joints."""
 
-    def __init__(self, chosen: Scenario, run: Run) -> None:
+    def __init__(self, chosen: Scenario, run: Injection) -> None:
         """Build the loop of a scenario for a run."""
         super().__init__(chosen, chosen.plant.guard)
         self.tick_time = 1e-9 * chosen.plant.tick
@@ -288,7 +288,7 @@ def _wrong_force(force: Array) -> Array:
     return np.asarray(force * np.array([-_FACTOR, _FACTOR, -_FACTOR]))
 
 
-def run_in_process(run: Run) -> Outcome:
+def run_in_process(run: Injection) -> Outcome:
     """Inject one fault and return what became of the object."""
     faulty = FaultyLoop(scenario(run.situation, run.way), run)
     moment = SITUATIONS[run.situation].time + run.delay

@@ -19,7 +19,7 @@ from std_msgs.msg import Float64
 
 from studies.faults import space
 from studies.faults.running_hand import RunningHand
-from studies.faults.space import Run
+from studies.faults.space import Injection
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.messages import PoseCodec
 
@@ -38,7 +38,7 @@ _STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @contextmanager
-def injected(hand: RunningHand, run: Run) -> Iterator[None]:
+def injected(hand: RunningHand, run: Injection) -> Iterator[None]:
     """Let a fault last as long as the block."""
     with ExitStack() as stack:
         if run.fault == space.NONE:
@@ -114,7 +114,7 @@ def _busy(loops: int) -> Iterator[None]:
 
 
 @contextmanager
-def _user(hand: RunningHand, run: Run) -> Iterator[None]:
+def _user(hand: RunningHand, run: Injection) -> Iterator[None]:
     """Let a user, or what stands in for one, send nonsense from a thread."""
     over = threading.Event()
     send = _sender(hand, run)
@@ -132,7 +132,7 @@ def _user(hand: RunningHand, run: Run) -> Iterator[None]:
         thread.join()
 
 
-def _sender(hand: RunningHand, run: Run) -> Callable[[], None]:
+def _sender(hand: RunningHand, run: Injection) -> Callable[[], None]:
     """Return what sends one burst of a user whose commands fail in some way."""
     codec, chance, fault = PoseCodec(), random.Random(run.seed), run.fault
     _, seen = hand.positions(hand.since(time.monotonic() - 1.0))

@@ -11,9 +11,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from studies.faults import space
-from studies.faults.running_hand import Event, RunningHand
+from studies.faults.running_hand import Received, RunningHand
 from studies.faults.situations import expected
-from studies.faults.space import Run
+from studies.faults.space import Injection
 from tactile_hand_ros import names
 
 Array = NDArray[Any]
@@ -65,7 +65,7 @@ def why_not_begun(hand: RunningHand) -> str:
     return "" if hand.grasp_force(before) >= _MINIMUM else "the fingers do not press"
 
 
-def judge(hand: RunningHand, run: Run, moment: float, begin: float, end: float) -> Outcome:
+def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: float) -> Outcome:
     """Return what became of a run.
 
     Args:
@@ -91,7 +91,7 @@ def judge(hand: RunningHand, run: Run, moment: float, begin: float, end: float) 
     )
 
 
-def distance(run: Run, seen: Array, moment: float) -> float:
+def distance(run: Injection, seen: Array, moment: float) -> float:
     """Return how far an object was from where it may be, m; NaN where a user moves it.
 
     Args:
@@ -104,18 +104,18 @@ def distance(run: Run, seen: Array, moment: float) -> float:
     return expected(run.situation, run.way).distance(seen, moment)
 
 
-def _first_declared(hand: RunningHand, events: list[Event]) -> tuple[float | None, str]:
+def _first_declared(hand: RunningHand, events: list[Received]) -> tuple[float | None, str]:
     """Return when the first hold or ERROR was declared, and by what."""
     holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, events)]
     found = sorted([*holds, *hand.errors(events)])
     return found[0] if found else (None, "")
 
 
-def _holds(hand: RunningHand, events: list[Event]) -> list[Event]:
+def _holds(hand: RunningHand, events: list[Received]) -> list[Received]:
     return [e for e in events if e.topic == names.JOINT_HOLD and hand.read(e).data]
 
 
-def recovery(hand: RunningHand, events: list[Event], end: float) -> float | None:
+def recovery(hand: RunningHand, events: list[Received], end: float) -> float | None:
     """Return how long after the end of the fault the hand drives for good, s; None if it does not.
 
     It drives while the joints are not held and the controller publishes its estimate of the object.

@@ -45,7 +45,7 @@ _ANSWER = 20.0  # s, longest wait for a service
 _AGAIN = 5.0  # s without an answer after which a service is asked again
 
 
-class Event(NamedTuple):
+class Received(NamedTuple):
     """Something that was received: when, by the monotonic clock [s], where, and its bytes."""
 
     time: float
@@ -82,7 +82,7 @@ class RunningHand:
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.processes: dict[str, CapturedProcess] = {}
-        self.events: list[Event] = []
+        self.events: list[Received] = []
         self._stack = ExitStack()
         self._clients: dict[str, Any] = {}
         self._types: dict[str, Any] = {}
@@ -155,7 +155,7 @@ class RunningHand:
         self._types[topic] = kind
 
         def keep(data: bytes) -> None:
-            self.events.append(Event(time.monotonic(), topic, data))
+            self.events.append(Received(time.monotonic(), topic, data))
 
         self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
 
@@ -196,7 +196,7 @@ class RunningHand:
             del self.events[:surplus]
             self._looked_at = max(0, self._looked_at - surplus)
 
-    def since(self, moment: float) -> list[Event]:
+    def since(self, moment: float) -> list[Received]:
         """Return the events after a moment of the monotonic clock [s]."""
         events, found = self.events, []
         for index in range(len(events) - 1, -1, -1):
@@ -205,7 +205,7 @@ class RunningHand:
             found.append(events[index])
         return found[::-1]
 
-    def read(self, event: Event) -> Any:
+    def read(self, event: Received) -> Any:
         """Return the message of an event."""
         return deserialize_message(event.data, self._types[event.topic])
 
@@ -269,14 +269,14 @@ class RunningHand:
 
         self.wait(is_there, f"t = {seconds:g} s", limit)
 
-    def positions(self, events: list[Event]) -> tuple[Array, Array]:
+    def positions(self, events: list[Received]) -> tuple[Array, Array]:
         """Return when the object was seen [s], and where, shape (n, 3), m."""
         seen = [event for event in events if event.topic == names.OBJECT_POSE]
         points = [self.read(event).pose.position for event in seen]
         where = np.array([[p.x, p.y, p.z] for p in points]).reshape(-1, 3)
         return np.array([event.time for event in seen]), where
 
-    def is_touching(self, events: list[Event]) -> bool:
+    def is_touching(self, events: list[Received]) -> bool:
         """Return whether all fingers touched in the last message about contacts."""
         for event in reversed(events):
             if event.topic == names.TRUE_CONTACTS:
@@ -284,7 +284,7 @@ class RunningHand:
                 return bool(np.isfinite(contacts.positions).all())
         return False
 
-    def grasp_force(self, events: list[Event]) -> float:
+    def grasp_force(self, events: list[Received]) -> float:
         """Return the largest sum of normal forces [N], of those that belong to one tick."""
         topics = [names.true_wrench(name) for name in self.fingers]
         sums: dict[bytes, list[float]] = {}
@@ -294,7 +294,7 @@ class RunningHand:
                 sums.setdefault(event.data[4:12], []).append(float(force[1]))
         return max((sum(each) for each in sums.values() if len(each) == len(topics)), default=0.0)
 
-    def errors(self, events: list[Event]) -> list[tuple[float, str]]:
+    def errors(self, events: list[Received]) -> list[tuple[float, str]]:
         """Return when nodes reported an ERROR [s], and what."""
         found = []
         for event in events:

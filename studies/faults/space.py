@@ -93,7 +93,7 @@ def _exists(way: str, component: str, fault: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Run:
+class Injection:
     """One injection: its cell, and the seed of its moment and of its noise."""
 
     way: str
@@ -113,7 +113,7 @@ class Run:
         return "/".join(map(str, astuple(self)))
 
 
-def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Run]:
+def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:
     """Return a balanced sample: no cell comes twice more often than another.
 
     The runs that share nodes follow each other.
@@ -124,8 +124,8 @@ def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Run]:
         among: Cells to choose from.
     """
     chance, chosen = random.Random(seed), list(among)
-    drawn: list[Run] = []
+    drawn: list[Injection] = []
     while len(drawn) < runs and chosen:
         chance.shuffle(chosen)
-        drawn += [Run(*cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
+        drawn += [Injection(*cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
     return sorted(drawn, key=lambda run: (run.way, run.situation))

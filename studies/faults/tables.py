@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.faults import space
+from tactile_hand_ros.sweep.engine import FAILED, LOST
 from tactile_hand_ros.sweep.statistics import fraction_of
-from tactile_hand_ros.sweep.table import FAILED, LOST, Table
+from tactile_hand_ros.sweep.table import Table
 
 COLUMNS = (
     *("", "runs", "drops", "95 % interval", "moved, worst [mm]", "safe, median [ms]"),

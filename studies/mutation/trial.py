@@ -24,7 +24,7 @@ from studies.mutation.mutants import Mutant
 _LEFT_OUT = (".venv", ".git", "__pycache__", "node_modules", "runs", ".*_cache", "build")
 # Inside machine code no line is seen to run, and no change seen.
 _INTERPRETED = ("", "hand", "control", "simulation")
-_SLOW = 20  # s, longest test that takes part
+_SLOW = 20.0  # s, longest test that takes part
 _QUIET = ["-q", "--tb=no", "-p", "no:cacheprovider"]
 
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
@@ -60,25 +60,28 @@ class CoverageMap:
 
 def folder_of(path: str) -> str:
     """Return the folder of the package in which a file is, empty for a module beside them."""
-    parts = Path(path).parts
-    return parts[1] if len(parts) > 2 else ""
+    return "/".join(Path(path).parts[1:-1])
 
 
 def _environment(tree: Path, folder: str) -> dict[str, str]:
     """Return the environment in which the tests of a folder import a tree."""
     made = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    return made | ({"TACTILE_HAND_INTERPRETED": "1"} if folder in _INTERPRETED else {})
+    is_plain = folder.partition("/")[0] in _INTERPRETED
+    return made | ({"TACTILE_HAND_INTERPRETED": "1"} if is_plain else {})
 
 
 def coverage_map(tree: Path, folder: str, scratch: Path) -> CoverageMap:
-    """Run the tests of a folder, and those of the laws, once each."""
-    top = tree / "test" / "unit"
-    found = (top / folder).rglob("test_*.py") if folder else top.glob("test_*.py")
-    suites = [str(path) for path in (*found, *(tree / "test" / "property").glob("test_*.py"))]
-    results, lines, settings = (scratch / f"{folder}.{end}" for end in ("xml", "lines", "cfg"))
+    """Run the tests of a folder, and the property tests that import from it, once each."""
+    top, module = tree / "test" / "unit", f"tactile_hand_ros.{folder.replace('/', '.')}"
+    found = list((top / folder).rglob("test_*.py") if folder else top.glob("test_*.py"))
+    laws = (tree / "test" / "property").glob("test_*.py")
+    suites = [str(path) for path in [*found, *(p for p in laws if module in p.read_text())]]
+    name = folder.replace("/", "-")
+    results, lines, settings = (scratch / f"{name}.{end}" for end in ("xml", "lines", "cfg"))
     settings.write_text("[run]\nsource = tactile_hand_ros\ndynamic_context = test_function\n")
     watched = ["-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={lines}"]
-    options = [*_QUIET, f"--timeout={_SLOW}", f"--junit-xml={results}"]
+    # A timeout in a test of Hypothesis may end all of pytest.
+    options = [*_QUIET, "--timeout=600", f"--junit-xml={results}"]
     command = [sys.executable, *watched, "-m", "pytest", *options, *suites]
     print(f"running the tests of '{folder}', to see which test runs which line", flush=True)
     variables = _environment(tree, folder)
@@ -97,7 +100,8 @@ def _durations(results: Path) -> dict[str, float]:
         found[name] += float(case.get("time", 0.0))
         if case.find("failure") is not None or case.find("error") is not None:
             failed.add(name)
-    return {name: seconds for name, seconds in found.items() if name not in failed}
+    slow = {name for name, seconds in found.items() if seconds > _SLOW}
+    return {name: found[name] for name in found.keys() - failed - slow}
 
 
 def _node_id(name: str, tree: Path) -> str:

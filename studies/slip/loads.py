@@ -23,10 +23,10 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of
-from tactile_hand_ros.sweep.table import FAILED, LOST, MISSED, REACHED, Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -28,10 +28,10 @@ from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.sweep.engine import Point, Study
+from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval, rank
-from tactile_hand_ros.sweep.table import LOST, MISSED, REACHED, Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table, Tally, keep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

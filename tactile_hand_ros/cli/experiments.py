@@ -229,26 +229,24 @@ def reproduce(
 ) -> None:
     """Draw the paper's figures and print its claims next to what was measured."""
     from tactile_hand_ros.report.tables import rich_table
-    from tactile_hand_ros.reproduce import tables
+    from tactile_hand_ros.reproduce import reproduce as r
     from tactile_hand_ros.reproduce.experiments import EXPERIMENTS, LAYOUTS
-    from tactile_hand_ros.reproduce.reproduce import draw, write
-    from tactile_hand_ros.reproduce.reproduce import reproduce as run
     from tactile_hand_ros.sweep.engine import workers
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
     kinds = folder_for_results(out, formats)
     with steps("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
-        results = run(layouts, duration, advance)
+        results = r.reproduce(layouts, duration, advance)
     with steps("drawing", len(results)) as advance:
         files = []
         for result in results:
-            files += draw(result, out, kinds)
+            files += r.draw(result, out, kinds)
             advance(result.layout)
-    files += write(results, out, kinds[0])
+    files += r.write(results, out, kinds[0])
     for result in results:
-        print_table(tables.claim_table(f"layout {result.layout}", result.claims))
+        print_table(r.claim_table(result))
         title = f"what the laws do, layout {result.layout}"
-        print_table(rich_table(title, tables.LAW_COLUMNS, tables.law_rows(result.laws)))
+        print_table(rich_table(title, r.LAW_COLUMNS, r.law_rows(result)))
     print_files(files, out)
 
 

@@ -10,9 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.control.laws import LAWS as CONTROL_LAWS
+from tactile_hand_ros.control.laws import LawInput
+from tactile_hand_ros.hand.hand import Fingertips
 from tactile_hand_ros.reproduce.experiments import ExperimentResult
-from tactile_hand_ros.reproduce.stiffness import translational_stiffness
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.simulation.plant import Plant
 
 Outcomes = Mapping[str, ExperimentResult]
 
@@ -261,52 +266,29 @@ CLAIMS: tuple[Callable[[Outcomes], Claim], ...] = (
 """The claims in the order of the paper, then what we found on the way."""
 
 
-@dataclass(frozen=True)
-class LawResult:
-    """What one law does on the paper's task.
+LAWS = {"(8)": "kawamura", "(10)": "contact", "(14)": "optimal"}
+"""The experiment with each law on the same task."""
 
-    Attributes:
-        law: Its number in the paper.
-        final_position_error_m: |p_d - p|; NaN when the grasp was lost.
-        final_rotation_error_rad: |r_d|; NaN when the grasp was lost.
-        first_contact_loss_s: When a contact was lost first; NaN for never.
-        peak_joint_rate_rad_per_s: Largest joint rate.
-        normal_force_sum_N: Sum of f_n at the end.
-        worst_required_friction: Largest beta of any contact at the end.
-        largest_rolling_m: How far a contact moved over the object before a contact was lost.
-        stiffness_N_per_m: Mean pull at the contacts per metre of position error.
+
+def law_numbers(run: ExperimentResult) -> dict[str, float]:
+    """Return what a law does on the paper's task, with units in the names.
+
+    NaN stands for errors when the grasp was lost, and for a contact that is never lost. The rolling
+    is how far a contact moved over the object before a contact was lost, the stiffness the mean
+    pull at the contacts per metre of position error.
     """
-
-    law: str
-    final_position_error_m: float
-    final_rotation_error_rad: float
-    first_contact_loss_s: float
-    peak_joint_rate_rad_per_s: float
-    normal_force_sum_N: float
-    worst_required_friction: float
-    largest_rolling_m: float
-    stiffness_N_per_m: float
-
-
-def compare_laws(outcomes: Outcomes) -> list[LawResult]:
-    """Put the three laws side by side on the same task."""
-    laws = {"kawamura": "(8)", "contact": "(10)", "optimal": "(14)"}
-    return [_law_result(name, outcomes[key]) for key, name in laws.items()]
-
-
-def _law_result(name: str, run: ExperimentResult) -> LawResult:
     m = run.metrics
-    return LawResult(
-        law=name,
-        final_position_error_m=m.final_position_error_m,
-        final_rotation_error_rad=m.final_rotation_error_rad,
-        first_contact_loss_s=m.first_contact_loss_s,
-        peak_joint_rate_rad_per_s=m.peak_joint_rate_rad_per_s,
-        normal_force_sum_N=m.normal_force_sum_N,
-        worst_required_friction=float(np.max(list(m.final_required_friction.values()))),
-        largest_rolling_m=_largest(_until_loss(run)),
-        stiffness_N_per_m=float(np.diag(translational_stiffness(run.scenario, "contacts")).mean()),
-    )
+    stiffness = np.diag(translational_stiffness(run.scenario, "contacts"))
+    return {
+        "final_position_error_m": m.final_position_error_m,
+        "final_rotation_error_rad": m.final_rotation_error_rad,
+        "first_contact_loss_s": m.first_contact_loss_s,
+        "peak_joint_rate_rad_per_s": m.peak_joint_rate_rad_per_s,
+        "normal_force_sum_N": m.normal_force_sum_N,
+        "worst_required_friction": float(np.max(list(m.final_required_friction.values()))),
+        "largest_rolling_m": _largest(_until_loss(run)),
+        "stiffness_N_per_m": float(stiffness.mean()),
+    }
 
 
 def _until_loss(run: ExperimentResult) -> derived.Array:
@@ -333,3 +315,36 @@ def _millimetres(metres: float) -> str:
 
 def _loss(time: float) -> str:
     return "no contact is lost" if math.isnan(time) else f"a contact is lost at {time:.2f} s"
+
+
+def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
+    """Return the force on the object per metre of position error, shape (3, 3), N/m.
+
+    The forces are those whose joint torques equal the drive of the law at the start of the run:
+    at the fingertip centers, where (8) is written, or at the contacts with the object.
+
+    Args:
+        scenario: Hand, object and law.
+        at: ``tips`` or ``contacts``.
+    """
+    plant = Plant(scenario.plant)
+    state, hand = plant.state, plant.hand
+    tips = hand.fingertips(state.theta)
+    config = scenario.manipulation_controller.law
+    law = CONTROL_LAWS[config.name](config, hand.radii)
+    law.seen = LawInput(tips, state.contacts, np.zeros((hand.fingers, 3)), grasp_force=0.0)
+    points = tips.positions if at == "tips" else state.contacts.positions
+    stiffness = np.empty((3, 3))
+    for axis in range(3):
+        wrench = np.zeros(6)
+        wrench[axis] = config.k_p  # of an error of one metre along this axis
+        stiffness[:, axis] = _resultant(tips, points, law.drive(wrench))
+    return stiffness
+
+
+def _resultant(tips: Fingertips, points: derived.Array, torque: derived.Array) -> derived.Array:
+    """Return the sum of the forces at points of the fingertips that joint torques amount to."""
+    jacobian = hand_jacobian(tips, points, np.tile(np.eye(3), (len(points), 1, 1)))
+    jacobian = jacobian.reshape(-1, len(torque))
+    forces = np.linalg.lstsq(jacobian.T, torque, rcond=None)[0]
+    return np.asarray(forces.reshape(-1, 3).sum(axis=0))

@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
-from tactile_hand_ros.report.tables import markdown
-from tactile_hand_ros.reproduce import tables
-from tactile_hand_ros.reproduce.claims import Claim, LawResult, compare_laws, judge
+from tactile_hand_ros.report.tables import markdown, number, plain, rich_table
+from tactile_hand_ros.reproduce.claims import LAWS, Claim, ClaimVerdict, judge, law_numbers
 from tactile_hand_ros.reproduce.experiments import (
     EXPERIMENTS,
     ExperimentResult,
@@ -24,6 +24,9 @@ from tactile_hand_ros.reproduce.experiments import (
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.sweep.engine import in_parallel
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Outcomes = Mapping[str, ExperimentResult]
 
@@ -39,13 +42,13 @@ class Reproduction:
         layout: Layout of the hand's fingers.
         outcomes: All experiments by key.
         claims: What the paper claims and what was measured.
-        laws: What the laws (8), (10) and (14) do on the same task.
+        laws: What the laws (8), (10) and (14) do on the same task, see `law_numbers`.
     """
 
     layout: str
     outcomes: Outcomes
     claims: list[Claim]
-    laws: list[LawResult]
+    laws: dict[str, dict[str, float]]
 
 
 def reproduce(
@@ -78,7 +81,8 @@ def _run(task: tuple[str, str, float | None]) -> ExperimentResult:
 
 
 def _judged(layout: str, outcomes: Outcomes) -> Reproduction:
-    return Reproduction(layout, outcomes, judge(outcomes), compare_laws(outcomes))
+    laws = {name: law_numbers(outcomes[key]) for name, key in LAWS.items()}
+    return Reproduction(layout, outcomes, judge(outcomes), laws)
 
 
 def draw(
@@ -99,9 +103,7 @@ def draw(
         "fig4": friction_figure(
             {"tangential forces penalised": runs["optimal"], "nominal, W = I": runs["nominal"]}
         ),
-        "laws": law_figure(
-            {"(8)": runs["kawamura"], "(10)": runs["contact"], "(14)": runs["optimal"]}
-        ),
+        "laws": law_figure({name: runs[key] for name, key in LAWS.items()}),
     }
     return [
         file
@@ -150,22 +152,55 @@ _FIGURES = {
 
 def _section(result: Reproduction, picture: str) -> str:
     pictures = [f"![{text}]({name}_{result.layout}.{picture})\n" for name, text in _FIGURES.items()]
-    claims = markdown(tables.CLAIM_COLUMNS, tables.claim_rows(result.claims))
-    laws = markdown(tables.LAW_COLUMNS, tables.law_rows(result.laws))
-    return "\n".join(
-        [
-            f"## Layout {result.layout}\n",
-            claims,
-            _LAWS,
-            laws,
-            *pictures,
-        ]
-    )
+    claims = markdown(CLAIM_COLUMNS, claim_rows(result.claims))
+    laws = markdown(LAW_COLUMNS, law_rows(result))
+    return "\n".join([f"## Layout {result.layout}\n", claims, _LAWS, laws, *pictures])
 
 
 def _plain(result: Reproduction) -> dict[str, Any]:
     return {
         "claims": [{**asdict(claim), "verdict": claim.verdict.value} for claim in result.claims],
-        "laws": [asdict(law) for law in result.laws],
+        "laws": [{"law": name, **numbers} for name, numbers in result.laws.items()],
         "metrics": {key: outcome.metrics.to_dict() for key, outcome in result.outcomes.items()},
     }
+
+
+CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
+_LAW_NUMBERS = {
+    "final_position_error_m": ("position error", 1e3, "mm"),
+    "final_rotation_error_rad": ("|r_d|", 1.0, "rad"),
+    "first_contact_loss_s": ("contact lost", 1.0, "s"),
+    "peak_joint_rate_rad_per_s": ("peak joint rate", 1.0, "rad/s"),
+    "normal_force_sum_N": ("sum of f_n", 1.0, "N"),
+    "worst_required_friction": ("worst beta", 1.0, ""),
+    "largest_rolling_m": ("rolling", 1e3, "mm"),
+    "stiffness_N_per_m": ("stiffness", 1.0, "N/m"),
+}
+"""Head, factor and unit of each of `law_numbers`."""
+LAW_COLUMNS = ("law", *(head for head, _, _ in _LAW_NUMBERS.values()))
+_COLORS = {ClaimVerdict.HOLDS: "green", ClaimVerdict.PARTLY: "yellow", ClaimVerdict.FAILS: "red"}
+
+
+def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
+    """Return claims as text, columns as in `CLAIM_COLUMNS`."""
+    return [[c.source, c.statement, c.measured, c.verdict.value] for c in claims]
+
+
+def law_rows(result: Reproduction) -> list[list[str]]:
+    """Return the comparison of laws as text, columns as in `LAW_COLUMNS`."""
+    rows = []
+    for law, numbers in result.laws.items():
+        cells = [number(f * numbers[name], unit) for name, (_, f, unit) in _LAW_NUMBERS.items()]
+        if math.isnan(numbers["first_contact_loss_s"]):
+            cells[list(_LAW_NUMBERS).index("first_contact_loss_s")] = "never"
+        rows.append([law, *cells])
+    return rows
+
+
+def claim_table(result: Reproduction) -> Table:
+    """Return the claims of a layout as a table for the terminal."""
+    table = rich_table(f"layout {result.layout}", CLAIM_COLUMNS)
+    for claim, row in zip(result.claims, claim_rows(result.claims), strict=True):
+        color = _COLORS[claim.verdict]
+        table.add_row(*map(plain, row[:-1]), f"[{color}]{row[-1]}[/{color}]", end_section=True)
+    return table

@@ -24,6 +24,12 @@ from tactile_hand_ros.sweep.space import SAMPLERS, Space
 _PATIENCE = 10.0  # s, longest wait for a scheduler, and for its first worker
 
 
+REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
+OUTCOMES = (REACHED, MISSED, LOST, FAILED)
+"""Of a run: the goal was reached; the object is held, but not at its target, or it has slid too
+far; a contact is missing at the end; it raised an error."""
+
+
 class StudyError(TactileHandError):
     """A study that cannot continue; what was finished is kept."""
 
@@ -41,13 +47,6 @@ class Point:
     index: int
     seed: int
     values: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A run that came to no result, and why."""
-
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class Study:
     def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
         """Make some runs, or all, and yield each with what came of it, in any order.
 
-        A run that fails gives a `Failure` and stops no other.
+        A run that fails gives its reason, with the outcome `FAILED`, and stops no other.
 
         Raises:
             MissingLibraryError: If joblib is not installed.
@@ -110,11 +109,12 @@ def _attempt(run: Callable[[Point], Any], expected: str, point: Point) -> tuple[
     try:
         return point, run(point)
     except TactileHandError as error:
-        return point, Failure(str(error))
+        reason = str(error)
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}:{place.lineno}"
-        return point, Failure(f"{type(error).__name__}: {error} ({where})")
+        reason = f"{type(error).__name__}: {error} ({where})"
+    return point, {"outcome": FAILED, "reason": reason}
 
 
 def in_parallel(

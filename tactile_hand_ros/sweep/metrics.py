@@ -17,7 +17,7 @@ from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.sweep.table import LOST, MISSED, REACHED
+from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED
 
 Measure = Callable[[Record, Scenario, Metrics], float]
 
@@ -98,6 +98,7 @@ def measures(names: Sequence[str]) -> dict[str, Measure]:
 
 
 def _own(name: str) -> Measure:
+    """Return a function of the user's own, from where the command was called."""
     module, _, attribute = name.partition(":")
     sys.path.insert(0, "")
     try:
@@ -108,6 +109,4 @@ def _own(name: str) -> Measure:
         ) from None
     finally:
         sys.path.remove("")
-    if not callable(function):
-        raise ConfigurationError(f"--metric is '{name}', expected a function of record, scenario.")
     return lambda record, scenario, metrics: float(function(record, scenario))

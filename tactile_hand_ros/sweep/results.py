@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from tactile_hand_ros import files
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
+from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED
 from tactile_hand_ros.sweep.metrics import measures
 from tactile_hand_ros.sweep.space import Choice, Space
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
 from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
-from tactile_hand_ros.sweep.table import OUTCOMES, REACHED, Table, read_table
+from tactile_hand_ros.sweep.table import Table, read_table
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]

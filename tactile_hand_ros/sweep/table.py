@@ -23,17 +23,12 @@ from numpy.typing import NDArray
 from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.sweep.engine import Failure, Point, Study, StudyError, build
+from tactile_hand_ros.sweep.engine import FAILED, REACHED, Point, Study, StudyError, build
 from tactile_hand_ros.sweep.statistics import fraction_of
 
 DESCRIPTION, ROWS, TABLE, TEXT = "study.json", "runs.jsonl", "runs.parquet", "runs.csv"
 INDEX = "run"
 """Name of the first column."""
-
-REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
-OUTCOMES = (REACHED, MISSED, LOST, FAILED)
-"""Of a run: the goal was reached; the object is held, but not at its target, or it has slid too
-far; a contact is missing at the end; it raised an error."""
 
 Table = Mapping[str, NDArray[Any]]
 """Columns by name; NaN where a number is missing."""
@@ -139,8 +134,6 @@ def _begin(folder: Path, description: Mapping[str, Any]) -> set[int]:
 
 
 def _row(point: Point, result: Any) -> dict[str, Any]:
-    if isinstance(result, Failure):
-        result = {"outcome": FAILED, "reason": result.reason}
     row = {INDEX: point.index, "outcome": "", "reason": "", "build": build(), "seed": point.seed}
     for name, value in point.values.items():
         row |= (

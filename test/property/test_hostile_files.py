@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from support.hostile import hostile, write_sample_bag
 
-from studies.fuzz.targets import write_sample_bag
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.config.plain_yaml import find_file
@@ -24,13 +24,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 LONGEST = 5.0
 """Most processor time that one hostile file may take [s]."""
 
-HOSTILE = settings(
-    derandomize=True,
-    database=None,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-OF_BAGS = settings(HOSTILE, max_examples=30)
+HOSTILE, OF_BAGS = hostile(100), hostile(30)
 FILES = {"scenario": find_file("scenario", "pull"), "hand": find_file("hand", "paper")}
 URDF = (FILES["hand"].parent / "paper.urdf").read_text()
 NASTY = (

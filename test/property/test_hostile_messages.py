@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from support.hostile import hostile, message_readers
 
-from studies.fuzz.targets import message_readers
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import messages as c
 
 LAST = 2**31 * 10**9 - 1
-bounded = settings(max_examples=50, deadline=None, derandomize=True)
+bounded = hostile()
 
 READERS = message_readers()
 WORDS = (b"\xff" * 4, b"\xff" * 8, b"\x7f", b"\x80", bytes(4), struct.pack("<d", 1e308))

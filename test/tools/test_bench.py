@@ -10,8 +10,8 @@ import pytest
 
 from bench.__main__ import main
 from bench.bare_loop import missed_by_bare_loop, wake_at_each_tick
-from bench.result import Result
-from bench.runs import BenchError, run_graph
+from bench.graph import BenchError, run_graph
+from bench.result import Measurement
 from bench.wire import each_tick, rate
 from bench.written import written_calls
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
@@ -46,10 +46,10 @@ def test_what_cannot_be_measured_is_refused_in_one_sentence(
 
 def test_a_result_is_judged_by_its_median() -> None:
     samples = [1.0, 2.0, 9.0]
-    assert Result("", "", samples).verdict == ""
-    assert Result("", "", samples, maximum=2.0).verdict == "pass"
-    assert Result("", "", samples, minimum=2.1).verdict == "fail"
-    assert Result("", "", [float("nan")], maximum=2.0).verdict == "fail"
+    assert Measurement("", "", samples).verdict == ""
+    assert Measurement("", "", samples, maximum=2.0).verdict == "pass"
+    assert Measurement("", "", samples, minimum=2.1).verdict == "fail"
+    assert Measurement("", "", [float("nan")], maximum=2.0).verdict == "fail"
 
 
 def test_a_short_composed_run_is_measured() -> None:

@@ -10,7 +10,7 @@ from studies.faults import campaign, space, tables
 from studies.faults.outcome import Outcome
 from tactile_hand_ros.sweep.table import read_table
 
-RUNS = [space.Run("composed", "at rest", "computer", "stopped", seed) for seed in range(5)]
+RUNS = [space.Injection("composed", "at rest", "computer", "stopped", seed) for seed in range(5)]
 SEEN = {"moved": 0.001, "safe": 0.008, "peak": 20.0, "limit": 40.0, "recovered": 0.5}
 
 

@@ -4,11 +4,11 @@
 import pytest
 
 from studies.faults.in_process import run_in_process
-from studies.faults.space import Run
+from studies.faults.space import Injection
 
 
 def outcome(situation, component, fault, seed=1):
-    return run_in_process(Run("in-process", situation, component, fault, seed))
+    return run_in_process(Injection("in-process", situation, component, fault, seed))
 
 
 def test_a_run_is_the_same_again():

@@ -6,11 +6,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.report.document import shown
 from tactile_hand_ros.run.assumptions import Assumption
 from tactile_hand_ros.run.metrics import Metrics, Settling
 from tactile_hand_ros.run.recording import BagMetrics, TopicCount
@@ -139,13 +137,3 @@ def test_a_table_in_the_terminal_has_a_head_where_its_columns_have_names() -> No
     assert table.show_header and [each.no_wrap for each in table.columns] == [False, True]
     assert list(table.columns[1].cells) == ["\\[b]"] and table.row_count == 1
     assert not tables.rich_table("t", ["", ""]).show_header
-
-
-def test_of_twelve_ticks_seven_are_shown() -> None:
-    """Two pieces, the first tick of each, the peaks in each, the last, and one more by distance."""
-    signal = np.array([1.0, 5.0, 2.0, 3.0, 0.0, 2.0, 4.0, 4.0, 9.0, 4.0, -1.0, 4.0])
-    found = shown(12, 6, [signal], np.array([3]))
-    assert found.tolist() == [0, 1, 3, 4, 6, 8, 10, 11]
-    few = shown(12, 11, [signal], np.array([3], dtype=np.int64))
-    assert few.tolist() == [0, 1, 3, 4, 5, 6, 8, 10, 11]
-    assert shown(12, 2, [signal], np.array([3])).tolist() == [0, 3, 8, 10, 11]

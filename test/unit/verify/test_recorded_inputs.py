@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,19 +26,10 @@ from tactile_hand_ros.verify.recorded_inputs import (
     PARAMETERS,
     Change,
     Inputs,
-    _values,
     read_inputs,
 )
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
-
-
-def test_a_node_that_may_skip_ticks_answered_those_with_any_number() -> None:
-    record = Record.empty(3, ["a"], ["j"])
-    inputs = Inputs(record, [None] * 3, np.zeros(3, dtype=np.bool_), {})
-    answers = np.array([[[np.nan, np.nan]], [[np.nan, 1.0]], [[2.0, 3.0]]])
-    assert inputs.answered(answers).tolist() == [True, True, True]
-    assert replace(inputs, may_skip=True).answered(answers).tolist() == [False, True, True]
 
 
 def test_only_what_is_wanted_otherwise_changes_in_what_was_in_force() -> None:
@@ -61,27 +49,6 @@ def test_only_what_is_wanted_otherwise_changes_in_what_was_in_force() -> None:
     first, call, last = found["manipulation_controller"]
     assert (first.value.law.k_o, last.value.law.k_o, last.value.law.k_p) == (0.7, 0.7, 9.0)
     assert call == changes[1] and last.stamp == 5
-
-
-def test_the_type_of_a_parameter_says_which_of_its_fields_counts() -> None:
-    fields = ("bool", "integer", "double", "string")
-    given: dict[str, Any] = {f"{name}_value": name for name in fields}
-    given |= {f"{name}_array_value": np.array([i]) for i, name in enumerate(["byte", *fields])}
-    parameters = [
-        SimpleNamespace(name=str(kind), value=SimpleNamespace(type=kind, **given))
-        for kind in range(1, 10)
-    ]
-    assert _values(SimpleNamespace(changed_parameters=parameters)) == {
-        "1": "bool",
-        "2": "integer",
-        "3": "double",
-        "4": "string",
-        "5": [0],
-        "6": [1],
-        "7": [2],
-        "8": [3],
-        "9": [4],
-    }
 
 
 @pytest.fixture
