@@ -226,7 +226,7 @@ def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(
     gains = [change.value.law.k_p for change in changes if change.name == PARAMETERS]
     assert gains[:2] == [3.0, 5.0]
     poses = [change for change in changes if change.name == names.DESIRED_POSE]
-    assert len(poses) == 3 and poses[1].stamp == 500_000_000
+    assert len(poses) == 3 and poses[1].stamp >= 500_000_000  # in real time a tick may be skipped
     forces = [c for c in inputs.changes[names.REGULATOR] if c.name == names.GRASP_FORCE]
     assert len(forces) == 1
     # On a busy computer a command may be late, and the joints are held for a while.

@@ -13,7 +13,6 @@ import pytest
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 from support.graph import Graph
 
 from tactile_hand_ros import names
@@ -59,17 +58,6 @@ def pass_time(graph: Graph, seconds: float) -> None:
     graph.wait(lambda: graph.time >= until, f"t = {until:g} s")
 
 
-def wait_for_rest(graph: Graph) -> None:
-    """Wait until nothing moves any more."""
-
-    def rests() -> bool:
-        at = graph.position()
-        pass_time(graph, 0.1)
-        return bool(np.linalg.norm(graph.position() - at) < 2e-4)
-
-    graph.wait(rests, "the end of the motion")
-
-
 def wait_for_grasp_force(graph: Graph, wanted: float) -> None:
     graph.wait(lambda: abs(graph.grasp_force - wanted) < 1e-3, f"k_f = {wanted} N")
 
@@ -94,24 +82,12 @@ def stranger(graph: Graph, kind: Any, topic: str) -> Publisher:
     return publisher
 
 
-def effort(graph: Graph, **changes: Any) -> JointState:
-    """Return a command for the newest tick, as wrong as asked for."""
+def effort(graph: Graph, torque: float) -> JointState:
+    """Return a command for the newest tick, with the same torque for all joints [N m]."""
     state = graph.newest(names.JOINT_STATES)
-    message = JointState(name=list(state.name), effort=[1.0] * len(state.name))
+    message = JointState(name=list(state.name), effort=[torque] * len(state.name))
     message.header.stamp = state.header.stamp
-    for field, value in changes.items():
-        setattr(message, field, value)
     return message
-
-
-def wrong_commands(graph: Graph) -> list[JointState]:
-    joints = list(graph.newest(names.JOINT_STATES).name)
-    return [
-        effort(graph, name=[*joints[:-1], "thumb_9"]),
-        effort(graph, name=joints[:-1], effort=[1.0] * (len(joints) - 1)),
-        effort(graph, effort=[math.nan] * len(joints)),
-        effort(graph, effort=[1.0]),
-    ]
 
 
 MISSED = {
@@ -149,9 +125,8 @@ def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph)
     before = graph.rejected("plant", "joint_command")
     graph.wait(lambda: says(graph, "plant", ERROR, "no usable joint_command"), "the plant's word")
     assert graph.says("plant", "mode", "holding")
-    for message in wrong_commands(graph):
-        publisher.publish(message)
-    graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 4, "four rejections")
+    publisher.publish(effort(graph, math.nan))
+    graph.wait(lambda: graph.rejected("plant", "joint_command") == before + 1, "a rejection")
     graph.node.destroy_publisher(publisher)
     pass_time(graph, 1.0)
     assert_held(graph)
@@ -171,7 +146,7 @@ def test_two_senders_that_disagree_are_answered_with_a_hold(graph: Graph) -> Non
     at = graph.position()
 
     def disagree() -> bool:
-        publisher.publish(effort(graph))
+        publisher.publish(effort(graph, 1.0))
         return says(graph, "plant", ERROR, "two senders of joint_command")
 
     graph.wait(disagree, "the plant's word")
@@ -203,10 +178,3 @@ def test_a_live_parameter_acts_and_others_are_refused_with_the_reason(graph: Gra
         verdict = graph.set_parameter(name, parameter, value)
         assert not verdict.successful and reason in verdict.reason
     assert graph.set_parameter("slip_regulator", "maximum", 40.0).successful
-
-
-def test_a_reset_controller_keeps_the_grasp_where_it_is(graph: Graph) -> None:
-    assert graph.call(Trigger, "manipulation_controller/reset", Trigger.Request()).success
-    wait_for_rest(graph)
-    assert distance(graph) > 0.1
-    assert_held(graph)

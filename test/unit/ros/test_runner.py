@@ -89,6 +89,7 @@ def send(*numbers: int) -> Callable[[], None]:
         (fail(ZeroDivisionError("0")), 1, "ZeroDivisionError: 0\n"),
     ],
 )
+@pytest.mark.usefixtures("hangups_count")
 def test_the_exit_code_follows_from_what_stops_the_nodes(
     action: Any, code: int, printed: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
