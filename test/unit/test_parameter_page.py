@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/parameters.md says what the code declares: name, default, unit, range, live, meaning."""
+
+import enum
+from pathlib import Path
+from typing import Literal, get_args, get_origin
+
+import pytest
+
+from tactile_hand_ros.config.model import leaves
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.scenario.scenario import Scenario
+
+PAGE = Path(__file__).parents[2] / "docs" / "parameters.md"
+SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
+NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
+MODELS = {name: Scenario.model_fields[name].annotation for name in NODES}
+MODELS["recorder"] = RecorderConfig
+SIGNS = {"Ge": "≥", "Gt": ">", "Le": "≤", "Lt": "<"}
+
+
+def shown(value):
+    """Return a default as the page writes it."""
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(shown(each) for each in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    value = value.value if isinstance(value, enum.Enum) else value
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def row(name, field):
+    default = "required" if field.is_required() else f"`{shown(field.default)}`"
+    limits = [f"{SIGNS[kind]} {shown(getattr(each, kind.lower()))}" for each in field.metadata
+              if (kind := type(each).__name__) in SIGNS]  # fmt: skip
+    if get_origin(field.annotation) is Literal:
+        limits = list(get_args(field.annotation))
+    extra = field.json_schema_extra
+    cells = (f"`{name}`", "empty" if default == "``" else default, extra["unit"], ", ".join(limits),
+             "yes" if extra["live"] else "", field.description.replace("|", "\\|"))  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+@pytest.mark.parametrize("node", MODELS)
+def test_the_page_lists_what_is_declared(node):
+    text = PAGE.read_text("utf-8")
+    section = text.split(f"\n## `{node}`\n")[1].split("\n## ")[0].split("\n### ")[0]
+    written = [line for line in section.splitlines() if line.startswith("| `")]
+    shared = SHARED if node in NODES else ()
+    fields = {n: f for n, f in leaves(MODELS[node]).items() if n.split(".")[0] not in shared}
+    assert written == [row(name, field) for name, field in fields.items()]
