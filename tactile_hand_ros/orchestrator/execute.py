@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import hashlib
 import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO, cast
 
 from rich.console import Console
@@ -29,8 +30,6 @@ from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 _WIDTH = 100  # of tables in logs and pipes
-
-Show = Callable[[str], None]
 
 
 class RunInProgressError(TactileHandError):
@@ -61,20 +60,16 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
     )
     output = LastingOutput()
     console = Console(file=cast(IO[str], output), width=None if output.isatty() else _WIDTH)
-
-    def show(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
     # The lock is free before the results are read: the next run may start meanwhile.
     with ros_context(ros_arguments) as ros, single_run_lock(ros.get_domain_id(), plan.namespace):
         signals.check()
         directory = RunDirectory.create(options.out, plan.scenario.name)
-        _announce(plan, directory, options, show)
+        _announce(plan, directory, options, console)
         duration = None if plan.interactive else plan.scenario.duration
         view = View(console, duration, quiet=options.quiet)
         joining = graph_node(ros, ORCHESTRATOR, plan.namespace)
         outcome = Session(plan, directory, signals).run(joining, view)
-    return _conclude(plan, directory, outcome, options, signals, console)
+    return _conclude(plan, directory, outcome, options, signals.exit_code, console)
 
 
 def _checked(options: RunOptions) -> Scenario:
@@ -94,8 +89,9 @@ def shares_process(scenario: Scenario, composed: bool | None) -> bool:
     return scenario.plant.pacing == "realtime" if composed is None else composed
 
 
-def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, show: Show) -> None:
+def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console: Console) -> None:
     """Show what starts."""
+    show = functools.partial(_show, console)
     show(f"{plan.scenario.name}: {plan.scenario.description}")
     if plan.composed and options.composed is None:
         show("real time: the nodes share one process; --processes gives each node its own")
@@ -105,24 +101,30 @@ def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, show: Sh
         show(f"Ctrl-C ends the run. To move the hand: {hint}")
 
 
+def _show(console: Console, line: str) -> None:
+    console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
 def _conclude(
     plan: Plan,
     directory: RunDirectory,
     outcome: RunOutcome,
     options: RunOptions,
-    signals: Signals,
+    signal_code: int,
     console: Console,
 ) -> int:
     """Judge a run, write and show its results, and return the exit code."""
     # Imported late: it takes a tenth of a second, for which the hand would wait.
     from tactile_hand_ros.orchestrator import results
 
-    def show(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    show = functools.partial(_show, console)
 
-    tell = show if not options.quiet else lambda line: None
+    def tell(line: str) -> None:
+        if not options.quiet:
+            show(line)
+
     found = results.read_results(plan, directory, outcome, tell)
-    verdict = results.judge(plan, outcome, found, signals.exit_code)
+    verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.run is not None:
         console.print(results.table(plan, outcome, found))

@@ -12,10 +12,8 @@ from pydantic import ValidationError, field_validator, model_validator
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
-from tactile_hand_ros.control.command_guard import GuardConfig
-from tactile_hand_ros.control.controller import ControllerConfig, PostureHoldConfig
+from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.grasp import VirtualFrame
-from tactile_hand_ros.control.holds import GuardHoldConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
@@ -153,8 +151,8 @@ class Scenario(Config):
             assert isinstance(model, type) and issubclass(model, Config)
             shared = [name for name in _SHARED if name in model.model_fields]
             top = {name: data.get(name, cls.model_fields[name].default) for name in shared}
-            if isinstance(section, model):
-                section = _unshared(section, top)
+            if isinstance(section, Config):  # its defaults would contradict the top unnoticed
+                raise ValueError(f"give '{node}' as a mapping, not as {type(section).__name__}")
             if not isinstance(section, dict):
                 continue  # nonsense that validation will name
             if wrong := [name for name in shared if name in section]:
@@ -206,15 +204,14 @@ def _derive_holds(data: dict[str, Any]) -> None:
     Args:
         data: A scenario before validation; what is not a mapping is left to the validation.
     """
-    plant = _given(data.get("plant"), PlantConfig)
-    controller = _given(data.get("manipulation_controller"), ControllerConfig)
-    regulator = _given(data.get("slip_regulator"), SlipRegulatorConfig)
-    guard = _given((plant or {}).get("guard", {}), GuardConfig)
-    hold = _given((guard or {}).get("hold", {}), GuardHoldConfig)
-    posture = _given((controller or {}).get("hold", {}), PostureHoldConfig)
-    if plant is None or controller is None or regulator is None:
+    plant, controller, regulator = (
+        data[name] for name in ("plant", "manipulation_controller", "slip_regulator")
+    )
+    if not all(isinstance(section, dict) for section in (plant, controller, regulator)):
         return
-    if guard is None or hold is None or posture is None:
+    guard, posture = plant.get("guard", {}), controller.get("hold", {})
+    hold = guard.get("hold", {}) if isinstance(guard, dict) else None
+    if not isinstance(hold, dict) or not isinstance(posture, dict):
         return
     limit = regulator.get("maximum", SlipRegulatorConfig.model_fields["maximum"].default)
     derived = {"squeeze_limit": limit}
@@ -227,26 +224,6 @@ def _derive_holds(data: dict[str, Any]) -> None:
         derived, posture = {**derived, **seen}, {**seen, **posture}
     data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
     data["manipulation_controller"] = {"grasp_force_limit": limit, **controller, "hold": posture}
-
-
-def _given(section: Any, model: type[Config]) -> dict[str, Any] | None:
-    """Return what was given of a section; None where it is not one."""
-    if isinstance(section, model):
-        return {key: getattr(section, key) for key in section.model_fields_set}
-    return section if isinstance(section, dict) else None
-
-
-def _unshared(section: Config, top: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a finished section without those that only repeat the scenario's.
-
-    Defaults were not given by a user, so they go as well.
-    """
-    values = {name: getattr(section, name) for name in type(section).model_fields}
-    for name, given in top.items():
-        own, default = values[name], type(section).model_fields[name].default
-        if np.array_equal(own, default) or np.array_equal(own, given):
-            del values[name]
-    return values
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:

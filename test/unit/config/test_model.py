@@ -84,6 +84,7 @@ def test_values_are_read_into_their_types(tmp_path):
         ("body: {size: 1.5}", "body.size", ["is 1.5", "> 0.0 and <= 1.0 m"]),
         ("law: best", "law", ["law is 'best'", "one of proposed, kawamura"]),
         ("gains: [1, .nan]", "gains[1]", ["gains[1] is nan", "finite number"]),
+        ("gains: [1, -2]", "gains[1]", ["gains[1] is -2", "a finite number >= 0"]),
         ("body: {mass: true}", "body.mass", ["is True", "a finite number"]),
         ("fingers: four", "fingers", ["is 'four'", "a whole number >= 3"]),
         ("noisy: perhaps", "noisy", ["is 'perhaps'", "true or false"]),

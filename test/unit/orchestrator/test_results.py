@@ -141,7 +141,7 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
     short = f"the bag holds {TICKS} ticks, expected {TICKS + 1}"
     assert short in read_results(Plan(longer), directory, DONE).problems
     assert short not in read_results(Plan(longer), directory, RunOutcome(interrupted=True)).problems
-    late = Plan(longer.changed({"plant": longer.plant.changed({"pacing": "realtime"})}))
+    late = Plan(longer.changed({"plant.pacing": "realtime"}))
     found = read_results(late, directory, DONE)
     assert found.recording["expected_ticks"] is None and found.problems == []
 

@@ -7,7 +7,6 @@ from pydantic import ValidationError
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_quaternion
@@ -84,20 +83,10 @@ def test_what_is_said_once_reaches_every_node(tmp_path):
 GRAVITY = (1.0, -2.0, 3.0)
 
 
-@pytest.mark.parametrize("plant", [PlantConfig(rate=250.0), PlantConfig().changed({"rate": 250.0})])
-def test_what_is_said_once_reaches_finished_sections_too(plant):
-    """What a section has by default, nobody has said."""
-    scenario = Scenario(gravity=GRAVITY, hand="other", plant=plant, duration=3.0)
-    assert scenario.plant.gravity == scenario.manipulation_controller.gravity == GRAVITY
-    assert scenario.plant.hand == scenario.manipulation_controller.hand == "other"
-    assert (scenario.plant.duration, scenario.plant.rate) == (3.0, 250.0)
-    still = Scenario(manipulation_controller=ControllerConfig())
-    assert still.manipulation_controller.gravity == still.plant.gravity == (0.0, 0.0, 0.0)
-
-
-def test_a_finished_section_cannot_contradict_the_scenario():
-    with pytest.raises(ValidationError, match="set 'gravity' once at the top, not in 'plant'"):
-        Scenario(plant=PlantConfig(gravity=GRAVITY))
+def test_a_finished_section_is_refused():
+    """Its defaults could contradict what the scenario says once for all nodes."""
+    with pytest.raises(ValidationError, match="give 'plant' as a mapping, not as PlantConfig"):
+        Scenario(plant=PlantConfig())
 
 
 def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is():
@@ -277,7 +266,7 @@ def test_the_hold_squeezes_up_to_the_limit_of_the_regulator():
     assert limit_of(raised) == 20.0
     own = load_scenario("paper", {"plant.guard.hold.squeeze_limit": 12.0})
     assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
-    assert limit_of(Scenario(plant=PlantConfig(), slip_regulator={"maximum": 30.0})) == 30.0
+    assert limit_of(Scenario(slip_regulator={"maximum": 30.0})) == 30.0
 
 
 def test_stamps_are_whole_nanoseconds():
