@@ -241,26 +241,17 @@ def _damage_refused(path: Path | str) -> Iterator[None]:
 def _check_present(path: Path) -> None:
     if not path.exists():
         raise BagError(f"The bag {path} does not exist; check the path.")
-    if not path.is_dir():
-        check_regular(path)
-        return
-    for entry in path.iterdir():
+    for entry in path.iterdir() if path.is_dir() else [path]:
         if not entry.is_dir():
             check_regular(entry)
     metadata = path / FILE_NAME
-    if metadata.exists():
-        if metadata.stat().st_size > _LARGEST:
-            raise BagError(f"{metadata} is larger than {_LARGEST} bytes.")
-        return
-    if not any(path.glob("*.mcap")):
+    if metadata.exists() and metadata.stat().st_size > _LARGEST:
+        raise BagError(f"{metadata} is larger than {_LARGEST} bytes.")
+    if path.is_dir() and not metadata.exists():
         raise BagError(
-            f"The folder {path} is not a bag: it has neither {FILE_NAME} nor an .mcap file; "
-            "check the path."
+            f"The folder {path} has no {FILE_NAME}: it is not a bag, or its recording was cut off "
+            f"or still runs; run `tactile-hand recover {path}`."
         )
-    raise BagError(
-        f"The bag {path} has no {FILE_NAME}: its recording was cut off or still runs; run "
-        f"`tactile-hand recover {path}`."
-    )
 
 
 def check_regular(file: Path) -> None:

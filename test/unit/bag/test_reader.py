@@ -87,7 +87,7 @@ def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     for path, text in (
         (tmp_path / "nowhere", "nowhere does not exist"),
-        (tmp_path, "is not a bag"),
+        (tmp_path, "is not a bag, or its recording was cut off"),
         (tmp_path / "notes.txt", "notes.txt is not a bag; give the folder of a run"),
     ):
         with pytest.raises(BagError, match=text):

@@ -219,21 +219,19 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
     for number, odd in enumerate(("7", "[7]", "- {history: x}", "[")):
         [topic] = recover(foreign_file(tmp_path / f"y{number}.mcap", odd)).metadata.topics
         assert (topic.offers, topic.message_count) == ((), 1)
-
-
-def test_messages_of_an_unknown_channel_are_counted_as_left(tmp_path: Path) -> None:
-    recovery = recover(foreign_file(tmp_path / "x.mcap", schema=9))
-    assert recovery.messages == 0 and recovery.left == len(payload(1))
+    without_schema = recover(foreign_file(tmp_path / "z.mcap", schema=9))
+    assert (without_schema.messages, without_schema.left) == (0, len(payload(1)))
 
 
 def test_refusals(tmp_path: Path) -> None:
     """Each sentence says what was found; nothing is created."""
     (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "run_0.mcap.zstd").touch()  # compressed by rosbag2, not by MCAP
     (tmp_path / "text.mcap").write_text("not an MCAP file")
     write_bag(tmp_path / "run", count=1)
     for bag, out, message in (
         ("nowhere", None, "does not exist"),
-        ("empty", None, "holds no .mcap file"),
+        ("empty", None, "holds no .mcap file.*ros2 bag convert"),
         ("text.mcap", None, "not an MCAP file"),
         ("run", "empty", "exists already"),
         ("run", "text.mcap/x", "cannot be created"),
@@ -241,15 +239,6 @@ def test_refusals(tmp_path: Path) -> None:
         with pytest.raises(BagError, match=message):
             recover(tmp_path / bag, tmp_path / out if out else None)
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "text.mcap", "run"}
-
-
-def test_files_compressed_by_rosbag2_are_refused(tmp_path: Path) -> None:
-    """These files are not MCAP's own."""
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "run_0.mcap.zstd").touch()
-    with pytest.raises(BagError, match="ros2 bag convert"):
-        recover(tmp_path / "run")
-    assert not (tmp_path / "run_recovered").exists()
 
 
 def test_the_bag_of_a_run_is_found_in_its_folder(
