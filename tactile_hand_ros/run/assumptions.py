@@ -32,6 +32,7 @@ from tactile_hand_ros.control.margins import (
 )
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.run.derived import spans
 from tactile_hand_ros.run.metrics import Plain
 
 Array = NDArray[np.float64]
@@ -89,13 +90,9 @@ def _judged(line: _Line, record: Record, hand: Hand) -> Assumption:
         worst = float(known.max() if below else known.min())
     if len(known) and not math.isnan(limit):
         good = known < limit if below else known > limit
-        held, broken = float(good.mean()), _intervals(times, ~good)
+        held = float(good.mean())
+        broken = [(float(times[first]), float(times[after - 1])) for first, after in spans(~good)]
     return Assumption(name, meaning, margin, worst, limit, below, held, broken)
-
-
-def _intervals(times: Array, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
-    return [(float(times[a]), float(times[b - 1])) for a, b in zip(edges[::2], edges[1::2])]
 
 
 def _each(record: Record, value: Callable[[Contacts, int], Any], shape: tuple[int, ...]) -> Array:

@@ -27,6 +27,12 @@ def silent(record: Record) -> NDArray[np.bool_]:
     return np.asarray(missing & (np.isnan(forces).all(axis=1) | (forces > 0.0).any(axis=1)))
 
 
+def spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return each stretch of rows in which flags are set: its first, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def gaps(record: Record) -> list[tuple[int, int]]:
     """Return first and last row around each stretch of missing ticks or of silence.
 
@@ -40,10 +46,9 @@ def gaps(record: Record) -> list[tuple[int, int]]:
     quiet = silent(record)
     if quiet.all():  # without touch altogether
         return found
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(int)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in spans(quiet):
         if end - start >= _LONG:
-            found.append((max(0, int(start) - 1), min(int(end), len(record) - 1)))
+            found.append((max(0, start - 1), min(end, len(record) - 1)))
     return sorted(found)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.bag.reader import TopicMessages, decode
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.run.derived import gaps, silent
+from tactile_hand_ros.run.derived import gaps, silent, spans
 from tactile_hand_ros.scenario.scenario import Scenario
 
 OPENING = ("grasp", "false")
@@ -186,7 +186,9 @@ def _of_fingers(record: Record) -> list[Event]:
         name = finger.replace("_", " ")
         sliding = record.true_sliding[:, i] > SLIDING
         alarm = record.grip[:, i] == ContactState.SLIP
-        lost, made = _edges(_held_through(missing[:, i], unknown))
+        away = spans(_held_through(missing[:, i], unknown))
+        lost = [first for first, _ in away if first]
+        made = [after for _, after in away if after < len(record)]
         slips, alarms = _starts(record, sliding), _starts(record, alarm)
         found += _at(record, slips, "slip", finger, f"{name} starts to slide")
         found += _at(record, alarms, "detection", finger, f"slip of {name} is detected")
@@ -209,17 +211,14 @@ def _gaps(record: Record) -> list[Event]:
     return found
 
 
-def _edges(flags: Flags) -> tuple[list[int], list[int]]:
-    """Return the rows in which flags rise and those in which they fall, not counting the first."""
-    steps = np.diff(flags.astype(int), prepend=flags[:1].astype(int))
-    return list(np.flatnonzero(steps == 1)), list(np.flatnonzero(steps == -1))
-
-
 def _starts(record: Record, flags: Flags) -> list[int]:
-    """Return the rows in which something begins that had not just stopped."""
-    rises, falls = _edges(flags)
-    ends = [-np.inf, *(float(record.times[row]) for row in falls)]
-    return [row for row, end in zip(rises, ends) if record.times[row] - end > _PAUSE]
+    """Return the rows in which something begins that had not just stopped, not the first row."""
+    found, ended = [], -math.inf
+    for first, after in spans(flags):
+        if first and record.times[first] - ended > _PAUSE:
+            found.append(first)
+        ended = record.times[min(after, len(record) - 1)]
+    return found
 
 
 def _reactions(record: Record) -> list[Event]:
