@@ -50,6 +50,8 @@ HAPTIC_PERIOD_NS = 20_000_000
 
 Array = NDArray[np.float64]
 
+_SLIP = int(ContactState.SLIP)
+
 
 class GripState(NamedTuple):
     """What the regulator has estimated of each contact, arrays of shape (k,)."""
@@ -73,8 +75,7 @@ class RegulatorReport:
 
     def reset(self) -> None:
         """Start counting at zero."""
-        self._grip: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
-        self._slips: NDArray[np.int_] = np.zeros(len(self._fingers), dtype=int)
+        self._grip, self._slips = ([0] * len(self._fingers) for _ in range(2))
         self._limited, self._unholdable, self._maximum_needed = Mostly(), Mostly(), 0.0
         self._watch = SlipMonitor()
 
@@ -89,8 +90,10 @@ class RegulatorReport:
         """Note a tick: what was measured, in contact frames, and what the regulator made of it."""
         grip = state.grip
         self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
-        before, self._grip = self._grip, grip
-        self._slips += (grip == ContactState.SLIP) & (before != ContactState.SLIP)
+        before, self._grip = self._grip, grip.tolist()
+        if self._grip != before:
+            for finger, (old, new) in enumerate(zip(before, self._grip, strict=True)):
+                self._slips[finger] += new == _SLIP != old
         is_automatic = regulator.config.mode != "user"
         # At the limit because of a slip that is over, nothing is missing.
         self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
@@ -104,7 +107,7 @@ class RegulatorReport:
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
         put("needed_force_n", regulator.needed)
-        put("slips", int(self._slips.sum()))
+        put("slips", sum(self._slips))
         facts = zip(
             self._fingers,
             regulator.learned_friction,
@@ -115,9 +118,9 @@ class RegulatorReport:
         )
         for name, friction, grip, evidence, slips in facts:
             put(f"friction {name}", float(friction))
-            put(f"grip {name}", ContactState(int(grip)).name.lower())
+            put(f"grip {name}", ContactState(grip).name.lower())
             put(f"slip_evidence {name}", float(evidence))
-            put(f"slips {name}", int(slips))
+            put(f"slips {name}", slips)
         watch = self._watch
         put("A3 load_n", watch.load)
         put("A4 slip_margin", watch.evidence)

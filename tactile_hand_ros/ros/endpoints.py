@@ -33,9 +33,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
-LOOK_PERIOD = 0.1
-"""Time between two looks for subscribers [s]."""
-
 _ALL = 1_000_000
 _THIS = Path(__file__)
 _PACKAGE = _THIS.parents[1]
@@ -253,6 +250,9 @@ def take_latest(subscription: Subscription) -> Any:
 class TickPublisher:
     """Encodes and publishes messages while there is a subscriber or a tap.
 
+    Subscribers are those at the last call of `get_subscription_count`; the node looks five times a
+    second.
+
     A tap is called in the publisher's process with the same bytes, so a recorder there needs no
     subscription.
 
@@ -276,7 +276,7 @@ class TickPublisher:
         self.topic: str = self._publisher.topic_name
         self.qos_profile: QoSProfile = self._publisher.qos_profile
         self._taps: list[Callable[[bytes], None]] = []
-        self._is_read, self._next_look = False, 0.0
+        self._is_read = False
         self._last: tuple[Callable[..., bytes], tuple[Any, ...]] | None = None
 
     def add_tap(self, tap: Callable[[bytes], None]) -> None:
@@ -285,11 +285,7 @@ class TickPublisher:
 
     @property
     def wanted(self) -> bool:
-        """Whether there is a tap or a subscriber; a new subscriber is found within 0.1 s."""
-        now = time.monotonic()
-        if now >= self._next_look:
-            self._next_look = now + LOOK_PERIOD
-            self.get_subscription_count()
+        """Whether there is a tap or, at the last look, a subscriber."""
         return self._is_read or bool(self._taps)
 
     def get_subscription_count(self) -> int:
