@@ -48,7 +48,7 @@ class Process:
             self._executor.spin_once(0.0)
             return condition()
 
-        return wait_until(served, message=message)
+        return wait_until(served, 60.0, message)
 
     def receive(self, kind: Any, topic: str, profile: Any = None) -> list[Any]:
         """Subscribe and return the list in which messages will be found, see `messages`."""
