@@ -384,7 +384,9 @@ class Controller:
         pressing, c = None, self.config
         if self._compares_forces and forces is not None and applied is not None:
             pressing = forces, applied
-        limits = Tolerances(c.touch_tolerance, c.force_tolerance, c.touch_latency)
+        limits = Tolerances(
+            c.touch_tolerance, c.force_tolerance, c.touch_latency, c.hold.resolution
+        )
         tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
         self.touch_rejected = bool(problem)
         return tips, problem

@@ -7,8 +7,9 @@ A blind hand has no truth to compare with, but it knows some things twice:
   points break that.
 - The normal forces of (13) add up to one: sum f*_n = 1.
 - What the contacts press is what the motors press, by (3):
-  J_h^T f_c = tau - M_h theta'' - C_h theta' - N_h. Forces of one finger or of all that are out of
-  proportion, and forces that do not change while the torque does, break that.
+  J_h^T f_c = tau - M_h theta'' - C_h theta' - N_h. Each finger is compared by itself: forces of one
+  that are out of proportion or turned, and forces that do not change while its torque does, break
+  that. What the noise of the encoders may make up is no error.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ FELT_TIME = 0.005
 
 _FROZEN_TIME = 0.04  # s for which a slow skin may repeat a force to the bit
 _FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
-_SMALL = 0.05  # N m; an error that shows nothing
+_SMALL = 0.05  # N m; a change of torque that any skin shows
+_SPREAD = 0.02  # of the torques of all fingers that may show at one: they share object and model
 _FINE_FRACTION, _FINE_SMALL = 0.01, 0.002  # the same of a skin without steps; N m
 _STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
 
@@ -119,8 +121,9 @@ class ForceTorqueCheck:
     A skin's samples are some milliseconds old: its forces are those of one time since then.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hand: Hand) -> None:
         """Start without a past."""
+        self._least = hand.least_force * hand.spans
         self.reset()
 
     def reset(self) -> None:
@@ -142,6 +145,7 @@ class ForceTorqueCheck:
         applied: Array,
         tolerance: float,
         latency: float = 0.0,
+        resolution: float = 0.0,
     ) -> str:
         """Return why forces and torques do not fit each other; empty if they do.
 
@@ -154,8 +158,9 @@ class ForceTorqueCheck:
             contacts: Contact points and frames; all must touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
-            tolerance: Largest error of J_h^T f_c as a fraction of it.
+            tolerance: Largest error of J_h^T f_c of a finger as a fraction of it.
             latency: Largest age of the forces, s. For so long after a reset nothing is compared.
+            resolution: Error of a joint angle, rad, of whose differences the rates are made.
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
@@ -167,15 +172,18 @@ class ForceTorqueCheck:
         if not self._past:
             self._pressed = self._felt = pressed
             self._began = stamp
+        own = np.abs(tips.linear).max(axis=1) > 0.0
         fraction = 1.0 - math.exp(-dt / FELT_TIME)
         self._pressed = self._pressed + fraction * (pressed - self._pressed)
         if 1e-9 * (stamp - self._began) < latency:  # forces may be those of torques before
             felt = self._pressed
         self._felt = self._felt + fraction * (felt - self._felt)
         self._remember(stamp, latency)
-        if not any(self._fits(past, tolerance) for _, past in reversed(self._past)):
+        noise = np.abs(inertia).sum(axis=1) @ own.T * (resolution / (dt * FELT_TIME))
+        limits = self._least + noise
+        if not any(self._fits(past, own, tolerance, limits) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
-        if self._is_frozen(stamp, tips, forces):
+        if self._is_frozen(stamp, tips, forces, noise):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
 
@@ -185,13 +193,22 @@ class ForceTorqueCheck:
         while 1e-9 * (stamp - self._past[0][0]) > latency:
             self._past.popleft()
 
-    def _fits(self, pressed: Array, tolerance: float) -> bool:
-        """Return whether what is measured may be what was pressed at some time, shape (m,), N m."""
-        error = self._felt - pressed
-        limit = _SMALL + tolerance * math.sqrt(pressed @ pressed)
-        return math.sqrt(error @ error) <= limit
+    def _fits(
+        self, pressed: Array, own: NDArray[np.bool_], tolerance: float, limits: Array
+    ) -> bool:
+        """Return whether what is measured may be what was pressed at some time.
 
-    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array) -> bool:
+        Args:
+            pressed: Torques at that time, shape (m,), N m.
+            own: Which joints move which finger, shape (k, m).
+            tolerance: Largest error of a finger as a fraction.
+            limits: Errors of each finger that show nothing, shape (k,), N m.
+        """
+        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._felt - pressed, pressed))
+        limit = limits + tolerance * (torque + _SPREAD * math.sqrt(pressed @ pressed))
+        return bool((error <= limit).all())
+
+    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array, noise: Array) -> bool:
         """Return whether a finger repeats its force to the bit for long, under another torque."""
         felt = forces.tolist()
         if not self._frozen:
@@ -206,7 +223,7 @@ class ForceTorqueCheck:
                 own = tips.linear[i].any(axis=0)
                 change = np.abs((self._pressed - frozen.pressed)[own]).max()
                 torque = np.abs(frozen.pressed[own]).max()
-                if change > _noticeable(torque, tips.linear[i], self._finest[i]):
+                if change > noise[i] + _noticeable(torque, tips.linear[i], self._finest[i]):
                     return True
         return False
 
@@ -231,11 +248,13 @@ class Tolerances(NamedTuple):
         touch: Distance of a contact from its fingertip, m.
         force: Difference between measured forces and joint torques, a fraction.
         latency: Age of measured forces, s.
+        resolution: Error of a joint angle, rad.
     """
 
     touch: float
     force: float
     latency: float
+    resolution: float = 0.0
 
 
 class InputCheck:
@@ -244,7 +263,7 @@ class InputCheck:
     def __init__(self, hand: Hand) -> None:
         """Start without a past."""
         self._hand = hand
-        self._forces, self._joints = ForceTorqueCheck(), FrozenJointCheck()
+        self._forces, self._joints = ForceTorqueCheck(hand), FrozenJointCheck()
 
     def reset(self) -> None:
         """Forget the past: time or hand are new."""
@@ -280,7 +299,7 @@ class InputCheck:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips, allowed = terms[0], (limits.force, limits.latency)
+            tips, allowed = terms[0], (limits.force, limits.latency, limits.resolution)
             problem = self._forces.step(stamp, rates, terms, contacts, *pressing, *allowed)
         gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch)
         frozen = self._joints.step(theta, contacts, _STANDING * limits.touch)

@@ -223,7 +223,16 @@ def _derive_holds(data: dict[str, Any]) -> None:
         seen = {"rate_lag": encoder.rate_lag, "resolution": encoder.resolution}
         derived, posture = {**derived, **seen}, {**seen, **posture}
     data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
-    data["manipulation_controller"] = {"grasp_force_limit": limit, **controller, "hold": posture}
+    follows = {"grasp_force_limit": limit, "touch_latency": _touch_latency(data)}
+    data["manipulation_controller"] = {**follows, **controller, "hold": posture}
+
+
+def _touch_latency(data: dict[str, Any]) -> float:
+    """Return the largest age of forces: what the controller assumes, and the skin's own latency."""
+    sensor = _given(data.get("tactile_sensor"), TactileSensorConfig) or {}
+    own, late = sensor.get("latency", 0.0), ControllerConfig.model_fields["touch_latency"].default
+    is_number = isinstance(own, int | float) and 0.0 <= own <= 0.5 - late
+    return float(late + own) if is_number else float(late)
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:
@@ -241,6 +250,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
         (controller["hold"], "rate_lag", encoder.rate_lag),
         (controller["hold"], "resolution", encoder.resolution),
         (controller, "grasp_force_limit", limit),
+        (controller, "touch_latency", _touch_latency(data)),
     )
     for section, name, value in derived:  # what follows from other values anyway
         if section[name] == value:
