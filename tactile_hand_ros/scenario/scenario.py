@@ -229,8 +229,8 @@ def _derive_holds(data: dict[str, Any]) -> None:
 
 def _touch_latency(data: dict[str, Any]) -> float:
     """Return the largest age of forces: what the controller assumes, and the skin's own latency."""
-    sensor = _given(data.get("tactile_sensor"), TactileSensorConfig) or {}
-    own, late = sensor.get("latency", 0.0), ControllerConfig.model_fields["touch_latency"].default
+    sensor, late = data["tactile_sensor"], ControllerConfig.model_fields["touch_latency"].default
+    own = sensor.get("latency", 0.0) if isinstance(sensor, dict) else 0.0
     is_number = isinstance(own, int | float) and 0.0 <= own <= 0.5 - late
     return float(late + own) if is_number else float(late)
 
