@@ -15,7 +15,7 @@ import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
-from tactile_hand_ros.config.hand_config import find_hand
+from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.control.reach import inverse_kinematics
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
@@ -164,7 +164,7 @@ def scaled_paper(folder: Path, scale: float, link_mass: float) -> dict[str, Any]
         scale: Size against that of the paper's hand.
         link_mass: Mass of each link, kg.
     """
-    origin = find_hand("paper")
+    origin = config_directory() / "hands" / "paper.yaml"
     tree = ElementTree.parse(origin.with_suffix(".urdf"))
     for element in tree.iter():
         values = element.attrib
