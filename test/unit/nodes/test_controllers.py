@@ -500,11 +500,3 @@ def test_forces_are_not_observed_where_the_controller_does_not_receive_them(
         .set_parameters([Parameter("law.observer.time", value=0.25)])[0]
         .successful
     )
-
-
-def test_margins_and_mode_are_reported(here: Process) -> None:
-    node = here.make(ManipulationControllerNode)
-    assert "mode" not in facts(node)
-    tick(node, 0)
-    found = facts(node)
-    assert found["mode"] == "drive" and float(found["A7 collinearity_margin"]) > 0.1
