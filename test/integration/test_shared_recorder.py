@@ -11,13 +11,11 @@ from typing import Any
 import psutil
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import PATIENCE, Graph
 
-from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_raw, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.cdr import header_stamp
@@ -144,22 +142,3 @@ def test_killed_with_its_hand_it_loses_the_last_ticks_at_most(domain: int, tmp_p
     assert stamps == [tick * i for i in range(len(stamps))]
     in_a_turn = 60  # ticks, far more than fit into the 10 ms until messages are handed on
     assert 1e-9 * stamps[-1] > seen - 1e-9 * in_a_turn * tick
-
-
-def test_the_hand_goes_on_when_its_bag_cannot_be_written(domain: int, tmp_path: Path) -> None:
-    with RecordedGraph(60.0, domain, tmp_path) as graph:
-        graph.begin()
-        graph.wait(lambda: graph.time > 0.05, "some ticks")
-        (file,) = graph.bag.glob("*.mcap")
-        size = file.stat().st_size
-        graph.wait(lambda: file.stat().st_size > size, "ticks in the file")
-        graph.writer.kill()
-        graph.wait(
-            lambda: graph.health["/recorder"].level == DiagnosticStatus.ERROR, "an error report"
-        )
-        assert "tactile-hand recover" in graph.health["/recorder"].message
-        later = graph.time + 0.1
-        graph.wait(lambda: graph.time > later, "more ticks")
-        assert graph.newest(names.JOINT_STATES).header.stamp.sec >= 0
-        assert graph.end(signal.SIGINT) == {"composed": 1}
-    assert payloads(recover(graph.bag).target)["/joint_states"]
