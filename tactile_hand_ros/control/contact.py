@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,24 +21,6 @@ Array = NDArray[np.float64]
 
 # Below this length the projection of palm z on the face is no direction any more (palm x is used).
 _MIN_PROJECTION = 1e-3
-
-
-T = TypeVar("T")
-
-
-class _Once(Generic[T]):
-    """An attribute that is computed when it is first asked for.
-
-    As `functools.cached_property`, which takes a lock each time in Python 3.11.
-    """
-
-    def __init__(self, compute: Callable[[Any], T]) -> None:
-        self._compute, self._name = compute, compute.__name__
-        self.__doc__ = compute.__doc__
-
-    def __get__(self, instance: Any, owner: type) -> T:
-        value = instance.__dict__[self._name] = self._compute(instance)
-        return value
 
 
 @dataclass(frozen=True)
@@ -58,12 +40,12 @@ class Contacts:
         """Build contacts from what travels on a topic: points and quaternions (x, y, z, w)."""
         return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
 
-    @_Once
+    @cached_property
     def touching(self) -> NDArray[np.bool_]:
         """Which fingers touch, shape (k,)."""
         return _touching(self.positions, self.rotations)
 
-    @_Once
+    @cached_property
     def all_touching(self) -> bool:
         """Whether all fingers touch."""
         return all(self.touching.tolist())
@@ -73,7 +55,7 @@ class Contacts:
         """Contact normals n into the object, shape (k, 3)."""
         return self.rotations[:, :, 1]
 
-    @_Once
+    @cached_property
     def centroid(self) -> Array:
         """Mean of the contact points, shape (3,), m; NaN when a contact is missing."""
         return centroid(self.positions)
