@@ -41,6 +41,7 @@ def check_scenario(scenario: Scenario) -> None:
     optimal = ForceOptimizer(scenario.force_optimizer, hand.fingers).solve(contacts)
     if not optimal.ok:
         raise GraspError(optimal.reason)
+    _check_mode(scenario)
     frame = VirtualFrame().orientation(contacts.positions)
     pose = AuxiliaryPose(contacts.centroid, frame)
     for target in scenario.targets:
@@ -49,6 +50,21 @@ def check_scenario(scenario: Scenario) -> None:
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
+
+
+def _check_mode(scenario: Scenario) -> None:
+    """Refuse the baselines (8) and (10) with slip prevention.
+
+    They press toward the centroid with k_f times a distance, so that the newtons which the
+    regulator finds the object to need would be taken for newtons per meter.
+    """
+    name, mode = scenario.manipulation_controller.law.name, scenario.slip_regulator.mode
+    if name in LAWS and name != "optimal" and mode != "user":
+        raise ConfigurationError(
+            f"the law '{name}' multiplies the grasp force by a distance, so that slip prevention "
+            f"would press with another force than it computes; set slip_regulator.mode to user "
+            f"instead of {mode}, or the law to optimal"
+        )
 
 
 def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:

@@ -28,6 +28,11 @@ def check(**changes):
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
+        (
+            {"manipulation_controller__law__name": "contact", "slip_regulator__mode": "auto"},
+            ConfigurationError,
+            r"the law 'contact' multiplies the grasp force by a distance.*mode to user",
+        ),
         ({"layout": "four_faces"}, HandModelError, r"no layout 'four_faces'.*three_faces, pinch"),
         (
             {"plant__object__size": [0.2, 0.2, 0.2]},
