@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -35,7 +36,7 @@ from tactile_hand_ros.cli.output import (
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.report.tables import markdown, rich_table
 from tactile_hand_ros.scenario.scenario import scenario_names
-from tactile_hand_ros.sweep.engine import workers
+from tactile_hand_ros.sweep.engine import in_parallel, workers
 from tactile_hand_ros.sweep.table import read_table
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
@@ -87,6 +88,23 @@ def detector(
         scores = d.run_roc(runs, seed=seed, progress=advance)
     files = save(d.figure(scores), out, "study_roc", kinds)
     _finish(out, files, ("detector", d.COLUMNS, d.rows(scores)))
+
+
+def invariance(
+    out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("invariance"),
+    runs: Annotated[int, typer.Option(help="Number of random orientations.", min=0)] = 3,
+    jobs: JobsOption = -1,
+    seed: SeedOption = 0,
+) -> None:
+    """Turn hand, object, gravity and loads in the palm frame: nothing else may change."""
+    from studies import invariance as i
+
+    check_writable(out)
+    with workers(jobs):
+        done = in_parallel(functools.partial(i.compare, count=runs, seed=seed), i.SCENARIOS)
+        found = [row for rows in done for row in rows]
+    out.mkdir(parents=True, exist_ok=True)
+    _finish(out, [], ("invariance", i.COLUMNS, found))
 
 
 def loads(
@@ -233,7 +251,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, detector, loads, faults, fuzz, robustness, soak, stalls):
+for _command in (slip, detector, invariance, loads, faults, fuzz, robustness, soak, stalls):
     app.command()(_command)
 
 
