@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip study: how fast slip is found and stopped, and at what grasp force.
 
-Every run starts where the hand stands once it knows the object: with the friction as the estimate
-and the grasp force that this takes. After a while the surface turns slippery, or the object is
-pulled. A few runs last longer without any event, for the grasp force at rest.
+Every run starts with the prior friction and 1.3 times the grasp force that holds the object, with
+the prior or the true friction, whichever is lower. Then the surface turns slippery, or the object
+is pulled. A few runs last longer without any event, for the grasp force at rest.
 """
 
 from __future__ import annotations
@@ -137,7 +137,8 @@ def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Sce
     base = _base().slip_regulator
     contacts, position = _start()
     wrench = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
-    minimum = minimum_against(contacts, position, wrench, case.friction)
+    prior = base.friction.prior
+    minimum = minimum_against(contacts, position, wrench, min(prior, case.friction))
     values = {
         "duration": DURATION,
         "seed": case.index + 1,
@@ -149,7 +150,6 @@ def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Sce
         "tactile_sensor.latency": case.latency,
         "tactile_sensor.rate": case.rate,
         "slip_regulator.grasp_force": min(max(1.3 * minimum, base.minimum), base.maximum),
-        "slip_regulator.friction.prior": case.friction,
         **_event(case),
         **(changes or {}),
     }
@@ -264,7 +264,7 @@ def false_alarms(record: Record) -> int:
 def hold_case(case: SlipCase) -> dict[str, float]:
     """Hold the object of a case without an event and compare the grasp force at the end.
 
-    With ``known`` friction the hand starts as in the short runs, with ``unknown`` as by default.
+    With ``known`` friction the prior is the true one, with ``unknown`` all is as by default.
     Ratio: sum of normal forces at the end against the minimum; estimate: largest estimated friction
     against the true one; slip: largest distance that a contact slid, m.
     """
@@ -273,10 +273,11 @@ def hold_case(case: SlipCase) -> dict[str, float]:
         "plant.friction_changes": [],
         "plant.disturbances": [],
     }
-    if case.kind == "unknown":
-        base = _base().slip_regulator
-        changes["slip_regulator.friction.prior"] = base.friction.prior
-        changes["slip_regulator.grasp_force"] = base.grasp_force
+    if case.kind == "known":
+        changes["slip_regulator.friction.prior"] = case.friction
+        changes["slip_regulator.friction.explore"] = 0.0
+    else:
+        changes["slip_regulator.grasp_force"] = _base().slip_regulator.grasp_force
     scenario = scenario_of(case, changes)
     record = ClosedLoop(scenario).run()
     held = float(record.true_forces[-200:, :, 1].sum(axis=1).mean())
@@ -327,6 +328,8 @@ def _row(name: str, values: Array, unit: str = "", goal: str = "") -> list[str]:
     middle, low, high = median_interval(known)
     tail = [float(rank(known, f)) if len(known) else math.nan for f in (0.9, 0.99)]
     numbers = [f"{_text(middle)} {unit}".rstrip(), f"{_text(low)} to {_text(high)}"]
+    if goal and not middle < float(goal.split()[1]):
+        goal += ", missed"
     return [name, str(len(known)), *numbers, *map(_text, tail), goal]
 
 
