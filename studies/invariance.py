@@ -90,7 +90,8 @@ def _turned_hand(scenario: Scenario, rotation: Array, folder: Path) -> Path:
     text = describe(hand.folder / hand.urdf, hand.layout(scenario.layout), hand.any_inertia)
     root = ElementTree.fromstring(text)
     for joint in root.iter("joint"):
-        if joint.find("parent").get("link") != hand.palm:
+        parent = joint.find("parent")
+        if parent is None or parent.get("link") != hand.palm:
             continue
         origin = joint.find("origin")
         origin = ElementTree.SubElement(joint, "origin") if origin is None else origin

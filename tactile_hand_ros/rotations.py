@@ -95,6 +95,12 @@ def quaternions_of_rows(rotations: Array) -> Array:
 
 
 @compiled
+def dot(a: Array, b: Array) -> float:
+    """Return the inner product of two vectors of shape (3,), summed in order."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@compiled
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the cross product of two vectors given by their components."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -2,7 +2,8 @@
 """Detection against false alarms: the detector alone, replayed over recorded forces.
 
 The forces of a manipulation in which nothing slips, and of cases of the slip study, are recorded
-once without noise. White noise is added, and the detector is replayed with each threshold.
+once without noise. White noise is added, and the detector is replayed for several times between
+false alarms that are accepted.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from numpy.typing import NDArray
 from studies.slip.study import EVENT_TIME, SLIDING, SlipCase, sample_cases, scenario_of
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, in_palm
+from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
-from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
@@ -36,12 +37,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-THRESHOLDS = (2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0, 28.0, 45.0)
+TIMES = (1.0, 10.0, 100.0, 1e3, 3600.0, 1e5, 1e7, 1e9)  # s
 NOISES = (0.003, 0.01, 0.03)  # N
 IN_TIME = 0.01  # s
-COLUMNS = ("noise", "threshold", "false alarms", "per minute", "slips", "within 10 ms", "delay")
+COLUMNS = ("noise", "time between", "false alarms", "per minute", "slips", "within 10 ms", "delay")
 
-_AGO = 4  # ticks in which the regulator looks for changes of its own grasp force
 _WAY = ((-0.1, 0.2, 0.4), (0.0, 0.0434, 0.4098))  # the paper's goal and back
 _REST = 5.0  # s at each
 
@@ -52,18 +52,18 @@ class Trace:
 
     Attributes:
         step: Time between ticks, s.
-        forces: Measured forces in contact frames, shape (n, k, 3), N; NaN where nothing touches.
-        axes: Direction of the internal force at each contact, shape (n, k, 3).
-        own_change: How much the hand itself changed the slope of its grasp force, shape (n,), N.
-        friction: Estimated friction of each contact, shape (n, k).
+        forces: Measured forces, palm axes, shape (n, k, 3), N; NaN where nothing touches.
+        normals: Contact normals, palm axes, shape (n, k, 3).
+        axes: Direction of the internal force at each contact, palm axes, shape (n, k, 3).
+        fresh: Whether the forces are new samples, shape (n, k).
         sliding: True sliding speeds, shape (n, k), m/s.
     """
 
     step: float
     forces: Array
+    normals: Array
     axes: Array
-    own_change: Array
-    friction: Array
+    fresh: NDArray[np.bool_]
     sliding: Array
 
     @property
@@ -76,11 +76,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Score:
-    """The detector at one threshold and noise.
+    """The detector at one noise and time between false alarms.
 
     Attributes:
         noise: Standard deviation of each force component, N.
-        threshold: Evidence from which it reports slip.
+        time: Accepted mean time between false alarms of a contact, s.
         false_alarms: Alarms of all contacts while nothing slid.
         minutes: Time in which nothing slid.
         slips: Number of slips.
@@ -89,7 +89,7 @@ class Score:
     """
 
     noise: float
-    threshold: float
+    time: float
     false_alarms: int
     minutes: float
     slips: int
@@ -141,29 +141,19 @@ def record_trace(scenario: Scenario) -> Trace:
 def trace_of(record: Record, scenario: Scenario) -> Trace:
     """Return what the detectors of a run were given."""
     follows = scenario.slip_regulator.mode != "user"
-    axes = np.zeros_like(record.forces)
-    axes[:, :, 1] = 1.0
-    forces = record.forces.copy()
+    forces, normals = np.empty_like(record.forces), np.empty_like(record.forces)
+    axes = np.empty_like(record.forces)
     for i in range(len(record)):
         contacts = Contacts.from_poses(record.contact_positions[i], record.contact_quaternions[i])
-        if follows and contacts.touching.all():
-            axes[i] = _axes(contacts, record.forces[i], axes[i])
+        forces[i] = in_palm(contacts.rotations, record.forces[i], 1.0)
         forces[i, ~contacts.touching] = np.nan
-    bends = np.zeros(len(record))
-    bends[2:] = np.abs(np.diff(record.grasp_force, 2))
-    own = [float(bends[max(0, i - _AGO) : i].max(initial=0.0)) for i in range(len(record))]
-    # A tick is judged with the estimate after the one before.
-    prior = np.full_like(record.friction[:1], scenario.slip_regulator.friction.prior)
-    friction = np.concatenate([prior, record.friction[:-1]])
-    step = 1.0 / scenario.plant.rate
-    return Trace(step, forces, axes, np.array(own), friction, record.true_sliding)
-
-
-def _axes(contacts: Contacts, forces: Array, otherwise: Array) -> Array:
-    try:
-        return split(contacts, forces).internal
-    except CollinearContactsError:
-        return otherwise
+        normals[i] = axes[i] = contacts.normals
+        if follows and contacts.all_touching:
+            parts = split(contacts.positions, normals[i], forces[i])
+            axes[i] = parts.internal if parts.margin >= MIN_COLLINEARITY_MARGIN else normals[i]
+    fresh = np.ones(record.forces.shape[:2], dtype=bool)
+    fresh[1:] = (record.forces[1:] != record.forces[:-1]).any(axis=2)
+    return Trace(1.0 / scenario.plant.rate, forces, normals, axes, fresh, record.true_sliding)
 
 
 def replay(
@@ -181,9 +171,10 @@ def replay(
     forces = trace.forces + noise * white
     detector = SlipDetector(config, forces.shape[1])
     states = np.zeros(forces.shape[:2], dtype=np.int64)
-    for i, own_change in enumerate(trace.own_change.tolist()):
+    for i in range(len(forces)):
         dt = trace.step if i else 0.0
-        states[i] = detector.step(forces[i], trace.axes[i], own_change, dt, trace.friction[i])
+        told = trace.normals[i], trace.axes[i], trace.fresh[i]
+        states[i] = detector.step(forces[i], *told, dt)
     return states
 
 
@@ -204,13 +195,13 @@ def delay(trace: Trace, states: NDArray[np.int_]) -> float:
 
 
 def score(still: Trace, slips: Sequence[Trace], at: tuple[float, float]) -> Score:
-    """Replay a trace without slip, and traces that slip, with one noise and threshold."""
-    noise, threshold = at
-    config = SlipDetectorConfig(threshold=threshold)
+    """Replay a trace without slip, and traces that slip, at a noise and a false alarm time."""
+    noise, time = at
+    config = SlipDetectorConfig(false_alarm_time=time)
     delays = sorted(delay(t, replay(t, config, noise, 1000 + i)) for i, t in enumerate(slips))
     return Score(
         noise=noise,
-        threshold=threshold,
+        time=time,
         false_alarms=alarms(replay(still, config, noise)),
         minutes=len(still.forces) * still.step / 60.0,
         slips=len(slips),
@@ -225,7 +216,7 @@ def run_roc(
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Score]:
-    """Record and replay, where `workers` says; return a score for each noise and threshold.
+    """Record and replay, where `workers` says; return a score for each noise and time.
 
     Args:
         slips: Number of cases of the study; about half of them slip.
@@ -236,7 +227,7 @@ def run_roc(
     recorded = [paper_scenario(seconds), *map(slip_scenario, sample_cases(slips, seed))]
     traces = _collected(in_parallel(record_trace, recorded), progress)
     slid = [trace for trace in traces[1:] if trace.onset is not None]
-    grid = itertools.product(NOISES, THRESHOLDS)
+    grid = itertools.product(NOISES, TIMES)
     return _collected(in_parallel(functools.partial(score, traces[0], slid), grid), progress)
 
 
@@ -250,7 +241,7 @@ def _collected(results: Iterable[T], progress: Callable[[str], None]) -> list[T]
 
 def steps(slips: int) -> int:
     """Return how often `run_roc` reports progress."""
-    return 1 + slips + len(NOISES) * len(THRESHOLDS)
+    return 1 + slips + len(NOISES) * len(TIMES)
 
 
 def rows(scores: Sequence[Score]) -> list[list[str]]:
@@ -258,7 +249,7 @@ def rows(scores: Sequence[Score]) -> list[list[str]]:
     return [
         [
             tables.number(s.noise, "N"),
-            tables.number(s.threshold),
+            tables.number(s.time, "s"),
             str(s.false_alarms),
             tables.number(s.false_alarm_rate),
             str(s.slips),
@@ -281,10 +272,11 @@ def figure(scores: Sequence[Score]) -> Figure:
             style = {"color": finger_color(i), "markersize": 3.5, "label": f"{1e3 * noise:g} mN"}
             left.plot(x, [s.in_time / max(s.slips, 1) for s in some], "os^"[i] + "-", **style)
             delays = [1e3 * s.delay for s in some]
-            right.plot([s.threshold for s in some], delays, "os^"[i] + "-", **style)
+            right.plot([s.time for s in some], delays, "os^"[i] + "-", **style)
         left.set(xscale="log", ylim=(0.0, 1.0), ylabel="alarm within 10 ms")
         left.set_xlabel("false alarms per minute (leftmost: none)")
         left.legend(title="force noise")
-        right.set(xlabel="threshold of evidence", ylabel="median delay [ms]")
+        right.set(xscale="log", xlabel="accepted time between false alarms [s]")
+        right.set_ylabel("median delay [ms]")
         right.set_ylim(bottom=0.0)
     return made

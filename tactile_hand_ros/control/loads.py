@@ -16,12 +16,8 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import (
-    MIN_COLLINEARITY_MARGIN,
-    net_wrench,
-    spread_wrench,
-)
-from tactile_hand_ros.errors import CollinearContactsError
+from tactile_hand_ros.control.grasp import centered, net_wrench, spread_wrench
+from tactile_hand_ros.rotations import cross, dot
 
 Array = NDArray[np.float64]
 
@@ -30,77 +26,67 @@ _GRAZES = 1e-12  # fraction by which rounding may miss a double root, where noth
 
 
 class Split(NamedTuple):
-    """Contact forces as load and internal force, all in contact frames.
+    """Contact forces as load and internal force, all in palm axes.
 
     Attributes:
         load: Smallest forces with the measured net wrench, shape (k, 3), N.
         internal: The rest, which balances itself, shape (k, 3), N.
         grasp_force: Sum of the normal internal forces, N.
+        margin: Collinearity margin of the contacts; on a line the split is of no use.
     """
 
     load: Array
     internal: Array
     grasp_force: float
-
-
-def split(contacts: Contacts, forces: Array) -> Split:
-    """Split measured forces as the law (14) composes them: f = k_f f* + G~^+ w.
-
-    Args:
-        contacts: Contact points and frames; all must touch.
-        forces: Forces on the object in contact frames, shape (k, 3), N.
-
-    Raises:
-        CollinearContactsError: If the contacts lie on a line (A7).
-    """
-    parts, margin = measured_split(contacts, forces)
-    if margin < MIN_COLLINEARITY_MARGIN:
-        raise CollinearContactsError.of(contacts.positions)
-    return parts
-
-
-def measured_split(contacts: Contacts, forces: Array) -> tuple[Split, float]:
-    """Return the split, of no use on a line, and the collinearity margin."""
-    load, internal, total, margin = _split(contacts.positions, contacts.rotations, forces)
-    return Split(load, internal, total), margin
+    margin: float
 
 
 @compiled
-def _split(points: Array, rotations: Array, forces: Array) -> tuple[Array, Array, float, float]:
-    spread, margin = spread_wrench(points, net_wrench(points, rotations, forces))
-    load, internal, total = np.empty_like(forces), np.empty_like(forces), 0.0
+def split(points: Array, normals: Array, forces: Array) -> Split:
+    """Split measured forces as the law (14) composes them: f = k_f f* + G~^+ w.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        normals: Contact normals into the object, palm axes, shape (k, 3).
+        forces: Forces on the object, palm axes, shape (k, 3), N.
+    """
+    arms, wrench = centered(points), np.zeros(6)
     for i in range(len(forces)):
-        r, (x, y, z) = rotations[i], spread[i]
-        for axis in range(3):
-            load[i, axis] = r[0, axis] * x + r[1, axis] * y + r[2, axis] * z
-            internal[i, axis] = forces[i, axis] - load[i, axis]
-        total += internal[i, 1]
-    return load, internal, total, margin
+        wrench[:3] += forces[i]
+        (a, b, c), (x, y, z) = arms[i], forces[i]
+        p, q, r = cross((a, b, c), (x, y, z))
+        wrench[3] += p
+        wrench[4] += q
+        wrench[5] += r
+    load, margin = spread_wrench(points, wrench)
+    internal = forces - load
+    return Split(load, internal, (internal * normals).sum(), margin)
 
 
 @compiled
 def required_grasp_force(
-    load: tuple[float, float, float], shape: tuple[float, float, float], usable_friction: float
+    load: Array, shape: Array, normal: Array, usable_friction: float, support: float = 0.0
 ) -> float:
     """Return the minimum k >= 0 for which load + k shape lies in a friction cone.
 
-    The boundary of the cone |f_t| = mu f_n is quadratic in k.
+    The boundary of the cone |F - n (n.F)| = mu n.F is quadratic in k.
 
     Args:
-        load: Force of a contact (x, n, z) that does not grow with the grasp force, N.
-        shape: Force of the contact per unit internal force.
+        load: Force of a contact that does not grow with the grasp force, shape (3,), N.
+        shape: Force of the contact per unit internal force, shape (3,).
+        normal: n of the contact into the object, shape (3,), in the axes of the forces.
         usable_friction: mu of the cone.
+        support: Normal force that the load may lose, N; see `shift`.
 
     Returns:
         k in N; infinite when no grasp force of this shape puts it there.
     """
-    lx, ln, lz = load
-    sx, sn, sz = shape
-    square = usable_friction * usable_friction
-    a = sx * sx + sz * sz - square * sn * sn
-    b = lx * sx + lz * sz - square * ln * sn
-    c = lx * lx + lz * lz - square * ln * ln
-    if c <= 0.0 and ln >= 0.0:
+    ln, sn = dot(load, normal), dot(shape, normal)
+    lessened, square = ln - support, usable_friction * usable_friction
+    a = dot(shape, shape) - sn * sn - square * sn * sn
+    b = dot(load, shape) - ln * sn - square * lessened * sn
+    c = dot(load, load) - ln * ln - square * lessened * lessened
+    if c <= 0.0 and lessened >= 0.0:
         return 0.0  # the load alone is inside
     inside = b * b - a * c
     if a == 0.0 or inside < -_GRAZES * b * b:
@@ -108,7 +94,7 @@ def required_grasp_force(
     # A shape inside the cone (a < 0) enters it at the larger root for good; one outside passes
     # through it from the smaller root on, if at all.
     k = (-b - math.sqrt(max(0.0, inside))) / a
-    return k if k >= 0.0 and ln + k * sn >= -_GRAZES * abs(ln) else math.inf
+    return k if k >= 0.0 and lessened + k * sn >= -_GRAZES * abs(lessened) else math.inf
 
 
 class LoadMarginConfig(Config):
@@ -135,9 +121,7 @@ class LoadMargin:
 
     def configure(self, config: LoadMarginConfig) -> None:
         """Take other parameters; the past stays."""
-        self._floor = config.floor
-        self._share = config.share
-        self._memory = config.memory
+        self._config = config
 
     def reset(self) -> None:
         """Forget the past."""
@@ -150,19 +134,9 @@ class LoadMargin:
             load: What the contacts carry, shape (k, 3), N.
             dt: Time since the last tick, s.
         """
-        return _radii(self._largest, load, dt, self._floor, self._share, self._memory)
-
-
-@compiled
-def _radii(
-    largest: Array, load: Array, dt: float, floor: float, share: float, memory: float
-) -> Array:
-    keep, radii = math.exp(-dt / memory), np.empty(len(largest))
-    for i in range(len(largest)):
-        x, n, z = load[i]
-        largest[i] = max(keep * largest[i], math.sqrt(x * x + n * n + z * z))
-        radii[i] = max(floor / len(largest), share * largest[i])
-    return radii
+        c, size = self._config, np.sqrt((load * load).sum(axis=1))
+        self._largest = np.maximum(math.exp(-dt / c.memory) * self._largest, size)
+        return np.maximum(c.floor / len(load), c.share * self._largest)
 
 
 @compiled

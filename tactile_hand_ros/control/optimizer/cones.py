@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import centered
 from tactile_hand_ros.control.loads import (
     LoadMargin,
     LoadMarginConfig,
     Split,
-    measured_split,
     shift,
+    split,
 )
 
 Array = NDArray[np.float64]
@@ -216,8 +216,11 @@ def _grasp(contacts: Contacts, forces: Array) -> Split | None:
     """Split the forces where all fingers hold something between them."""
     if not contacts.all_touching:
         return None
-    parts, margin = measured_split(contacts, forces)
-    return parts if margin >= _CLEAR_MARGIN and parts.grasp_force >= _MIN_GRASP_FORCE else None
+    frames = contacts.rotations
+    parts = split(contacts.positions, contacts.normals, in_palm(frames, forces, 1.0))
+    if parts.margin < _CLEAR_MARGIN or parts.grasp_force < _MIN_GRASP_FORCE:
+        return None
+    return parts._replace(load=np.einsum("kji,kj->ki", frames, parts.load))
 
 
 @compiled

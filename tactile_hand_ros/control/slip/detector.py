@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a contact slips, from the micro-vibration that sliding leaves in their forces."""
+"""Whether a contact slips, from the micro-vibration that sliding leaves in its force."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
-_GAIN = 6.0  # of white noise through a second difference: 1 + 4 + 1
+_COUNTS = 0.25  # fraction of the threshold that one sample counts at most; see `SlipDetector`
+_STAYS = 0.75  # fraction of the threshold down to which a slip continues
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
-_BRINK = 0.95  # fraction of the learned friction from which on a contact may well be slipping
-_LEAK = 0.03  # fraction of a change of the internal force that may show across it
+_LATE = 3.0  # ticks by which a command may be late; older ones are rejected
+_SURE = 3.0  # standard deviations from which on a normal force is more than noise
 _COURSE = 0.01  # s, time constant of the rate at which a force changes
-_STEADY = 0.01  # N, change from sample to sample below which a force counts as steady
-_FASTEST = 600.0  # N/s that a hand changes a force at; what is faster is a push, and counts as much
-_SHIFT = 3.0  # samples by which commands that are late now and then shift the course of a force
-_GAP = 2.5  # times the usual time between samples; after so long their differences start again
+_GAP = 2.5  # times the time between samples; after so long their differences start again
+_SILENCE = 5.0  # times the same; evidence that is so old has expired
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 
 
@@ -38,18 +37,23 @@ class SlipDetectorConfig(Config):
         0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
     )
     relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
+    ratio: float = param(
+        9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
+    )
+    false_alarm_time: float = param(
+        3600.0,
+        "minimum mean time between false alarms of a contact that sticks; a longer one finds slip "
+        "later",
+        unit="s",
+        live=True,
+        ge=1.0,
+    )
     patience: float = param(
         0.3,
         "what looks like slip for longer than this is learned as noise",
         unit="s",
         live=True,
         gt=0.0,
-    )
-    ratio: float = param(
-        9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
-    )
-    threshold: float = param(
-        28.0, "evidence for slip; false alarms become rarer as its exponential", live=True, gt=0.0
     )
     learning_time: float = param(
         1.0, "time constant with which the noise is learned", unit="s", live=True, gt=0.0
@@ -60,9 +64,6 @@ class SlipDetectorConfig(Config):
         unit="s",
         live=True,
         ge=0.0,
-    )
-    least_force: float = param(
-        0.05, "normal force below which nothing is reported", unit="N", live=True, gt=0.0
     )
 
 
@@ -77,16 +78,16 @@ class ContactState(enum.IntEnum):
 _MEMORY = np.dtype(
     [
         ("state", np.int64),  # ContactState
-        ("evidence", np.float64),
-        ("likelihood", np.float64),
+        ("evidence", np.float64),  # sum of log-likelihood ratios
+        ("threshold", np.float64),  # of the evidence
         ("agrees", np.bool_),
-        ("variance", np.float64),  # of the second difference across the internal force, per axis
-        ("last", np.float64, 3),  # force; NaN where there was none, as is what follows from it
+        ("variance", np.float64),  # of a force, per axis
+        ("last", np.float64, 3),  # force, palm axes; NaN where there was none
         ("change", np.float64, 3),  # of it from sample to sample
         ("rate", np.float64, 3),  # of it, smoothed, N/s
         ("since", np.float64),  # the last sample, s
         ("spacing", np.float64),  # of the last two samples, s; 0: unknown
-        ("fresh", np.bool_),
+        ("period", np.float64),  # the same, also after a gap
         ("touched_for", np.float64),
         ("slipped_for", np.float64),
     ],
@@ -97,25 +98,24 @@ _MEMORY = np.dtype(
 class SlipDetector:
     """Watches the power of fast force changes at each contact with Page's cumulative sum test.
 
-    While a contact sticks, the second difference r of its force is noise of variance s^2, since
-    loads change slowly against the sampling. Sliding adds vibration. The hand's own changes of the
-    internal force act along one known direction; only the two others are looked at. The test sums
-    the log-likelihood ratio of variance rho s^2 against s^2, per axis
+    While a contact sticks, a force is predicted by the course of the last two samples. With q the
+    time since the last one per time between the two, the innovation
 
-        L = ((1 - 1/rho) r^2 / s^2 - ln rho) / 2,
+        r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)),    R = (1 + (1 + q)^2 + q^2) v I + j j^T
 
-    starts again from zero whenever the sum is negative, and reports slip above a threshold h.
-    While a contact sticks the time between false alarms grows as exp(h). A single sample never
-    counts for more than h / 4: a push on the object shows in one sample, sliding in many.
+    has the covariance R: v is the noise of the skin, which is learned, and j = 3 f' dt the shift of
+    the hand's own course by commands that are late by up to three ticks. The internal force, which
+    the hand changes as it likes, acts along one known direction; r is taken across it. Sliding
+    raises the power of r. The test sums the log-likelihood ratio of the covariance rho R against R,
 
-    Samples need not come evenly: with q the time since the last one per time between the two before
-    it, r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)), and white noise of variance v makes it
-    (1 + (1 + q)^2 + q^2) v, which is scaled to the 6 v of even samples. After a gap the differences
-    start again, and evidence and noise stay as they were.
+        L = (1 - 1/rho) r^T R^-1 r / 2 - ln rho,
 
-    Commands that are late by a number of ticks that varies shift what the hand does along its own
-    course, f(t - d): a force that changes at a rate f' then bends by some f' dt along f'. Along the
-    part of f' across the internal force the variance therefore grows by (3 f' dt)^2.
+    starts again from zero whenever the sum is negative, and reports slip above h. While a contact
+    sticks the mean number of samples between false alarms is at least exp(h), so that h follows
+    from the false alarms that a user accepts. A step of the load shows in up to three innovations,
+    sliding in many: none counts for more than h / 4.
+
+    All vectors are in palm axes, so that the result does not depend on how the hand is turned.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
@@ -134,8 +134,9 @@ class SlipDetector:
     def reset(self) -> None:
         """Forget everything."""
         self._memory[:] = np.zeros((), _MEMORY)
-        self._memory["variance"] = _GAIN * self._noise**2
+        self._memory["variance"] = self._noise**2
         self._memory["last"] = self._memory["change"] = np.nan
+        self._memory["threshold"] = 1.0
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -143,42 +144,35 @@ class SlipDetector:
         return self._memory["state"].copy()
 
     @property
-    def evidence(self) -> Array:
-        """The sum of each contact, above `threshold` a slip, shape (k,)."""
-        return self._memory["evidence"].copy()
-
-    @property
     def likelihood(self) -> Array:
         """Evidence for slip against its threshold, 0 to 1, shape (k,)."""
-        return self._memory["likelihood"].copy()
+        fractions: Array = np.minimum(self._memory["evidence"] / self._memory["threshold"], 1.0)
+        return fractions
 
     @property
     def agrees(self) -> NDArray[np.bool_]:
         """Whether the newest sample of each contact shows slip rather than stick, shape (k,)."""
         return self._memory["agrees"].copy()
 
-    @property
-    def fresh(self) -> NDArray[np.bool_]:
-        """Whether the newest force of each contact is a new sample that could be judged."""
-        return self._memory["fresh"].copy()
-
     def step(
-        self, forces: Array, direction: Array, own_change: float, dt: float, learned_friction: Array
+        self,
+        forces: Array,
+        normals: Array,
+        internal: Array,
+        fresh: NDArray[np.bool_],
+        dt: float,
     ) -> NDArray[np.int64]:
         """Take the forces of a tick and return what is known of the contacts, shape (k,).
 
         Args:
-            forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
-                none.
-            direction: Directions in which the hand's internal force acts here, of any length, shape
-                (k, 3).
-            own_change: How much the hand itself has just bent its internal force, N; some of that
-                shows across the internal force too.
+            forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
+            normals: Contact normals into the object, palm axes, shape (k, 3).
+            internal: Directions in which the internal force acts at the contacts, of any length,
+                palm axes, shape (k, 3); zero: in none.
+            fresh: Whether they are new samples: one that is repeated counts for nothing.
             dt: Time since the last tick, s.
-            learned_friction: mu as learned so far, shape (k,). At the brink of that cone fewer
-                samples must agree: a false alarm there could not lower the estimate.
         """
-        _watch(self._memory, self._config, forces, direction, own_change, dt, learned_friction)
+        _watch(self._memory, self._config, forces, normals, internal, fresh, dt)
         return self.state
 
 
@@ -187,123 +181,90 @@ def _watch(
     memory: Rows,
     config: Rows,
     forces: Array,
-    direction: Array,
-    own_change: float,
+    normals: Array,
+    internal: Array,
+    fresh: NDArray[np.bool_],
     dt: float,
-    learned_friction: Array,
 ) -> None:
     """Let each contact of a memory take its force."""
-    c = config[0]
     for i in range(len(memory)):
-        m = memory[i]
-        _detect(m, c, forces[i], direction[i], own_change, dt, learned_friction[i])
-        m["likelihood"] = min(m["evidence"] / c["threshold"], 1.0)
+        m, force = memory[i], forces[i]
+        m["since"] += dt
+        if not math.isfinite(force[0] + force[1] + force[2]):
+            m["state"] = ContactState.UNKNOWN
+            m["evidence"] = m["touched_for"] = m["slipped_for"] = m["spacing"] = 0.0
+            m["last"][:] = m["change"][:] = np.nan
+            m["rate"][:] = 0.0
+            m["agrees"] = False
+            continue
+        m["touched_for"] += min(dt, _LONGEST)
+        normal = dot(force, normals[i])
+        if fresh[i]:
+            _take(m, config[0], force, normal, internal[i])
+        elif m["since"] > _SILENCE * m["period"]:
+            m["evidence"] = 0.0
+            m["agrees"] = False
+        _decide(m, config[0], normal, min(dt, _LONGEST))
 
 
 @compiled
-def _detect(
-    m: Row,
-    c: Row,
-    force: Array,
-    direction: Array,
-    own_change: float,
-    dt: float,
-    learned_friction: float,
-) -> None:
-    x, n, z = force
-    last = m["last"]
-    m["since"] += dt
-    # A sensor that is slower than the loop repeats its sample, which adds nothing.
-    new = not (x == last[0] and n == last[1] and z == last[2])
-    bend, gain = _bend(m, x, n, z) if new else ((0.0, 0.0, 0.0), 0.0)
-    m["fresh"] = gain > 0.0
-    if not math.isfinite(bend[0] + bend[1] + bend[2]) or n <= c["least_force"]:
-        m["touched_for"] = m["evidence"] = 0.0
-        m["rate"][0] = m["rate"][1] = m["rate"][2] = 0.0
-        m["state"] = ContactState.UNKNOWN
-        m["fresh"] = False
+def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
+    """Judge a new sample, and learn from it."""
+    r, gain = _innovation(m, force)
+    m["agrees"] = False
+    if gain == 0.0:
         return
-    known = min(dt, _LONGEST)
-    m["touched_for"] += known
-    across, along, shift, variance = 0.0, 0.0, 0.0, _noise(m, c, n, own_change)
-    if m["fresh"]:
-        axis, scale = (direction[0], direction[1], direction[2]), _GAIN / gain
-        across, along, shift = _powers(m, bend, axis)
-        across, along, shift = scale * across, scale * along, scale * shift
-    fraction = variance / (variance + shift)
-    power = across + fraction * along
-    if new:
-        _follow(m)
-    if m["touched_for"] <= c["settling_time"]:
-        if m["fresh"]:
-            _learn(m, c, power / (1.0 + fraction))
-        m["evidence"] = 0.0
-        m["state"] = ContactState.UNKNOWN
-        return
-    if m["fresh"]:
-        brink = math.sqrt(x * x + z * z) > _BRINK * learned_friction * n
-        _collect(m, c, power / variance, 1.0 / 3.0 if brink else 0.25)
-    _decide(m, c, known)
-    if m["fresh"] and (m["state"] == ContactState.STICK or m["slipped_for"] > c["patience"]):
-        _learn(m, c, power / (1.0 + fraction))
+    minimum = c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2
+    noise = gain * max(m["variance"], minimum)
+    bend, course = _across(r, internal), _across(m["rate"], internal)
+    speed = math.sqrt(dot(course, course))
+    along = dot(bend, course) / speed if speed > 0.0 else 0.0
+    known = noise / (noise + (_LATE * speed * m["spacing"]) ** 2)
+    power = max(0.0, dot(bend, bend) - along * along) + known * along * along
+    m["threshold"] = max(1.0, math.log(c["false_alarm_time"] / max(m["period"], 1e-6)))
+    if m["touched_for"] > c["settling_time"]:
+        found = 0.5 * (1.0 - 1.0 / c["ratio"]) * power / noise - math.log(c["ratio"])
+        m["agrees"] = found > 0.0
+        most = _COUNTS * m["threshold"]
+        m["evidence"] = min(max(0.0, m["evidence"] + min(found, most)), m["threshold"] + most)
+    if m["state"] != ContactState.SLIP or m["slipped_for"] > c["patience"]:
+        _learn(m, c, power / (gain * (1.0 + known)))
 
 
 @compiled
-def _bend(m: Row, x: float, n: float, z: float) -> tuple[Vector, float]:
-    """Return the second difference of the force and what it makes of white noise.
+def _innovation(m: Row, force: Array) -> tuple[Array, float]:
+    """Return r, and what it makes of the variance of a sample; 0 where there is no prediction.
 
-    It is NaN until there are three samples. The second is 0 where the difference shows nothing: the
-    last two samples, or the two before, are too far apart.
+    It needs three samples, of which the last two, and the two before, are not too far apart.
     """
-    last, change, before = m["last"], m["change"], m["spacing"]
+    before, change = m["spacing"], m["change"].copy()
     since = m["since"] if m["since"] > 0.0 else before  # without a time it came evenly
-    dx, dn, dz = x - last[0], n - last[1], z - last[2]
-    q = since / before if before > 0.0 else 1.0
-    bend = dx - q * change[0], dn - q * change[1], dz - q * change[2]
-    gain = 1.0 + (1.0 + q) ** 2 + q * q if before > 0.0 else 0.0
-    last[0], last[1], last[2] = x, n, z
-    change[0], change[1], change[2] = dx, dn, dz
-    m["spacing"] = since if q <= _GAP else 0.0
+    q = since / before if before > 0.0 else 0.0
+    now = force - m["last"]
+    r = now - q * change
+    m["last"][:] = force
+    m["change"][:] = now
     m["since"] = 0.0
-    if q > _GAP or gain == 0.0:
-        return (0.0 * bend[0], 0.0 * bend[1], 0.0 * bend[2]), 0.0
-    return bend, gain
+    if not math.isfinite(now[0]):
+        return r, 0.0
+    m["period"] = since
+    m["spacing"] = since if q <= _GAP else 0.0
+    if q > _GAP:
+        return r, 0.0
+    if since > 0.0:
+        m["rate"][:] += -math.expm1(-since / _COURSE) * (now / since - m["rate"])
+    return r, (1.0 + (1.0 + q) ** 2 + q * q) if math.isfinite(r[0]) and q > 0.0 else 0.0
 
 
 @compiled
-def _follow(m: Row) -> None:
-    """Smooth the rate at which the force changes."""
-    change, rate, step = m["change"], m["rate"], m["spacing"]
-    if step > 0.0:
-        x, n, z = change
-        maximum = _FASTEST * step / max(math.sqrt(x * x + n * n + z * z), 1e-12)
-        kept, fraction = min(1.0, maximum) / step, -math.expm1(-step / _COURSE)
-        for axis in range(3):
-            rate[axis] += fraction * (kept * change[axis] - rate[axis])
-
-
-@compiled
-def _noise(m: Row, c: Row, normal: float, own_change: float) -> float:
-    """Return the variance of a second difference of a contact that sticks, per axis."""
-    minimum = _GAIN * (c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2)
-    return float(max(m["variance"], minimum) + (_LEAK * own_change) ** 2)
-
-
-@compiled
-def _collect(m: Row, c: Row, power: float, maximum: float) -> None:
-    """Add the evidence of a power against its noise, at most a fraction of the threshold."""
-    gain = 0.5 * ((1.0 - 1.0 / c["ratio"]) * power - 2.0 * math.log(c["ratio"]))
-    m["agrees"] = gain > 0.0
-    total = max(0.0, m["evidence"] + min(gain, maximum * c["threshold"]))
-    m["evidence"] = min(total, 1.2 * c["threshold"])
-
-
-@compiled
-def _decide(m: Row, c: Row, dt: float) -> None:
-    fraction = 0.75 if m["state"] == ContactState.SLIP else 1.0
-    slips = m["evidence"] > fraction * c["threshold"]
+def _decide(m: Row, c: Row, normal: float, dt: float) -> None:
+    slips = m["evidence"] > m["threshold"] * (_STAYS if m["state"] == ContactState.SLIP else 1.0)
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
-    m["state"] = ContactState.SLIP if slips else ContactState.STICK
+    is_known = normal > _SURE * math.sqrt(m["variance"]) and math.isfinite(m["change"][0])
+    if m["touched_for"] <= c["settling_time"] or not is_known:
+        m["state"] = ContactState.UNKNOWN
+    else:
+        m["state"] = ContactState.SLIP if slips else ContactState.STICK
 
 
 @compiled
@@ -316,28 +277,7 @@ def _learn(m: Row, c: Row, square: float) -> None:
 
 
 @compiled
-def _powers(m: Row, bend: Vector, axis: Vector) -> tuple[float, float, float]:
-    """Return the squares of a bend across an axis, across the course of the force and along it.
-
-    The third is what commands that are late now and then add to the second.
-    """
-    x, y, z = _across(bend, axis)
-    rate = m["rate"]
-    u, v, w = _across((rate[0], rate[1], rate[2]), axis)
-    square, speed = x * x + y * y + z * z, math.sqrt(u * u + v * v + w * w)
-    change = speed * m["spacing"] - _STEADY
-    if change <= 0.0:
-        return 0.5 * square, 0.5 * square, 0.0
-    shift = _SHIFT * change
-    along = (x * u + y * v + z * w) / speed
-    return max(0.0, square - along * along), along * along, shift * shift
-
-
-@compiled
-def _across(vector: Vector, axis: Vector) -> Vector:
+def _across(vector: Array, axis: Array) -> Array:
     """Return the part of a vector that is normal to an axis of any length."""
-    x, y, z = vector
-    a, b, c = axis
-    length = a * a + b * b + c * c
-    fraction = (x * a + y * b + z * c) / length if length > 0.0 else 0.0
-    return x - fraction * a, y - fraction * b, z - fraction * c
+    square = dot(axis, axis)
+    return vector - (dot(vector, axis) / square if square > 0.0 else 0.0) * axis

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The friction of a contact, learned from its slips and sticks only."""
+"""The friction of the contacts, learned from slips and sticks only."""
 
 from __future__ import annotations
 
@@ -11,76 +11,80 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 4  # that are averaged against noise and vibration
-_READINGS = 10  # of a slip that count; later the grasp force may long have caught it
-_LARGEST = 3  # of them that are averaged
-_EXACT = 1e-4  # variance below which no force ratio is known
+_SAMPLES = 10  # of a slip that count; later the grasp force may long have caught it
 _AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
+_EXACT = 0.1  # relative error of a slip's force ratio apart from noise
+_SMALLEST = 1e-3  # force ratio, whose logarithm is finite
+_ALIKE = 0.2  # relative difference of the friction of fingers on one object
 _SURE = 2.0  # standard deviations by which a force ratio must be proven
-_INERTIA = 2.0  # slips that a well known friction weighs as much as
+_SURPRISE = 3.0  # standard deviations by which a slip differs at most, or the surface has changed
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
-_AGREE = 0.15  # relative difference up to which two slips show the same friction
 
 
 class FrictionConfig(Config):
     """Parameters of the friction estimate."""
 
     prior: float = param(0.4, "friction assumed before anything is known", live=True, gt=0.0)
-    least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
-    most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
+    spread: float = param(
+        0.5, "standard deviation of its logarithm over the objects of a day", live=True, gt=0.0
+    )
     explore: float = param(
         0.05,
-        "growth of an estimate that no slip has bounded yet, so that the grasp force is lowered "
-        "until something slips a little",
+        "growth of the friction of an object that has not slipped yet, by one standard deviation "
+        "at most, so that a firm grasp relaxes",
         unit="1/s",
         live=True,
         ge=0.0,
     )
+    least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
+    most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     forget: float = param(
-        0.002, "growth of an estimate that slips have bounded", unit="1/s", live=True, ge=0.0
+        300.0,
+        "time in which what a slip has shown becomes as uncertain as the prior",
+        unit="s",
+        live=True,
+        gt=0.0,
     )
     smoothing: float = param(
         0.02, "time constant of the forces of a contact that sticks", unit="s", live=True, gt=0.0
-    )
-    trust: float = param(
-        0.05, "uncertainty of a slip's force ratio at which it counts half", live=True, gt=0.0
     )
 
 
 _MEMORY = np.dtype(
     [
-        ("estimate", np.float64),  # mu
-        ("confidence", np.float64),
-        ("caution", np.float64),  # confidence of the best known contact with a lower estimate
-        ("mean", np.float64, 3),  # force while it sticks; NaN: none yet
-        ("variance", np.float64),  # of it
+        ("mean", np.float64),  # of ln mu
+        ("variance", np.float64),
+        ("prior", np.float64, 2),  # mean and variance when the present slip began
+        ("quiet_for", np.float64),  # since any contact slipped; the same for all
+        ("slid", np.bool_),  # whether this contact slipped then
+        ("is_known", np.bool_),  # whether any contact has ever slipped on this object
+        ("samples", np.int64),  # of its slip
+        ("sum", np.float64, 4),  # of their normal forces, tangential forces and squares
+        ("force", np.float64, 3),  # mean while it sticks, palm axes; NaN: none yet
+        ("scatter", np.float64),  # of it per axis
         ("touched_for", np.float64),
         ("since", np.float64),  # the last new sample, s
-        ("slid", np.float64, (_SAMPLES, 3)),  # the newest forces of a slip, oldest first
-        ("samples", np.int64),  # how many of them are there
-        ("ratios", np.float64, _READINGS),  # |f_t| / f_n of means of so many forces
-        ("readings", np.int64),  # how many of them are there
-        ("precision", np.float64),  # of the ratios together
-        ("slips", np.bool_),  # whether a slip continues, or its aftershocks
-        ("before", np.float64, 2),  # estimate and confidence when it began
-        ("quiet_for", np.float64),
     ],
     align=True,
 )
 
 
 class FrictionEstimator:
-    """Bounds mu of each contact: sticking at a force ratio proves mu above it, slipping shows mu.
+    """Keeps a Gaussian of ln mu for each contact.
 
-    A slip is read from its own samples only: those since the detector's sum left zero, which is
-    Page's estimate of when it began. A contact that slides shows mu, one that the grasp force has
-    caught shows less, so that the largest few ratios count. How much they count depends on how well
-    they show: a contact that is barely pressed shows next to nothing. An estimate grows the more
-    slowly, the better slips have shown it, so that a false alarm is soon forgotten and a surface
-    that slipped twice at the same ratio is not.
+    - Before anything is known it is the prior, whose mean explores: it grows by one standard
+      deviation at most, and not at all once something has slipped.
+    - What slips have shown is forgotten as the variance grows back to that of the prior. The mean
+      stays: friction is forgotten, not invented.
+    - A contact that slips measures ln(|f_t| / f_n) from its own samples since the detector's sum
+      left zero, which is Page's estimate of when it began. The error follows from their scatter.
+    - The others on the same object take the same measurement with the variance of how alike
+      fingers are. All measurements of a slip are one product of Gaussians, whatever their order.
+    - A contact that sticks at a force ratio has a mu above it, which bounds its mean from below.
     """
 
     def __init__(self, config: FrictionConfig, contacts: int) -> None:
@@ -88,18 +92,18 @@ class FrictionEstimator:
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
-        self.share()  # changes nothing, and the first slip need not wait until it is loaded
 
     def configure(self, config: FrictionConfig) -> None:
         """Take other parameters; what was learned stays."""
-        self._prior = config.prior
-        self._config = row_of(config)
+        self._config, self._row = config, row_of(config)
 
     def reset(self) -> None:
         """Forget what was learned."""
         self._memory[:] = np.zeros((), _MEMORY)
-        self._memory["estimate"] = self._prior
-        self._memory["mean"] = np.nan
+        self._memory["mean"] = math.log(self._config.prior)
+        self._memory["variance"] = self._config.spread**2
+        self._memory["quiet_for"] = np.inf
+        self._memory["force"] = np.nan
 
     @property
     def memory(self) -> Rows:
@@ -113,46 +117,39 @@ class FrictionEstimator:
     @property
     def estimate(self) -> Array:
         """The friction mu of each contact, shape (k,)."""
-        return self._memory["estimate"].copy()
+        least, most = self._config.least, self._config.most
+        return np.asarray(np.clip(np.exp(self._memory["mean"]), least, most))
 
     @property
-    def confidence(self) -> Array:
-        """How well slips have shown it, 0 to 1, shape (k,)."""
-        return self._memory["confidence"].copy()
+    def deviation(self) -> Array:
+        """Standard deviation of ln mu of each contact, shape (k,)."""
+        return np.asarray(np.sqrt(self._memory["variance"]))
 
     def step(
         self,
         forces: Array,
+        normals: Array,
         state: NDArray[np.int64],
-        evidence: Array,
-        dt: float,
+        suspected: NDArray[np.bool_],
         agrees: NDArray[np.bool_],
         fresh: NDArray[np.bool_],
+        dt: float,
     ) -> Array:
         """Return the estimates after a tick, shape (k,).
 
         Args:
-            forces: Measured forces in contact frames (x, n, z), shape (k, 3), N; NaN where there is
-                none.
-            state: What the detector says of the contacts, `ContactState`, shape (k,).
-            evidence: Its evidence for slip; zero: nothing slips; shape (k,).
-            dt: Time since the last tick, s.
+            forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
+            normals: Contact normals into the object, palm axes, shape (k, 3).
+            state: What the detector reports of the contacts, `ContactState`, shape (k,).
+            suspected: Whether it has evidence for slip, shape (k,).
             agrees: Whether the newest samples show slip; one of a contact that the grasp force has
                 caught shows nothing of friction; shape (k,).
-            fresh: Whether the forces are new samples; from one that is repeated nothing is learned
-                twice; shape (k,).
+            fresh: Whether the forces are new samples, shape (k,).
+            dt: Time since the last tick, s.
         """
-        _learn(self._memory, self._config, forces, state, evidence, dt, agrees, fresh)
+        told = state, suspected, agrees, fresh
+        _learn(self._memory, self._row, forces, normals, *told, dt)
         return self.estimate
-
-    def share(self) -> None:
-        """Lower estimates to what better known contacts with the same object have shown.
-
-        A finger that barely presses cannot learn from its own slips. Never the other way round:
-        too low an estimate costs force, too high a one the object. Nor does an estimate grow faster
-        than a lower one that is better known.
-        """
-        _share(self._memory)
 
 
 @compiled
@@ -160,168 +157,109 @@ def _learn(
     memory: Rows,
     config: Rows,
     forces: Array,
+    normals: Array,
     state: NDArray[np.int64],
-    evidence: Array,
-    dt: float,
+    suspected: NDArray[np.bool_],
     agrees: NDArray[np.bool_],
     fresh: NDArray[np.bool_],
+    dt: float,
 ) -> None:
-    """Let each contact of a memory learn from its force."""
-    c = config[0]
+    """Let the contacts of a memory learn from their forces."""
+    c, slips, was_quiet = config[0], False, memory[0]["quiet_for"] > _AFTERSHOCKS
     for i in range(len(memory)):
-        m, force = memory[i], forces[i]
-        if state[i] == ContactState.UNKNOWN or not math.isfinite(force[0] + force[1] + force[2]):
-            _forget_forces(m)
-            continue
-        _follow(m, force, evidence[i], agrees[i] and fresh[i])
-        m["since"] += dt
-        if state[i] == ContactState.SLIP:
-            _slip(m, c["trust"])
-        else:
-            _stick(m, c, min(dt, _LONGEST))
-            if fresh[i]:
-                m["estimate"] = max(m["estimate"], _proven(m, force, c["smoothing"]))
-        if fresh[i]:
+        m = memory[i]
+        slips = slips or state[i] == ContactState.SLIP
+        m["since"] += min(dt, _LONGEST)
+        if was_quiet and not suspected[i]:
+            m["samples"] = 0
+        if state[i] == ContactState.UNKNOWN:
+            m["force"][:] = np.nan
+        elif fresh[i]:
+            normal = dot(forces[i], normals[i])
+            if agrees[i] and m["samples"] < _SAMPLES:
+                _read(m, forces[i], normal)
+            if state[i] == ContactState.STICK:
+                _bound(m, forces[i], normals[i], c)
+            else:
+                m["force"][:] = np.nan
             m["since"] = 0.0
-        m["estimate"] = min(max(m["estimate"], c["least"]), c["most"])
+    for i in range(len(memory)):
+        m = memory[i]
+        if slips and was_quiet:
+            m["prior"][0], m["prior"][1] = m["mean"], m["variance"]
+        m["slid"] = state[i] == ContactState.SLIP or (m["slid"] and not was_quiet)
+        m["quiet_for"] = 0.0 if slips else m["quiet_for"] + dt
+        m["is_known"] = m["is_known"] or slips
+        if not m["is_known"] and state[i] != ContactState.UNKNOWN:
+            step = c["explore"] * min(dt, _LONGEST)
+            explored = min(m["mean"] + step, math.log(c["prior"]) + c["spread"])
+            m["mean"] = max(m["mean"], explored)
+        most = c["spread"] ** 2
+        m["variance"] = min(m["variance"] + most * dt / c["forget"], most)
+    if slips:
+        _share(memory)
 
 
 @compiled
-def _forget_forces(m: Row) -> None:
-    mean = m["mean"]
-    mean[0] = mean[1] = mean[2] = np.nan
-    m["samples"] = m["readings"] = 0
-    m["precision"] = 0.0
-    m["slips"] = False
-
-
-@compiled
-def _follow(m: Row, force: Array, evidence: float, agrees: bool) -> None:
-    """Read the force ratio since the evidence for a slip began."""
-    if evidence <= 0.0:
-        m["samples"] = 0
-        if not m["slips"]:
-            m["readings"] = 0
-            m["precision"] = 0.0
-        return
-    if not agrees:
-        return
-    slid = m["slid"]
-    if m["samples"] == _SAMPLES:
-        slid[:-1] = slid[1:].copy()
-        m["samples"] -= 1
-    slid[m["samples"]] = force
+def _read(m: Row, force: Array, normal: float) -> None:
+    """Add a sample of a contact that slides, or may."""
+    if m["samples"] == 0:
+        m["sum"][:] = 0.0
+    tangential = math.sqrt(max(0.0, dot(force, force) - normal * normal))
     m["samples"] += 1
-    if m["samples"] == _SAMPLES:
-        _read(m)
+    m["sum"][0] += normal
+    m["sum"][1] += tangential
+    m["sum"][2] += normal * normal
+    m["sum"][3] += tangential * tangential
 
 
 @compiled
-def _read(m: Row) -> None:
-    """Take the force ratio of some successive forces."""
-    slid, n = m["slid"], _SAMPLES
-    x, normal, z = 0.0, 0.0, 0.0
-    for i in range(n):
-        x, normal, z = x + slid[i, 0], normal + slid[i, 1], z + slid[i, 2]
-    x, normal, z = x / n, normal / n, z / n
-    if normal <= 0.0 or m["readings"] == _READINGS:
-        return
-    squares = 0.0
-    for i in range(n):
-        squares += (slid[i, 0] - x) ** 2 + (slid[i, 1] - normal) ** 2 + (slid[i, 2] - z) ** 2
-    variance = squares / (3.0 * n * (n - 1)) / normal**2 + _EXACT
-    m["ratios"][m["readings"]] = math.sqrt(x * x + z * z) / normal
-    m["readings"] += 1
-    # Each force is part of n means, which are therefore not independent.
-    m["precision"] += 1.0 / (n * variance)
-
-
-@compiled
-def _reading(m: Row, trust: float) -> tuple[float, float]:
-    """Return the mean of the largest few ratios of a slip and how much it counts, 0 to 1.
-
-    It counts half where it is as uncertain as `trust`; without ratios both are 0.
-    """
-    known = min(m["readings"], _LARGEST)
-    ordered, total = np.sort(m["ratios"][: m["readings"]]), 0.0
-    for i in range(len(ordered) - known, len(ordered)):
-        total += ordered[i]
-    gain = trust * trust * m["precision"]
-    return total / max(known, 1), gain / (1.0 + gain)
-
-
-@compiled
-def _slip(m: Row, trust: float) -> None:
-    """Take the force ratio of a slip, as far as it can be trusted."""
-    m["quiet_for"] = 0.0
-    before = m["before"]
-    if not m["slips"]:
-        m["slips"] = True
-        before[0], before[1] = m["estimate"], m["confidence"]
-    estimate, confidence = before[0], before[1]
-    ratio, weight = _reading(m, trust)
-    # What slips have shown before weighs against a single contrary one, maybe a false alarm.
-    known, shown = _information(confidence), _information(weight)
-    gain = shown / (1.0 + _INERTIA * known + shown)
-    m["estimate"] = estimate + gain * (ratio - estimate)
-    agrees = abs(ratio - estimate) < _AGREE * estimate
-    # A weak contrary reading shakes what is known a little, a strong one replaces it.
-    shaken = max(gain, confidence * (1.0 - weight))
-    m["confidence"] = 1.0 - (1.0 - confidence) * (1.0 - weight) if agrees else shaken
-    m["mean"][0] = np.nan
-
-
-@compiled
-def _stick(m: Row, c: Row, dt: float) -> None:
-    """Let the estimate grow with time, the more slowly the better it is known."""
-    m["quiet_for"] += dt
-    if m["quiet_for"] > _AFTERSHOCKS:
-        m["slips"] = False
-    growth = c["explore"] + max(m["confidence"], m["caution"]) * (c["forget"] - c["explore"])
-    m["estimate"] *= 1.0 + growth * dt
-
-
-@compiled
-def _proven(m: Row, force: Array, time: float) -> float:
-    """Return a force ratio that this contact has surely been sticking at."""
-    mean = m["mean"]
-    if math.isnan(mean[0]):
-        mean[0], mean[1], mean[2] = force[0], force[1], force[2]
-        m["variance"] = m["touched_for"] = 0.0
-        return 0.0
-    fraction, squares = 1.0 - math.exp(-m["since"] / time), 0.0
-    for axis in range(3):
-        off = force[axis] - mean[axis]
-        mean[axis] += fraction * off
-        squares += off * off
-    m["variance"] += fraction * (squares / 3.0 - m["variance"])
-    m["touched_for"] += min(m["since"], _LONGEST)
-    if m["touched_for"] < 3.0 * time:  # too early for the variance to be known
-        return 0.0
-    x, n, z = mean
-    doubt = _SURE * math.sqrt(m["variance"] * fraction)
-    return max(0.0, math.sqrt(x * x + z * z) - doubt) / (n + doubt) if n > 0.0 else 0.0
-
-
-@compiled
-def _information(confidence: float) -> float:
-    """Return how much information, against none, makes one so confident."""
-    return confidence / max(1.0 - confidence, 1e-9)
+def _measured(m: Row) -> tuple[float, float]:
+    """Return ln(|f_t| / f_n) of a slip and its variance, which is infinite without samples."""
+    n = m["samples"]
+    normal, tangential = m["sum"][0], m["sum"][1]
+    if not m["slid"] or n < 2 or normal <= 0.0:
+        return 0.0, math.inf
+    normal, tangential = normal / n, max(tangential / n, _SMALLEST * normal / n)
+    squares = m["sum"][2] / n - normal**2 + m["sum"][3] / n - (m["sum"][1] / n) ** 2
+    scatter = max(0.0, 0.5 * squares) / (n - 1)
+    return math.log(tangential / normal), _EXACT**2 + scatter / normal**2 + scatter / tangential**2
 
 
 @compiled
 def _share(memory: Rows) -> None:
-    """Let each contact of a memory learn what the others have shown."""
+    """Multiply what was known before a slip by all that the slip has shown."""
     for i in range(len(memory)):
         m = memory[i]
-        m["caution"] = 0.0
+        before, variance = m["prior"][0], m["prior"][1]
+        weight, total = 0.0, 0.0
         for j in range(len(memory)):
-            if memory[j]["estimate"] < m["estimate"]:
-                m["caution"] = max(m["caution"], memory[j]["confidence"])
-        for j in range(len(memory)):
-            other = memory[j]
-            trust = 0.5 * other["confidence"]
-            if other["estimate"] < m["estimate"] and trust > m["confidence"]:
-                fraction = other["confidence"] * (1.0 - m["confidence"])
-                m["estimate"] += fraction * (other["estimate"] - m["estimate"])
-                m["confidence"] = trust
+            ratio, error = _measured(memory[j])
+            error += 0.0 if j == i else _ALIKE**2
+            if error < math.inf:
+                weight += 1.0 / error
+                total += ratio / error
+                variance = max(variance, ((ratio - before) / _SURPRISE) ** 2 - error)
+        weight, total = weight + 1.0 / variance, total + before / variance
+        m["mean"], m["variance"] = total / weight, 1.0 / weight
+
+
+@compiled
+def _bound(m: Row, force: Array, n: Array, c: Row) -> None:
+    """Raise the mean to a force ratio that this contact has surely been sticking at."""
+    mean = m["force"]
+    if math.isnan(mean[0]):
+        mean[:] = force
+        m["scatter"] = m["touched_for"] = 0.0
+        return
+    fraction = -math.expm1(-m["since"] / c["smoothing"])
+    off = force - mean
+    mean[:] += fraction * off
+    m["scatter"] += fraction * (dot(off, off) / 3.0 - m["scatter"])
+    m["touched_for"] += m["since"]
+    if m["touched_for"] < 3.0 * c["smoothing"]:  # too early for the scatter to be known
+        return
+    normal, doubt = dot(mean, n), _SURE * math.sqrt(m["scatter"] * fraction)
+    tangential = math.sqrt(max(0.0, dot(mean, mean) - normal * normal)) - doubt
+    if normal > 0.0 and tangential > 0.0:
+        m["mean"] = max(m["mean"], math.log(min(tangential / (normal + doubt), c["most"])))

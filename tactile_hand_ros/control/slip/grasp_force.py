@@ -34,9 +34,6 @@ class RequiredGraspForceConfig(Config):
         live=True,
         gt=0.0,
     )
-    least_trend: float = param(
-        5.0, "rate of a load below which it is noise", unit="N/s", live=True, ge=0.0
-    )
     lead: float = param(
         0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
     )
@@ -53,15 +50,15 @@ class RequiredGraspForceConfig(Config):
 
 _MEMORY = np.dtype(
     [
-        ("load", np.float64, 3),  # smoothed; NaN: none yet
+        ("load", np.float64, 3),  # smoothed, palm axes; NaN: none yet
         ("trend", np.float64, 3),  # its rate
-        ("shape", np.float64, 3),  # smoothed force per unit internal force
+        ("shape", np.float64, 3),  # smoothed force per unit internal force, palm axes
     ]
 )
 
 
 class RequiredGraspForce:
-    """Follows load and f*, and computes the minimum grasp force that holds.
+    """Follows load and f* in palm axes, and computes the minimum grasp force that holds.
 
     The load may change at any time and is followed fast. The shape is f*, which the hand itself
     changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
@@ -97,12 +94,13 @@ class RequiredGraspForce:
         self._held_for = 0.0
 
     def step(
-        self, parts: Split, friction: Array, dt: float, margin: float = 0.0
+        self, parts: Split, normals: Array, friction: Array, dt: float, margin: float = 0.0
     ) -> tuple[float, float]:
         """Return the minimum k_f that keeps each contact inside its cone, and with a reserve, N.
 
         Args:
             parts: Measured forces as load and internal force; the internal force must push.
+            normals: Contact normals into the object, palm axes, shape (k, 3).
             friction: mu of each contact as learned, shape (k,).
             dt: Time since the last tick, s.
             margin: Fraction by which mu may be smaller than learned; for the loads that are
@@ -116,18 +114,22 @@ class RequiredGraspForce:
         self._held_for += dt
         if self._held_for < self._reserve_time:
             radii *= self._held_for / self._reserve_time
-        return _needed(self._memory, self._config, *parts, friction, margin, radii, dt)
+        shapes = parts.internal / parts.grasp_force
+        usable = friction / (1.0 + margin)
+        return _needed(
+            self._memory, self._config, parts.load, shapes, normals, friction, usable, radii, dt
+        )
 
 
 @compiled
 def _needed(
     memory: Rows,
     config: Rows,
-    load: Array,
-    internal: Array,
-    grasp_force: float,
+    loads: Array,
+    shapes: Array,
+    normals: Array,
     friction: Array,
-    margin: float,
+    usable: Array,
     radii: Array,
     dt: float,
 ) -> tuple[float, float]:
@@ -136,15 +138,15 @@ def _needed(
     for i in range(len(memory)):
         m = memory[i]
         if dt == 0.0 or math.isnan(m["load"][0]):
-            for axis in range(3):
-                m["load"][axis], m["trend"][axis] = load[i, axis], 0.0
-                m["shape"][axis] = internal[i, axis] / grasp_force
+            m["load"][:], m["trend"][:], m["shape"][:] = loads[i], 0.0, shapes[i]
         else:
-            _follow(m, c, load[i], internal[i] / grasp_force, dt)
-        x, n, z = m["shape"]
-        mu, (a, b, d) = friction[i], _foreseen(m, c, dt)
-        alone = required_grasp_force((a, b, d), (x, n, z), mu / (1.0 + margin))
-        more = required_grasp_force((a, b - shift(radii[i], mu), d), (x, n, z), mu)
+            _follow(m, c, loads[i], shapes[i], dt)
+        # A load that grows at a constant rate is ahead of its low-pass by the lag.
+        lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
+        load = m["load"] + (lag + c["lead"]) * m["trend"]
+        alone = required_grasp_force(load, m["shape"], normals[i], usable[i])
+        lost = shift(radii[i], friction[i])
+        more = required_grasp_force(load, m["shape"], normals[i], friction[i], lost)
         needed = max(needed, alone)
         ready = max(ready, alone, more if math.isfinite(more) else 0.0)
     return needed, ready
@@ -154,27 +156,10 @@ def _needed(
 def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
     """Smooth load, trend and shape of a contact."""
     fraction, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
-    for axis in range(3):
-        m["shape"][axis] += slow * (shape[axis] - m["shape"][axis])
-        before = m["load"][axis]
-        m["load"][axis] = before + fraction * (load[axis] - before)
-        rate = (m["load"][axis] - before) / dt
-        m["trend"][axis] += fraction * (rate - m["trend"][axis])
-
-
-@compiled
-def _foreseen(m: Row, c: Row, dt: float) -> tuple[float, float, float]:
-    """Return the load of a contact after the lead time.
-
-    A load that grows at a constant rate is ahead of its low-pass by dt / (exp(dt / T) - 1); the
-    trend makes up for that and looks ahead.
-    """
-    (a, b, d), (x, n, z) = m["load"], m["trend"]
-    speed = math.sqrt(x * x + n * n + z * z)
-    real = max(0.0, 1.0 - c["least_trend"] / max(speed, 1e-12))
-    lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
-    time = (lag + c["lead"]) * real
-    return a + time * x, b + time * n, d + time * z
+    m["shape"][:] += slow * (shape - m["shape"])
+    moved = fraction * (load - m["load"])
+    m["load"][:] += moved
+    m["trend"][:] += fraction * (moved / dt - m["trend"])
 
 
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +12,10 @@ from pydantic import model_validator
 
 from tactile_hand_ros.compiled import Rows
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, in_palm
+from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
 from tactile_hand_ros.control.loads import Split, split
+from tactile_hand_ros.control.margins import cone_distances
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 from tactile_hand_ros.control.slip.grasp_force import (
@@ -23,47 +23,13 @@ from tactile_hand_ros.control.slip.grasp_force import (
     SlipResponse,
     SlipResponseConfig,
 )
-from tactile_hand_ros.errors import CollinearContactsError, MessageError
+from tactile_hand_ros.errors import MessageError
 
 Array = NDArray[np.float64]
 
 
-AGE = 20_000_000
-"""What is gone back to is at least so old, where there is something, and at most twice [ns]."""
-
-
-class _Known(NamedTuple):
-    """What touch has taught: the friction, with all that belongs to it, and k_f, N."""
-
-    friction: Rows
-    grasp_force: float
-
-
-class RollbackBuffer:
-    """Keeps two states of something that learns, `AGE` apart."""
-
-    def __init__(self) -> None:
-        """Start without a past."""
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget the past: time or grasp are new."""
-        self._kept: list[tuple[int, _Known]] = []
-
-    def pass_by(self, stamp: int, known: Callable[[], _Known]) -> None:
-        """Keep what is known at a tick [ns], when the newest state is old enough."""
-        if not self._kept or stamp - self._kept[-1][0] >= AGE:
-            self._kept = [*self._kept[-1:], (stamp, known())]
-
-    @property
-    def before(self) -> _Known | None:
-        """What was known shortly before; None without a past."""
-        return self._kept[0][1] if self._kept else None
-
-
-_MEMORY = 4  # newest changes of the grasp force that may still show in the forces
+_AGE = 20_000_000  # ns; what is gone back to is at least so old, and at most twice
 _RESERVED = 0.8  # fraction of the limit up to which a reserve is kept; the rest is for real loads
-_ON_ITS_WAY = 4_000_000  # ns for which any change may
 
 
 class SlipRegulatorConfig(Config):
@@ -129,13 +95,11 @@ class SlipRegulator:
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
         """Start at the configured grasp force for a hand with k fingers."""
-        self.config = config
+        self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
         self._required = RequiredGraspForce(config.reflex.need, fingers)
-        self._normals = np.tile([0.0, 1.0, 0.0], (fingers, 1))
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._checkpoints = RollbackBuffer()
         self._doubted = False
         self.reset()
 
@@ -161,20 +125,17 @@ class SlipRegulator:
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
         self._required.reset()
-        self._recent: deque[float] = deque(maxlen=3)
-        self._bends: deque[tuple[int, float]] = deque()
+        self._last = np.full((self._fingers, 3), np.nan)
+        self._kept: list[tuple[int, Rows]] = []
         self._detector.reset()
         self._estimator.reset()
-        self._checkpoints.forget()
 
     def reject_touch(self, doubted: bool) -> None:
         """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
         if doubted and not self._doubted:
-            known = self._checkpoints.before
-            if known is not None:
-                self._estimator.restore(known.friction)
-            force = self._response.grasp_force if known is None else known.grasp_force
-            self._response.start(min(force, self._response.grasp_force))
+            if self._kept:
+                self._estimator.restore(self._kept[0][1])
+            self._response.start(self._response.grasp_force)
             self._required.reset()
         self._doubted = doubted
 
@@ -223,10 +184,6 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            if self._doubted:
-                forces = np.full_like(forces, np.nan)
-            else:
-                self._checkpoints.pass_by(stamp, self._known)
             self._feel(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
@@ -236,9 +193,6 @@ class SlipRegulator:
         self.grasp_force = min(max(goal, c.minimum), c.maximum)
         return self.grasp_force
 
-    def _known(self) -> _Known:
-        return _Known(self._estimator.memory, self._response.grasp_force)
-
     def _follow_user(self, dt: float) -> None:
         c = self.config
         goal = min(max(self.goal, c.minimum), c.maximum)
@@ -246,72 +200,63 @@ class SlipRegulator:
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 
-    def _feel(self, stamp: int, contacts: Contacts, forces: Array, dt: float) -> None:
+    def _feel(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
         """Update slip, friction and the needed grasp force from touch."""
+        touching, normals = contacts.touching, contacts.normals
+        if not touching.any():
+            self._estimator.reset()  # what is grasped next may be another object
+        # A sensor that is slower than the loop repeats its sample, which adds nothing.
+        fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
+        forces = in_palm(contacts.rotations, measured, 1.0)
+        forces[~touching | self._doubted] = np.nan
+        if not self._doubted:
+            self._keep(stamp)
+        parts = None
+        if self.config.mode != "user" and contacts.all_touching and not self._doubted:
+            parts = split(contacts.positions, normals, forces)
+            parts = parts if parts.margin >= MIN_COLLINEARITY_MARGIN else None
+        slips, slides = self._watch(forces, normals, parts, fresh, dt)
+        self.needed = self.ready = math.nan
         if self.config.mode == "user":  # which needs no estimate of what would hold
-            self.needed = self.ready = math.nan
-            self._watch(stamp, contacts, forces, self._normals, dt)
             return
-        parts = self._split(contacts, forces)
-        axes = self._normals if parts is None else parts.internal
-        grips = self._watch(stamp, contacts, forces, axes, dt)
-        self.needed, self.ready = self._needed(parts, dt)
-        slips = ContactState.SLIP in grips
-        agrees = self._detector.agrees.tolist()
-        slides = (ContactState.SLIP, True) in zip(grips, agrees, strict=True)
-        limit, touching = self.config.maximum, contacts.touching
+        if parts is None or parts.grasp_force <= 0.0:
+            self._required.lose()
+        else:
+            margin = self.config.reflex.margin
+            needs = self._required.step(parts, normals, self.learned_friction, dt, margin)
+            self.needed, self.ready = needs
         if not contacts.all_touching:
-            slides = slides or self._strained(touching, forces)
+            slides = slides or self._is_strained(measured[touching], touching)
+        limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         self._response.step(goal, slips, slides, touching, limit, dt)
 
-    def _strained(self, touching: NDArray[np.bool_], forces: Array) -> bool:
-        """Return whether a contact that is left carries all that its friction is trusted with."""
-        usable = self._usable_friction()
-        tangential = np.hypot(forces[:, 0], forces[:, 2])
-        return bool((tangential > usable * forces[:, 1])[touching].any())
-
-    def _usable_friction(self) -> Array:
-        return self.learned_friction / (1.0 + self.config.reflex.margin)
+    def _keep(self, stamp: int) -> None:
+        """Keep what is known of the friction: what false touch has taught is forgotten."""
+        if not self._kept or stamp - self._kept[-1][0] >= _AGE:
+            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
 
     def _watch(
-        self, stamp: int, contacts: Contacts, forces: Array, axes: Array, dt: float
-    ) -> list[int]:
-        """Update detectors and friction; return the `ContactState` of each contact."""
-        felt = forces
-        if not contacts.all_touching:
-            felt = np.where(contacts.touching[:, None], forces, np.nan)
-        detector, estimator = self._detector, self._estimator
-        state = detector.step(felt, axes, self._own_change(stamp), dt, estimator.estimate)
-        estimator.step(felt, state, detector.evidence, dt, detector.agrees, detector.fresh)
-        grips: list[int] = state.tolist()
-        if ContactState.SLIP in grips:
-            estimator.share()
-        return grips
+        self,
+        forces: Array,
+        normals: Array,
+        parts: Split | None,
+        fresh: NDArray[np.bool_],
+        dt: float,
+    ) -> tuple[bool, bool]:
+        """Update slip and friction; return whether a contact slips, and the newest sample shows it.
 
-    def _own_change(self, stamp: int) -> float:
-        """Return the largest second difference of k_f that may still be on its way through, N."""
-        self._recent.append(self.grasp_force)
-        bends = self._bends
-        if len(self._recent) == 3:
-            a, b, c = self._recent
-            bends.append((stamp, abs(c - 2.0 * b + a)))
-        while len(bends) > _MEMORY and bends[0][0] <= stamp - _ON_ITS_WAY:
-            bends.popleft()
-        return max([bend for _, bend in bends], default=0.0)
+        Where there is no grasp, the internal force is taken to act along the normals.
+        """
+        detector = self._detector
+        axes = normals if parts is None else parts.internal
+        state = detector.step(forces, normals, axes, fresh, dt)
+        agrees, suspected = detector.agrees, detector.likelihood > 0.0
+        self._estimator.step(forces, normals, state, suspected, agrees, fresh, dt)
+        slips = state == ContactState.SLIP
+        return bool(slips.any()), bool((slips & agrees).any())
 
-    def _split(self, contacts: Contacts, forces: Array) -> Split | None:
-        """Split the forces where they form a grasp."""
-        if self._doubted or not contacts.all_touching:
-            return None
-        try:
-            return split(contacts, forces)
-        except CollinearContactsError:
-            return None
-
-    def _needed(self, parts: Split | None, dt: float) -> tuple[float, float]:
-        """Return the minimum grasp force that holds, and with a reserve, N; NaN while unknown."""
-        if parts is None or parts.grasp_force <= 0.0:
-            self._required.lose()
-            return math.nan, math.nan
-        return self._required.step(parts, self.learned_friction, dt, self.config.reflex.margin)
+    def _is_strained(self, forces: Array, touching: NDArray[np.bool_]) -> bool:
+        """Return whether a contact that is left carries all that its friction is trusted with."""
+        usable = self.learned_friction[touching] / (1.0 + self.config.reflex.margin)
+        return bool((cone_distances(forces, usable) < 0.0).any())

@@ -22,7 +22,7 @@ from tactile_hand_ros.sweep.table import read_table
 CASE = SlipCase(
     index=0,
     event="friction",
-    friction=0.6,
+    friction=0.4,
     mass=0.5,
     noise=0.01,
     latency=0.001,
@@ -116,7 +116,7 @@ def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
 
 
 def test_a_slip_is_found_answered_and_stopped(run: Record) -> None:
-    """Friction falls to 0.17, more than the reserve was for: the object stays in the hand."""
+    """Friction falls to 0.11, more than the reserve was for: the object stays in the hand."""
     outcome = measured(run)
     assert outcome["survivable"] and not outcome["lost"] and outcome["false_alarms"] == 0
     assert outcome["excess"] > 1.0 and outcome["early_slip"] < 1e-5
@@ -134,17 +134,17 @@ def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run: Record)
 
 
 def test_replaying_the_detector_gives_its_states_in_the_run(run: Record) -> None:
-    """To the last tick, so that what is replayed with other thresholds is the same detector."""
+    """To the last tick, so that what is replayed with other times is the same detector."""
     trace = detector.trace_of(run, study.scenario_of(CASE))
     states = detector.replay(trace, SlipDetectorConfig())
     assert (states == run.grip).all()
     assert detector.delay(trace, states) == pytest.approx(measured(run)["detection"])
 
 
-def test_a_higher_threshold_alarms_no_earlier(run: Record) -> None:
+def test_a_longer_time_between_false_alarms_alarms_no_earlier(run: Record) -> None:
     """Nor more often while nothing slides."""
     trace = detector.trace_of(run, study.scenario_of(CASE))
-    scores = [detector.score(trace, [trace], (0.01, h)) for h in (3.0, 20.0, 5000.0)]
+    scores = [detector.score(trace, [trace], (0.01, h)) for h in (1.0, 1e8, 1e250)]
     delays = [score.delay for score in scores]
     assert delays == sorted(delays) and delays[0] < delays[2]
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction of a contact: learned from real slips and sticks, recovered from false alarms."""
+"""Friction of the contacts: learned from slips and sticks, and from nothing else."""
+
+import itertools
+import math
 
 import numpy as np
 import pytest
@@ -7,123 +10,180 @@ import pytest
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 
-DT = 0.001
+UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
+DT, PRIOR = 0.001, 0.4
 
 
-def feel(
-    estimator,
-    ratios,
-    state,
-    evidence,
-    contact=0,
-    agrees=True,
-    fresh=True,
-    normal=5.0,
-    noise=0.01,
-    seed=0,
-):
-    """Feed force ratios to one contact, one a tick, and return its last estimate."""
-    random = np.random.default_rng(seed)
-    k = len(estimator.estimate)
-    told = np.full(k, state), np.full(k, evidence), DT, np.full(k, agrees), np.full(k, fresh)
-    forces = np.full((k, 3), np.nan)
-    for ratio in ratios:
-        forces[contact] = np.array([ratio * normal, normal, 0.0]) + noise * random.standard_normal(
-            3
-        )
-        estimator.step(forces, *told)
-    return estimator.estimate[contact]
+def estimator(contacts=3, explore=0.0, **values):
+    return FrictionEstimator(FrictionConfig(explore=explore, **values), contacts)
 
 
-def slip(estimator, ratio, **how):
-    """Let a contact slide for 12 ms, of which the first 5 are only suspected."""
-    feel(estimator, [ratio] * 5, ContactState.STICK, 10.0, **how)
-    return feel(estimator, [ratio] * 7, ContactState.SLIP, 22.0, **how)
+def feel(made, ratios, states, ticks=1, normal=5.0, noise=0.01, seed=0, dt=DT, **told):
+    """Feed force ratios and states of all contacts for some ticks; return the estimates."""
+    random, k = np.random.default_rng(seed), len(ratios)
+    normals = np.tile([0.0, 1.0, 0.0], (k, 1))
+    states = np.array(states)
+    for _ in range(ticks):
+        forces = normal * np.array([[r * 0.6, 1.0, r * 0.8] for r in ratios])
+        forces += noise * random.standard_normal((k, 3))
+        flags = [
+            np.broadcast_to(told.get(name, default), k)
+            for name, default in (
+                ("suspected", states == SLIP),
+                ("agrees", states == SLIP),
+                ("fresh", True),
+            )
+        ]
+        made.step(forces, normals, states, *flags, dt)
+    return made.estimate
 
 
-def quiet(estimator, seconds, ratio=0.1, **how):
-    return feel(estimator, [ratio] * round(seconds / DT), ContactState.STICK, 0.0, **how)
+def slip(made, ratios, who, **how):
+    """Let some contacts slide for 12 ms, of which the first 5 are only suspected."""
+    sliding = np.array([i in who for i in range(len(ratios))])
+    feel(made, ratios, [STICK] * len(ratios), 5, suspected=sliding, agrees=sliding, **how)
+    return feel(made, ratios, np.where(sliding, SLIP, STICK), 7, **how)
 
 
-def still(contacts=1, **values):
-    """Return an estimator that does not grow."""
-    return FrictionEstimator(FrictionConfig(explore=0.0, forget=0.0, **values), contacts)
+def rest(made, seconds, ratio=0.1, contacts=3):
+    return feel(made, [ratio] * contacts, [STICK] * contacts, round(seconds / DT))
 
 
-def test_without_contact_nothing_is_learned():
-    estimator = still()
-    for state, ratio in ((ContactState.UNKNOWN, 1.0), (ContactState.STICK, np.nan)):
-        feel(estimator, [ratio] * 200, state, 0.0)
-    assert estimator.estimate == 0.4
+def test_what_is_not_known_is_explored_within_one_deviation_and_only_until_a_slip():
+    made = estimator(explore=0.05)
+    feel(made, [0.2] * 3, [STICK] * 3, 100, dt=0.02)
+    np.testing.assert_allclose(made.estimate, PRIOR * math.exp(0.1))
+    feel(made, [0.2] * 3, [STICK] * 3, 500, dt=0.02)
+    np.testing.assert_allclose(made.estimate, PRIOR * math.exp(0.5))
+    shown = slip(made, [0.3] * 3, [0])
+    feel(made, [0.1] * 3, [STICK] * 3, 500, dt=1.0)
+    np.testing.assert_array_equal(made.estimate, shown)
 
 
-def test_what_sticks_again_says_nothing_of_friction():
-    """The grasp force catches it for a while in the middle; the detector still says slip."""
-    plain, caught = still(), still()
-    feel(plain, [0.3] * 6, ContactState.SLIP, 22.0, noise=0.0)
-    feel(caught, [0.3] * 3, ContactState.SLIP, 22.0, noise=0.0)
-    feel(caught, [0.05] * 10, ContactState.SLIP, 22.0, noise=0.0, agrees=False)
-    assert caught.estimate == 0.4 and caught.confidence == 0.0  # three samples are too few
-    feel(caught, [0.3] * 3, ContactState.SLIP, 22.0, noise=0.0)
-    assert caught.estimate == plain.estimate < 0.35 and caught.confidence == plain.confidence > 0.5
+def test_nothing_is_learned_while_nothing_slips():
+    """The mean stays for good, and the variance is that of the prior."""
+    made = estimator()
+    feel(made, [0.2] * 3, [STICK] * 3, 500, dt=10.0)
+    np.testing.assert_array_equal(made.estimate, PRIOR)
+    np.testing.assert_allclose(made.deviation, 0.5)
+    feel(made, [math.nan] * 3, [UNKNOWN] * 3, 50)
+    np.testing.assert_array_equal(made.estimate, PRIOR)
 
 
-def test_an_estimate_stays_within_its_limits_and_reaches_them():
-    low, high = still(least=0.15, prior=0.2), still(most=0.9)
-    for _ in range(4):
-        slip(low, 0.01)
-        quiet(low, 0.1, ratio=0.0)
-    assert low.estimate == 0.15
-    assert quiet(high, 0.5, ratio=0.85) == pytest.approx(0.85, abs=0.01)
-    assert quiet(high, 0.5, ratio=1.4) == 0.9
-    growing = FrictionEstimator(FrictionConfig(explore=2.0, most=0.6), 1)
-    assert quiet(growing, 0.1) < 0.6 == quiet(growing, 1.0)
+@pytest.mark.parametrize("ratio", [0.15, 0.3, 0.4, 0.6, 1.0])
+def test_a_slip_shows_the_friction_of_its_finger(ratio):
+    made = estimator()
+    assert slip(made, [ratio] * 3, [1])[1] == pytest.approx(ratio, rel=0.1)
+    assert made.deviation[1] < 0.12
 
 
-def test_each_contact_learns_from_its_own_forces():
-    hand = still(contacts=3)
-    slip(hand, 0.2, contact=1)
-    quiet(hand, 0.5, ratio=0.7, contact=2)
-    assert hand.estimate[0] == 0.4 and hand.confidence[0] == hand.confidence[2] == 0.0
-    assert hand.estimate[1] == pytest.approx(0.2, abs=0.03) and hand.confidence[1] > 0.5
-    assert hand.estimate[2] == pytest.approx(0.7, abs=0.01)
-    hand.reset()
-    assert (hand.estimate == 0.4).all() and not hand.confidence.any()
+def test_the_others_learn_less_and_the_same():
+    made = estimator()
+    found = slip(made, [0.2, 0.2, 0.2], [1])
+    assert 0.2 < found[1] < found[0] < 0.3
+    assert found[0] == pytest.approx(found[2], rel=1e-12)
+    assert made.deviation[1] < made.deviation[0] < 0.5
 
 
-def test_each_contact_learns_only_while_its_own_samples_tell_of_slip():
-    hand, forces = still(contacts=3), np.array([[1.0, 5.0, 0.0], [0.5, 5.0, 0.0], [0.2, 2.0, 0.0]])
-    for _ in range(6):
-        hand.step(
-            forces,
-            np.full(3, ContactState.SLIP),
-            np.full(3, 22.0),
-            DT,
-            np.array([False, True, False]),
-            np.full(3, True),
-        )
-    assert hand.estimate[1] < 0.2 < 0.5 < hand.confidence[1]
-    np.testing.assert_array_equal(hand.estimate[[0, 2]], 0.4)
+def test_a_contact_that_barely_presses_shows_next_to_nothing():
+    found = slip(estimator(), [0.1] * 3, [0], normal=0.05, noise=0.03)
+    assert (found > 0.25).all()
 
 
-def test_a_neighbour_is_believed_half_and_only_by_one_that_knows_less_than_that():
-    hand = still(contacts=4)
-    for contact, ratio, how in ((3, 0.2, {}), (0, 0.6, {"noise": 0.5}), (2, 0.6, {"noise": 1.3})):
-        slip(hand, ratio, contact=contact, **how)
-    before, sure = hand.estimate, hand.confidence
-    half = 0.5 * sure[3]
-    assert sure[1] == 0.0 < sure[2] < half < sure[0] < sure[3] and before[3] < before[[0, 2]].min()
-    hand.share()
-    share = sure[3] * (1.0 - sure[[1, 2]])
-    expected = before[[1, 2]] + share * (before[3] - before[[1, 2]])
-    np.testing.assert_allclose(hand.estimate[[1, 2]], expected)
-    np.testing.assert_allclose(hand.confidence, [sure[0], half, half, sure[3]])
-    np.testing.assert_array_equal(hand.estimate[[0, 3]], before[[0, 3]])
+def test_slips_of_several_fingers_are_a_product_in_any_order():
+    ratios, found = np.array([0.3, 0.2, 0.5]), []
+    for order in itertools.permutations(range(3)):
+        made = estimator()
+        estimate = slip(made, ratios[list(order)], [order.index(0), order.index(1)], noise=0.0)
+        found.append([[x[order.index(i)] for i in range(3)] for x in (estimate, made.deviation)])
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (6, 2, 3)), rtol=1e-12)
 
 
-def test_a_sample_that_is_repeated_is_learned_from_once():
-    """A slow skin repeats each sample; one alone is no reading of a slip."""
-    estimator = still()
-    assert slip(estimator, 0.2, fresh=False) == pytest.approx(0.4)
-    assert estimator.confidence[0] == 0.0
-    assert quiet(estimator, 0.5, ratio=0.9, fresh=False) == pytest.approx(0.4)
+def test_what_slips_have_shown_often_a_single_contrary_one_changes_less():
+    once, often = estimator(), estimator()
+    for i in range(6):
+        slip(often, [0.6] * 3, [0, 1, 2], seed=i)
+        rest(often, 0.2)
+    slip(once, [0.6] * 3, [0, 1, 2])
+    rest(once, 0.2)
+    assert often.deviation.max() < 0.5 * once.deviation.min()
+    changed = [slip(made, [0.48] * 3, [0])[0] for made in (once, often)]
+    assert 0.48 < changed[0] < changed[1] < 0.6
+
+
+def test_a_surface_that_has_changed_is_learned_however_well_the_old_one_was_known():
+    """Water: from 0.6 to 0.15."""
+    made = estimator()
+    for i in range(6):
+        slip(made, [0.6] * 3, [0, 1, 2], seed=i)
+        rest(made, 0.2)
+    assert (slip(made, [0.15] * 3, [0, 1]) < 0.22).all()
+
+
+def test_what_was_learned_becomes_uncertain_and_keeps_its_value():
+    made = estimator(forget=300.0)
+    before, sure = slip(made, [0.2] * 3, [0]), made.deviation
+    feel(made, [0.05] * 3, [STICK] * 3, 300, dt=0.5)
+    np.testing.assert_allclose(made.estimate, before)
+    np.testing.assert_allclose(made.deviation**2, np.minimum(sure**2 + 0.125, 0.25), rtol=1e-3)
+    feel(made, [0.05] * 3, [STICK] * 3, 1000, dt=1.0)
+    np.testing.assert_allclose(made.deviation, 0.5)
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(0.3, PRIOR), (0.7, 0.7), (2.0, 1.5)])
+def test_sticking_at_a_force_ratio_proves_a_friction_above_it(ratio, expected):
+    found = rest(estimator(), 0.5, ratio)
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+    assert (found <= max(ratio, PRIOR)).all()
+
+
+def test_noise_and_a_single_wild_sample_prove_nothing():
+    made = estimator()
+    feel(made, [0.3] * 3, [STICK] * 3, 2000, normal=0.2, noise=0.05)
+    rest(made, 0.3, 0.3)
+    feel(made, [3.0] * 3, [STICK] * 3)
+    rest(made, 0.3, 0.3)
+    np.testing.assert_array_equal(made.estimate, PRIOR)
+
+
+def test_a_contact_that_the_grasp_force_has_caught_shows_nothing_more():
+    """The detector still reports slip, its newest samples do not."""
+    plain, caught = estimator(), estimator()
+    for made in (plain, caught):
+        slip(made, [0.3] * 3, [0], noise=0.0)
+    feel(caught, [0.05] * 3, [SLIP, STICK, STICK], 10, agrees=False, noise=0.0)
+    np.testing.assert_allclose(caught.estimate, plain.estimate, rtol=1e-3)
+
+
+def test_alarms_soon_after_each_other_are_one_slip():
+    made = estimator()
+    first, sure = slip(made, [0.3] * 3, [0]), made.deviation
+    rest(made, 0.02)
+    again = slip(made, [0.3] * 3, [0])
+    np.testing.assert_allclose(again, first, rtol=0.03)
+    np.testing.assert_allclose(made.deviation, sure, rtol=0.1)
+
+
+def test_a_repeated_sample_teaches_nothing():
+    made = estimator()
+    for states in ([STICK] * 3, [SLIP] * 3):
+        feel(made, [1.2] * 3, states, 200, fresh=False)
+    np.testing.assert_array_equal(made.estimate, PRIOR)
+
+
+def test_the_limits_hold():
+    made = estimator(least=0.15)
+    for _ in range(3):
+        slip(made, [0.01] * 3, [0, 1, 2])
+        rest(made, 0.1, 0.0)
+    np.testing.assert_array_equal(made.estimate, 0.15)
+
+
+def test_reset_and_restore():
+    made = estimator()
+    slip(made, [0.2] * 3, [0])
+    known, kept = made.estimate, made.memory
+    made.reset()
+    np.testing.assert_array_equal(made.estimate, PRIOR)
+    made.restore(kept)
+    np.testing.assert_array_equal(made.estimate, known)

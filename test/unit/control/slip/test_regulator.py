@@ -3,12 +3,14 @@
 
 import numpy as np
 import pytest
-from support.grasps import three_faces
+from support.grasps import moved, three_faces
 
-from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
+from studies.invariance import orientations
+from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
+from tactile_hand_ros.rotations import rotation_from_vector
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
@@ -190,28 +192,9 @@ def test_a_change_of_mode_makes_no_jump():
     assert down[0] == needed and np.diff(down).min() >= -20.0 * 0.002 - 1e-9
     assert down[-1] == pytest.approx(6.0, abs=1e-6)
     slip.request(30.0)
-    assert change("auto", 1500, 500)[-1] < needed  # the user's wish does not count there
+    assert change("auto", 1500, 500)[-1] <= needed  # the user's wish does not count there
     up = change("shared", 2000, 1000)
     assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
-
-
-@pytest.mark.parametrize(("tick", "bends"), [(TICK, 4), (TICK // 2, 4), (TICK // 4, 8)])
-def test_the_detector_gets_the_sharpest_bend_of_the_last_four_or_of_four_milliseconds(tick, bends):
-    """Up and down in turns; a detector that is told as much says the same."""
-    slip = regulator(grasp_force=5.0, rise_rate=400.0, fall_rate=250.0, smoothing=0.01)
-    detector = SlipDetector(SlipDetectorConfig(), 3)
-    random, forced, normals = np.random.default_rng(5), [5.0], np.tile([0.0, 1.0, 0.0], (3, 1))
-    bent = []
-    for i in range(400):
-        if i % 37 == 0:
-            slip.request(5.0 if slip.grasp_force > 8.0 else 11.0)
-        forces, friction = FELT + 0.03 * random.standard_normal((3, 3)), slip.learned_friction
-        forced.append(slip.step(i * tick, three_faces(), forces))
-        newest = np.abs(np.diff(forced[:-1][-bends - 2 :], n=2))
-        bent.append(max(newest, default=0.0))
-        detector.step(forces, normals, bent[-1], 1e-9 * tick if i else 0.0, friction)
-        np.testing.assert_allclose(slip.slip_likelihood, detector.likelihood, rtol=1e-9)
-    assert max(bent) > 0.07 and np.count_nonzero(bent) > 60
 
 
 def test_with_a_contact_lost_the_grasp_force_grows_while_the_others_are_at_their_edge():
@@ -270,38 +253,30 @@ def test_a_tick_that_comes_twice_changes_nothing():
         np.testing.assert_array_equal(once.learned_friction, twice.learned_friction)
 
 
-def test_a_rejected_touch_never_raises_the_grasp_force():
-    """Also where it has been falling: it was larger when touch was last known to be good."""
-    slip = regulator(mode="auto", grasp_force=39.0, reflex={"release_rate": 200.0, **NO_RESERVE})
-    for i in range(40):
-        before = slip.grasp_force
-        held = slip.step(i * TICK, three_faces(), FELT)
-    assert held < before - 0.3
-    slip.reject_touch(True)
-    assert slip.step(40 * TICK, three_faces(), FELT) <= held
-
-
 @pytest.mark.parametrize("late", [1, 8])
-def test_touch_that_is_doubted_teaches_nothing_not_even_before_that_is_known(late):
-    """After it the grasp force and the friction are those of a hand that has measured nothing."""
+def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(late):
+    """Afterwards the friction is that of a hand that has felt nothing false, and k_f no lower."""
     config = {"mode": "auto", "maximum": 60.0}
     misled, blind = regulator(**config), regulator(**config)
     wrong = FELT * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     for slip in (misled, blind):
         feel(slip, 300)
-    held = blind.grasp_force
     for i in range(300, 300 + late):
         misled.step(i * TICK, three_faces(), wrong)
-    assert misled.grasp_force > held + 4.0
+    held = misled.grasp_force
+    assert held > blind.grasp_force + 4.0
     misled.reject_touch(True)
     for i in range(300 + late, 550):
-        misled.step(i * TICK, three_faces(), wrong)
-    assert (misled.state == UNKNOWN).all() and misled.grasp_force <= held * 1.001
+        assert misled.step(i * TICK, three_faces(), wrong) == held
+    assert (misled.state == UNKNOWN).all()
     misled.reject_touch(False)
-    for i in range(550, 700):
-        felt = misled.step(i * TICK, three_faces(), FELT), blind.step(i * TICK, three_faces(), FELT)
-        assert felt[0] == pytest.approx(felt[1], rel=0.03)
-    np.testing.assert_allclose(misled.learned_friction, blind.learned_friction, rtol=0.02)
+    random = np.random.default_rng(8)
+    for i in range(550, 2000):
+        felt = FELT + 0.005 * random.standard_normal((3, 3))
+        misled.step(i * TICK, three_faces(), felt), blind.step(i * TICK, three_faces(), felt)
+        assert misled.grasp_force >= blind.grasp_force - 1e-6
+    assert misled.needed == pytest.approx(blind.needed, rel=0.05)
+    np.testing.assert_allclose(misled.learned_friction, blind.learned_friction, rtol=0.05)
 
 
 def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
@@ -329,7 +304,62 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     for i in range(300, 400):
         before = slip.step(i * TICK, three_faces(), heavy)
     slip.reject_touch(False)
-    assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 1.0
+    assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 0.5
+
+
+def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_up():
+    slip = regulator(mode="auto", maximum=200.0)
+    feel(slip, 300)
+    for seed in range(100):  # until it is found
+        shaken = FELT + 0.15 * np.random.default_rng(seed).standard_normal((3, 3))
+        slip.step((300 + seed) * TICK, three_faces(), shaken)
+        if SLIP in slip.state:
+            break
+    found = slip.grasp_force
+    for i in range(401, 900):
+        slip.step(i * TICK, three_faces(), shaken)
+    assert SLIP not in slip.state and slip.grasp_force < 3.0 * found
+
+
+def test_what_is_released_and_grasped_again_may_be_another_object():
+    slip = regulator(mode="auto")
+    feel(slip, 300)
+    feel(slip, 20, slides=(0, 1, 2))
+    assert (slip.learned_friction != 0.4).any()
+    nothing = Contacts(np.full((3, 3), np.nan), three_faces().rotations)
+    slip.step(10**9, nothing, np.full((3, 3), np.nan))
+    np.testing.assert_array_equal(slip.learned_friction, 0.4)
+
+
+def turned(contacts, rotation):
+    """Return contacts in a turned hand, with the frames that the skin of that hand reports."""
+    frames = np.array([contact_frame(n) for n in contacts.normals @ rotation.T])
+    return Contacts(contacts.positions @ rotation.T, frames)
+
+
+@pytest.mark.parametrize("way", ["x to z", "y to z", "random 1", "random 2"])
+def test_the_palm_may_be_turned_in_any_way(way):
+    """Also so that a normal wavers about palm z, where contact frames flip; with slips and a load.
+
+    Everything agrees to rounding.
+    """
+    rotation, random = dict(orientations(2, seed=5))[way], np.random.default_rng(1)
+    slips = [regulator(mode="auto", maximum=200.0) for _ in range(2)]
+    for i in range(400):
+        contacts = moved(three_faces(), rotation_from_vector([2e-3 * np.sin(i), 0, 0]), np.zeros(3))
+        rms = 0.15 if 200 <= i < 215 else 0.005
+        forces = FELT * (1.0 + (i > 300)) + rms * random.standard_normal((3, 3))
+        palm = in_palm(contacts.rotations, forces, 1.0)
+        for slip, turn in zip(slips, (np.eye(3), rotation), strict=True):
+            there = turned(contacts, turn)
+            measured = np.einsum("kji,kj->ki", there.rotations, palm @ turn.T)
+            slip.step(i * TICK, there, measured)
+        plain, other = slips
+        np.testing.assert_array_equal(plain.state, other.state)
+        assert other.grasp_force == pytest.approx(plain.grasp_force, rel=1e-9)
+        assert other.needed == pytest.approx(plain.needed, rel=1e-9, nan_ok=True)
+        np.testing.assert_allclose(other.learned_friction, plain.learned_friction, rtol=1e-9)
+    assert (plain.learned_friction != 0.4).any()
 
 
 def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted():

@@ -14,11 +14,11 @@ SHAPE = np.array([[0.0, 0.475, 0.0], [0.0, 0.475, 0.0], [0.0, 0.05, 0.0]])
 WEIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 DT = 0.001
 NO_RESERVE = LoadMarginConfig(floor=0.0, share=0.0)
-LAG = DT / np.expm1(DT / 0.005)  # of a ramp behind its low-pass
+UP = np.tile([0.0, 1.0, 0.0], (3, 1))
 
 
 def felt(load, force):
-    return Split(load, force, force[:, 1].sum())
+    return Split(load, force, force[:, 1].sum(), 1.0)
 
 
 def fresh():
@@ -32,7 +32,7 @@ def required(reserve, time=0.05):
 def follow(need, load, ticks, force=6.0, noise=0.0, seed=0):
     random = np.random.default_rng(seed)
     shake = noise * random.standard_normal((ticks, 3, 3))
-    return [need.step(felt(load, force * SHAPE + shake[i]), MU, DT)[0] for i in range(ticks)]
+    return [need.step(felt(load, force * SHAPE + shake[i]), UP, MU, DT)[0] for i in range(ticks)]
 
 
 def test_it_is_the_load_over_share_and_friction():
@@ -51,7 +51,7 @@ def test_a_shape_outside_its_cone_is_no_help():
     load = WEIGHT.copy()
     outside = SHAPE + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.04, 0.0, 0.0]])
     load[2] = [0.5, 0.0, 0.0]
-    assert np.isinf(fresh().step(felt(load, 6.0 * outside), MU, 0.0)[0])
+    assert np.isinf(fresh().step(felt(load, 6.0 * outside), UP, MU, 0.0)[0])
 
 
 def test_reset_forgets():
@@ -68,53 +68,34 @@ def ramped(finger, rate, ticks=100):
     load = np.zeros((3, 3))
     for i in range(ticks):
         load[finger] = (1.0 + rate * DT * i) * np.array([0.6, 0.0, 0.8])
-        needed, _ = need.step(felt(load, 6.0 * shape), OWN, DT if i else 0.0)
+        needed, _ = need.step(felt(load, 6.0 * shape), UP, OWN, DT if i else 0.0)
     return needed
 
 
 @pytest.mark.parametrize("finger", range(3))
-@pytest.mark.parametrize("rate", [20.0, 8.0, 5.1, 4.9, 2.0, -4.0, -8.0])
-def test_what_will_be_there_after_the_lead_counts_where_the_trend_is_more_than_noise(finger, rate):
-    """A smoothed ramp lags; that and 10 ms of what the trend exceeds 5 N/s by are added."""
-    ahead = (LAG + 0.01) * np.sign(rate) * max(0.0, abs(rate) - 5.0)
-    load = 1.0 + 0.099 * rate - LAG * rate + ahead
-    expected = load / (SHARES[finger] * OWN[finger])
-    assert ramped(finger, rate) == pytest.approx(expected, rel=1e-6)
+@pytest.mark.parametrize("rate", [20.0, 2.0, -8.0])
+def test_what_will_be_there_after_the_lead_counts(finger, rate):
+    """10 ms ahead of a load that grows evenly."""
+    load = 1.0 + rate * (0.099 + 0.01)
+    assert ramped(finger, rate) == pytest.approx(load / (SHARES[finger] * OWN[finger]), rel=1e-6)
 
 
-def test_a_load_that_presses_is_foreseen_as_well():
-    """Along the normal it takes load off the grasp force; 8 N/s in each direction."""
-    need, load = fresh(), np.zeros((3, 3))
-    for i in range(100):
-        load[1] = [0.0, 1.0 + 0.008 * i, 2.0 + 0.008 * i]
-        needed, _ = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
-    ahead = (LAG + 0.01) * (1.0 - 5.0 / np.hypot(8.0, 8.0)) * 8.0 - LAG * 8.0
-    normal, tangential = 1.792 + ahead, 2.792 + ahead
-    assert needed == pytest.approx((tangential - 0.9 * normal) / (0.9 * 0.2), rel=1e-6)
-
-
-def test_a_shape_is_followed_slowly_and_a_load_fast():
-    """After 10 ms of 1 ms ticks, with time constants of 30 ms and 5 ms."""
+def test_a_shape_is_followed_slowly():
+    """After 10 ms of 1 ms ticks, with a time constant of 30 ms."""
     need, load = fresh(), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
+    need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), UP, OWN, 0.0)
     other = np.array([0.2, 0.3, 0.5])
     for _ in range(10):
-        needed, _ = need.step(felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
+        needed, _ = need.step(felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), UP, OWN, DT)
     share = 0.2 + (0.5 - 0.2) * np.exp(-10.0 / 30.0)
     assert needed == pytest.approx(1.0 / (0.4 * share))
-    for ticks in (1, 10):
-        need = fresh()
-        need.step(felt(0.0 * load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
-        need.configure(RequiredGraspForceConfig(least_trend=1e9, reserve=NO_RESERVE))
-        for _ in range(ticks):
-            needed, _ = need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, DT)
-        assert needed == pytest.approx((1.0 - np.exp(-ticks / 5.0)) / (0.4 * 0.5))
 
 
 def test_where_no_time_has_passed_what_is_felt_counts_as_it_is():
     need = fresh()
     follow(need, 3.0 * WEIGHT, 20)
-    assert need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.0)[0] == pytest.approx(1.0 / (0.475 * 0.5))
+    needed, _ = need.step(felt(WEIGHT, 6.0 * SHAPE), UP, MU, 0.0)
+    assert needed == pytest.approx(1.0 / (0.475 * 0.5))
 
 
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
@@ -126,7 +107,7 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
         for dt in steps / rate:
             time += dt
             load = np.array([[0.0, 0.0, 1.0 + 8.0 * time], [0.0] * 3, [0.0] * 3])
-            needed, _ = need.step(felt(load, 6.0 * SHAPE), MU, dt)
+            needed, _ = need.step(felt(load, 6.0 * SHAPE), UP, MU, dt)
         foreseen = 1.0 + 8.0 * time
         assert needed * 0.475 * 0.5 == pytest.approx(foreseen, abs=8.0 * 0.016)
         assert needed * 0.475 * 0.5 > foreseen
@@ -141,11 +122,13 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready
     """Checked by brute force: loads on a sphere about the present one."""
     need = at_once(floor=1.5)
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
-    bare, ready = need.step(felt(WEIGHT, 6.0 * shape), OWN, 0.0)
+    bare, ready = need.step(felt(WEIGHT, 6.0 * shape), UP, OWN, 0.0)
     random = np.random.default_rng(0)
     ways = random.standard_normal((4000, 3, 3))
     ways *= 0.5 / np.linalg.norm(ways, axis=2, keepdims=True)
-    least = max(fresh().step(felt(WEIGHT + way, 6.0 * shape), OWN, 0.0)[0] for way in ways[:1000])
+    least = max(
+        fresh().step(felt(WEIGHT + way, 6.0 * shape), UP, OWN, 0.0)[0] for way in ways[:1000]
+    )
     assert bare < least <= ready
     assert ready == pytest.approx(least, rel=0.02)
 
@@ -153,10 +136,10 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready
 def test_the_reserve_follows_the_largest_load_of_the_recent_past():
     need = required(LoadMarginConfig(floor=0.0, share=0.3, memory=2.0))
     for _ in range(100):
-        need.step(felt(5.0 * WEIGHT, 6.0 * SHAPE), MU, DT)
-    soon = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.2))
+        need.step(felt(5.0 * WEIGHT, 6.0 * SHAPE), UP, MU, DT)
+    soon = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), UP, MU, 0.2))
     for _ in range(1000):
-        later = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), MU, 0.01))
+        later = np.diff(need.step(felt(WEIGHT, 6.0 * SHAPE), UP, MU, 0.01))
     shift = np.sqrt(1.0 + 1.0 / 0.25) / 0.475
     assert later == pytest.approx(0.3 * shift, rel=1e-6)
     assert soon == pytest.approx(5.0 * np.exp(-0.1) * 0.3 * shift, rel=1e-6)
@@ -165,11 +148,11 @@ def test_the_reserve_follows_the_largest_load_of_the_recent_past():
 def test_the_margin_is_for_loads_that_are_felt_and_not_for_those_of_the_reserve():
     friction, load = 1.2 * MU, 3.0 * WEIGHT
     need = at_once(floor=0.03)
-    needed, ready = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)
+    needed, ready = need.step(felt(load, 6.0 * SHAPE), UP, friction, 0.0, margin=0.2)
     assert needed == ready == pytest.approx(follow(fresh(), load, 1)[-1])
     need = at_once(floor=3.0)
-    with_margin = need.step(felt(load, 6.0 * SHAPE), friction, 0.0, margin=0.2)[1]
-    assert with_margin == need.step(felt(load, 6.0 * SHAPE), friction, 0.0)[1] > needed
+    with_margin = need.step(felt(load, 6.0 * SHAPE), UP, friction, 0.0, margin=0.2)[1]
+    assert with_margin == need.step(felt(load, 6.0 * SHAPE), UP, friction, 0.0)[1] > needed
 
 
 CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
@@ -177,7 +160,9 @@ CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
 
 def reserves(need, ticks, load=CARRIED, first=0):
     """Return what is needed and what is ready at each tick, shape (ticks, 2)."""
-    steps = (need.step(felt(load, 6.0 * SHAPE), MU, DT if first + i else 0.0) for i in range(ticks))
+    steps = (
+        need.step(felt(load, 6.0 * SHAPE), UP, MU, DT if first + i else 0.0) for i in range(ticks)
+    )
     return np.array(list(steps))
 
 
