@@ -63,7 +63,7 @@ _MEMORY = np.dtype(
         ("slid", np.bool_),  # whether this contact slipped then
         ("is_known", np.bool_),  # whether any contact has ever slipped on this object
         ("samples", np.int64),  # of its slip
-        ("sum", np.float64, 4),  # of their normal forces, tangential forces and squares
+        ("sum", np.float64, 5),  # of n, t, n n, t t and n t, their normal and tangential forces
         ("force", np.float64, 3),  # mean while it sticks, palm axes; NaN: none yet
         ("scatter", np.float64),  # of it per axis
         ("touched_for", np.float64),
@@ -211,19 +211,20 @@ def _read(m: Row, force: Array, normal: float) -> None:
     m["sum"][1] += tangential
     m["sum"][2] += normal * normal
     m["sum"][3] += tangential * tangential
+    m["sum"][4] += normal * tangential
 
 
 @compiled
 def _measured(m: Row) -> tuple[float, float]:
     """Return ln(|f_t| / f_n) of a slip and its variance, which is infinite without samples."""
     n = m["samples"]
-    normal, tangential = m["sum"][0], m["sum"][1]
+    normal, tangential, normals, tangentials, products = m["sum"]
     if not m["slid"] or n < 2 or normal <= 0.0:
         return 0.0, math.inf
-    normal, tangential = normal / n, max(tangential / n, _SMALLEST * normal / n)
-    squares = m["sum"][2] / n - normal**2 + m["sum"][3] / n - (m["sum"][1] / n) ** 2
-    scatter = max(0.0, 0.5 * squares) / (n - 1)
-    return math.log(tangential / normal), _EXACT**2 + scatter / normal**2 + scatter / tangential**2
+    ratio = max(tangential / normal, _SMALLEST)
+    # Of a force that grows along its cone only the distance from it is error.
+    squares = max(0.0, tangentials - 2.0 * ratio * products + ratio * ratio * normals)
+    return math.log(ratio), _EXACT**2 + squares / ((n - 1) * n) * (n / (ratio * normal)) ** 2
 
 
 @compiled
