@@ -2,10 +2,9 @@
 """Run the examples of the documentation, and write their numbers and pictures into it.
 
 A fenced block whose first line is a comment with a path is a file of the example. In a block of
-kind ``console``, a line that begins with ``$ tactile-hand run`` is run, by function calls, which
-give the same numbers as the processes; what follows it up to the next command is the result. The
-table between the marks ``drawn: claims`` is taken from the reproduction of the paper. With
-``--check`` nothing is written, and the exit code is 1 when a page does not say what happens.
+kind ``console``, a line that starts with ``$ tactile-hand run`` is run in-process, which gives the
+same numbers as the processes; what follows it up to the next command is the result. With
+``--check`` nothing is written, and the exit code is 1 when a page differs from its results.
 """
 
 from __future__ import annotations
@@ -32,12 +31,9 @@ from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_sc
 DOCS = Path(__file__).resolve().parent
 PAGES = (DOCS.parent / "README.md", DOCS / "first-hour.md", DOCS / "scenarios.md")
 FIGURES = DOCS / "figures"
-CLAIMS = ("Fig. 3b", "Fig. 3c", "Fig. 3d", "(13c)", "(13b)", "Fig. 4", "Theorem 1")
-"""Rows of the reproduction that stand in the README, by the beginning of their source."""
 COMMAND = "$ tactile-hand run "
 
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
-_CLAIMS = re.compile(r"(?<=<!-- drawn: claims -->\n).*?(?=<!-- end -->)", re.S)
 _FILE = re.compile(r"# ([\w./-]+\.(?:yaml|py))\b")
 
 Watch = Callable[[str, Scenario, Record], None]
@@ -50,19 +46,8 @@ def redrawn(text: str, watch: Watch = lambda *_: None) -> str:
         text: The page.
         watch: Called for each run with the words of its command, its scenario and its record.
     """
-    text = _CLAIMS.sub(lambda _: claims(), text)
     with _workshop():
         return _BLOCK.sub(lambda found: _block(found, watch), text)
-
-
-def claims() -> str:
-    """Return the paper's claims beside what was measured, in the first layout, as a table."""
-    text = (FIGURES / "reproduction.md").read_text(encoding="utf-8").split("## Layout")[1]
-    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in re.findall(r"^\|.*\|$", text, re.M)]
-    found = {row[0].strip(): row[1:] for row in rows if len(row) == 4}
-    chosen = [next(row for source, row in found.items() if source.startswith(c)) for c in CLAIMS]
-    head = ["| the paper | measured | |", "|---|---|---|"]
-    return "\n".join(head + [f"|{'|'.join(row)}|" for row in chosen]) + "\n"
 
 
 @contextmanager
