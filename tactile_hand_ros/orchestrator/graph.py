@@ -11,7 +11,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 
-_OF_ALL = (names.DIAGNOSTICS, "/parameter_events", "/rosout")
+OF_ALL = (names.DIAGNOSTICS, "/parameter_events", "/rosout")
 """Topics that every node has."""
 
 
@@ -72,6 +72,6 @@ def _ends(reports: Mapping[str, Mapping[str, str] | None], end: str) -> dict[str
     for name, values in reports.items():
         for key, count in (values or {}).items():
             kind, _, topic = key.partition(" ")
-            if kind == end and topic not in _OF_ALL:
+            if kind == end and topic not in OF_ALL:
                 found.setdefault(topic, {})[name] = int(count)
     return found

@@ -146,6 +146,17 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
     assert found.recording["expected_ticks"] is None and found.problems == []
 
 
+def test_lost_messages_are_those_of_the_hand(tmp_path: Path) -> None:
+    """What a node says while it starts may come before the recorder has found it."""
+    lost = {"": "45", "/parameter_events": "43", "/left/joint_states": "2"}
+    directory = RunDirectory(tmp_path)
+    noted = {f"lost_messages{topic}": count for topic, count in lost.items()}
+    write_record(directory.bag, ClosedLoop(PLAN.scenario).run(), custom_data=noted)
+    found = read_results(PLAN, directory, DONE)
+    assert found.recording["lost_messages"] == 2
+    assert found.problems == ["the recorder lost 2 messages"]
+
+
 def shown(plan: Plan, outcome: RunOutcome, found: RunResults) -> dict[str, list[str]]:
     """Return the rows of the table by their first cell."""
     columns = [list(column.cells) for column in table(plan, outcome, found).columns]
