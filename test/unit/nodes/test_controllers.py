@@ -422,6 +422,7 @@ def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here: Pr
     here.receive(WrenchStamped, answered)
     publisher = here.user.create_publisher(PoseArray, contacts, qos.tick_qos())
     here.wait(lambda: publisher.get_subscription_count() == 1)
+    here.wait(lambda: node.peers()[f"publications /{answered}"] == 1, "the reader")
     encode, reading = ContactsCodec(3).encode, true_reading(STATE)
     for number in range(1000, 1041):
         publisher.publish(encode(reading.positions, reading.quaternions, number * TICK))
