@@ -95,12 +95,8 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
         contacts: Where it holds an object; all fingers must touch.
         forces: Internal forces on the object in palm axes, shape (k, 3), N.
     """
-    k, m = hand.fingers, hand.joints
-    tips, axes = hand.fingertips(theta), np.tile(np.eye(3), (k, 1, 1))
-    jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, m)
-    constraint = np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T])
-    _, sizes, basis = np.linalg.svd(constraint)
-    motions = basis[int((sizes > 1e-9 * sizes[0]).sum()) :].T
+    m, tips = hand.joints, hand.fingertips(theta)
+    motions = _motions(hand, tips, contacts)
     arms = contacts.positions - tips.positions
     stiffness = np.empty((motions.shape[1],) * 2)
     for i, motion in enumerate(motions.T):
@@ -119,6 +115,38 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
     root = np.linalg.cholesky(joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints)
     scaled = np.linalg.solve(root, np.linalg.solve(root, 0.5 * (stiffness + stiffness.T)).T)
     return math.sqrt(_MARGIN * max(0.0, -float(np.linalg.eigvalsh(scaled)[0])))
+
+
+def largest_damping(
+    hand: Hand, theta: Array, contacts: Contacts, body: Array, tick: float
+) -> float:
+    """Return the joint damping K_c, N m s/rad, above which a grasp oscillates.
+
+    A torque -K_c theta' that is held for a tick T turns the rates around where K_c T / M_h > 2, of
+    the motions that keep the contacts.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Where it holds an object; all fingers must touch.
+        body: Inertia of the object, linear above angular, palm axes, shape (6, 6).
+        tick: T, s.
+    """
+    joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints))[1] @ joints
+    inertia += twists.T @ body @ twists
+    root = np.linalg.cholesky(joints.T @ joints)
+    scaled = np.linalg.solve(root, np.linalg.solve(root, inertia).T)
+    return 2.0 * float(np.linalg.eigvalsh(scaled)[0]) / tick
+
+
+def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
+    """Return joint rates above twists of the object that keep the contacts, shape (m + 6, n)."""
+    k, axes = hand.fingers, np.tile(np.eye(3), (hand.fingers, 1, 1))
+    jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, hand.joints)
+    constraint = np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T])
+    _, sizes, basis = np.linalg.svd(constraint)
+    return np.asarray(basis[int((sizes > 1e-9 * sizes[0]).sum()) :].T)
 
 
 def _pressing(tips: Fingertips, moments: Array, forces: Array) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
+from tactile_hand_ros.control.holds import largest_damping
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
@@ -24,7 +25,8 @@ def check_scenario(scenario: Scenario) -> None:
         ObjectModelError: If the object cannot be built or does not fit into the hand.
         GraspError: If a finger does not touch, the hand is singular or the normals cannot balance.
         PoseError: If a target is out of reach.
-        ConfigurationError: If a value does not fit the hand, or a law of the user's own fails.
+        ConfigurationError: If a value does not fit the hand, the damping is unstable at this rate,
+            or a law of the user's own fails.
     """
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
@@ -46,7 +48,14 @@ def check_scenario(scenario: Scenario) -> None:
     pose = AuxiliaryPose(contacts.centroid, frame)
     for target in scenario.targets:
         check_reach(hand, state.theta, contacts, pose, target.target())
-    law = scenario.manipulation_controller.law
+    law, rate = scenario.manipulation_controller.law, scenario.plant.rate
+    largest = largest_damping(hand, state.theta, contacts, plant.body_inertia, 1.0 / rate)
+    if law.damping > largest:
+        raise ConfigurationError(
+            f"damping = {law.damping:g} N m s/rad is unstable at {rate:g} Hz for this hand; at "
+            f"most {largest:.2g}, and half of that or less where commands are late",
+            place="manipulation_controller.law.damping",
+        )
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))

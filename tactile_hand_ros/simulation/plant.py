@@ -253,6 +253,13 @@ class Plant:
             gaps,
         )
 
+    @property
+    def body_inertia(self) -> Array:
+        """Inertia of the object, linear above angular, palm axes, shape (6, 6), kg and kg m^2."""
+        out = self._mass * np.eye(6)
+        out[3:, 3:] = self._rotation @ self._inertia @ self._rotation.T
+        return out
+
     def energy(self) -> float:
         """Return kinetic and potential energy of links and object in J."""
         m = self.hand.joints

@@ -140,3 +140,14 @@ def test_a_law_of_the_user_s_own_is_asked_for_its_drive_too(tmp_path, body, erro
     (tmp_path / "mine.yaml").write_text("extends: paper\nlaw: driving_law:MyLaw\n")
     with np.errstate(all="ignore"), pytest.raises(error, match=message):
         check_scenario(load_scenario(str(tmp_path / "mine.yaml")))
+
+
+@pytest.mark.parametrize(("damping", "is_stable"), [(0.042, True), (0.043, False), (0.5, False)])
+def test_damping_that_throws_the_object_away_is_refused_with_what_would_do(damping, is_stable):
+    """In the plant 0.035 holds the cube and 0.06 throws it away."""
+    chosen = load_scenario("human_hold", {"manipulation_controller.law.damping": damping})
+    if is_stable:
+        check_scenario(chosen)
+        return
+    with pytest.raises(ConfigurationError, match="unstable at 1000 Hz.*at most 0.04"):
+        check_scenario(chosen)
