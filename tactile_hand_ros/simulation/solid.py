@@ -152,7 +152,7 @@ class ConvexPolyhedron:
                 f"the uniform body between these vertices has its centre of mass at ({x:.3g}, "
                 f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
             )
-        return np.trace(moment) * np.eye(3) - moment
+        return np.asarray(np.trace(moment) * np.eye(3) - moment)
 
     def _corners_of(self, face: int) -> NDArray[np.intp]:
         """Return the corners on a face, counter-clockwise about its outward normal."""

@@ -19,6 +19,8 @@ Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns,
 
 _DISCOVERY = 2.0
 """A publisher discovered so soon after subscribing may be older than the subscription [s]."""
+_OF_ALL_NODES = ("/parameter_events", "/rosout")
+"""What a node says there while it starts, before it is discovered, is no loss of the recording."""
 
 
 def publishers_of(node: Node, topic: str) -> Sequence[TopicEndpointInfo]:
@@ -146,7 +148,8 @@ class RawTopic:
         new = len(self._present - self._known)
         self._known = self._known | self._present
         is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if is_latched or time.monotonic() < self._settled:
+        is_free = is_latched or self.name in _OF_ALL_NODES
+        if is_free or time.monotonic() < self._settled:
             self._sequence.change(self.publishers, older=new)
         else:
             self._sequence.change(self.publishers, younger=new)

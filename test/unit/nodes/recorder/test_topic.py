@@ -128,6 +128,18 @@ def test_messages_are_taken_with_their_times(stage: Stage) -> None:
     assert all(0 < sent <= received for received, sent in stage.times)
 
 
+@pytest.mark.parametrize(("shared", "lost"), [((), 2), ((NAME,), 0)])
+def test_what_a_node_sends_before_it_is_found_is_a_loss_except_on_topics_of_all_nodes(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, shared: tuple[str, ...], lost: int
+) -> None:
+    monkeypatch.setattr(topic_module, "_OF_ALL_NODES", shared)
+    publisher = stage.publisher(EAGER, 1, 2)  # the subscription asks for more until it adapts
+    stage.match(publisher)
+    stage.send(publisher, 3)
+    assert 3 in stage.take(1 + lost)
+    assert stage.topic.lost == lost
+
+
 def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
     strict = stage.publisher(STRICT)
     stage.match(strict)
