@@ -25,7 +25,7 @@ _LEFT_OUT = (".venv", ".git", "__pycache__", "node_modules", "runs", ".*_cache",
 # Inside machine code no line is seen to run, and no change seen.
 _INTERPRETED = ("", "hand", "control", "simulation")
 _SLOW = 20.0  # s, longest test that takes part
-_QUIET = ["-q", "--tb=no", "-p", "no:cacheprovider"]
+_QUIET = ["-q", "--tb=no", "-p", "no:cacheprovider", "-o", "faulthandler_timeout=0"]
 
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
 
