@@ -185,7 +185,7 @@ def foreign_file(file: Path, offers: str = "", schema: int = 1, encoding: str = 
         writer = Writer(stream)
         writer.start("ros2", "another")
         for count in ("1", "2"):
-            custom = {"count": count, "at": count}
+            custom = {"count": count, f"at_{count}": count}
             record = BagMetadata("x", custom_data=custom, ros_distro="kilted").record()
             writer.add_metadata("rosbag2", record)
         writer.add_metadata("rosbag2", {"serialized_metadata": "[odd"})
@@ -202,7 +202,7 @@ def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -
     recovery = recover(foreign_file(tmp_path / "x.mcap"))
     assert recovery.target == tmp_path / "x_recovered"
     assert recovery.metadata.ros_distro == "kilted"
-    custom = {"count": "2", "at": "2", "recovered_bytes_left": "0"}
+    custom = {"count": "2", "at_1": "1", "at_2": "2", "recovered_bytes_left": "0"}
     assert summarize(recovery.target).custom_data == custom
     with (recovery.target / recovery.metadata.path).open("rb") as stream:
         records = {each.name: each.metadata for each in make_reader(stream).iter_metadata()}
