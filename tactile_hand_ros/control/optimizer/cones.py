@@ -24,6 +24,7 @@ from tactile_hand_ros.control.loads import (
     shift,
     split,
 )
+from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
     _, axes = np.linalg.eigh(arms.T @ arms)
     plane, area = axes[:, 0].copy(), np.zeros(3)
     for i in range(len(arms)):
-        area += np.cross(arms[i - 1], arms[i])
+        area += np.array(cross(arms[i - 1], arms[i]))
     if plane @ area < 0.0:  # the sign of an eigenvector may change from tick to tick
         plane = -plane
     out = np.empty_like(rotations)
@@ -132,7 +133,7 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
         if along @ along < _MIN_PROJECTION**2:
             along = arms[i] - (arms[i] @ n) * n
         along = along / math.sqrt(along @ along)
-        out[i, :, 0], out[i, :, 1], out[i, :, 2] = np.cross(n, along), n, along
+        out[i, :, 0], out[i, :, 1], out[i, :, 2] = np.array(cross(n, along)), n, along
     return out
 
 
