@@ -16,7 +16,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.sweep.table import read_table
 
 # A light object, hit by a pulse that twists it out of a pinch.
-PULSE = LoadCase(0, "pinch", 0.054, 0.74, "pulse", 0.066, (0.0, -6.0, 0.0), (0.0, 0.0, 0.27))
+PULSE = LoadCase(0, "pinch", 0.054, 0.5, "pulse", 0.066, (0.0, -10.0, 0.0), (0.0, 0.0, 0.4))
 
 
 def test_equal_seeds_give_equal_loads_of_every_kind():
