@@ -59,8 +59,10 @@ def split(points: Array, normals: Array, forces: Array) -> Split:
         wrench[4] += q
         wrench[5] += r
     load, margin = spread_wrench(points, wrench)
-    internal = forces - load
-    return Split(load, internal, (internal * normals).sum(), margin)
+    internal, total = forces - load, 0.0
+    for i in range(len(forces)):
+        total += dot(internal[i], normals[i])
+    return Split(load, internal, total, margin)
 
 
 @compiled
