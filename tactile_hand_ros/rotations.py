@@ -101,7 +101,7 @@ def dot(a: Array, b: Array) -> float:
 
 
 @compiled
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector | Array, b: Vector | Array) -> Vector:
     """Return the cross product of two vectors given by their components."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
