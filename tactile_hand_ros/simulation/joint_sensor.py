@@ -81,8 +81,8 @@ class JointSensor:
 
     def reset(self) -> None:
         """Begin with joints at rest, and with the same noise as at the first start."""
-        # A stream of its own: the skin draws from the same seed.
-        self._random = np.random.default_rng([self._seed, 1])
+        # A stream of its own: the skin draws from the same seed, and from [seed, 1].
+        self._random = np.random.default_rng([self._seed, 2])
         self._last: Array | None = None
         self._rates = np.zeros(0)
 

@@ -52,6 +52,14 @@ def test_noise_has_its_size_and_repeats_after_a_reset():
             np.testing.assert_array_equal(a, b)
 
 
+def test_the_noise_of_joints_is_not_that_of_the_skin():
+    """Which draws from its seed, and from a second stream of it."""
+    noise = JointSensor(EncoderConfig(noise=1.0), 0.0, TICK, 4).step(THETA, RATES, EFFORT).theta
+    for stream in (4, [4, 1]):
+        skin = np.random.default_rng(stream).standard_normal(3)
+        assert not np.allclose(noise - THETA, skin)
+
+
 def test_the_controllers_see_what_the_encoders_report():
     coarse = load_scenario("hold", {"plant.encoder.bits": 10})
     loop = ClosedLoop(coarse)
