@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of topics, services, frames and nodes, as plain strings: written here and nowhere else.
 
-All names except `DIAGNOSTICS` are relative, so a namespace gives a second hand. That includes the
-clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two hands in one
-domain have two times, and two senders on `/clock` would make time jump back and forth.
+All names except `DIAGNOSTICS` and `OF_ALL_NODES` are relative, so a namespace gives a second hand.
+That includes the clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two
+hands in one domain have two times, and two senders on `/clock` would make time jump back and forth.
 Remap `clock:=/clock` on the one plant whose time counts.
 
 Two topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
@@ -40,6 +40,8 @@ TRUE_SLIP = "ground_truth/slip"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"
+OF_ALL_NODES = ("/parameter_events", "/rosout")
+"""Every node publishes there, also while it starts."""
 
 RESET = "~/reset"
 ENABLE = "~/enable"

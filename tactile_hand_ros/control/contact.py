@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.rotations import cross, rows_of_quaternions
+from tactile_hand_ros.rotations import Vector, cross, rows_of_quaternions
 
 if TYPE_CHECKING:  # of it, Pinocchio need not be loaded
     from tactile_hand_ros.hand.hand import Fingertips
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # of it, Pinocchio need not be loaded
 Array = NDArray[np.float64]
 
 
-# Below this length the projection of palm z on the face is no direction any more (palm x is used).
+# Below this length the projection of a direction on a face is no direction any more.
 _MIN_PROJECTION = 1e-3
 
 
@@ -102,13 +102,26 @@ def contact_frame(normal: Array) -> Array:
     Returns:
         R_C = [t_x, n, t_z], shape (3, 3).
     """
+    return face_frame(normal, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+
+
+@compiled
+def face_frame(normal: Array, along: Vector | Array, otherwise: Vector | Array) -> Array:
+    """Return [t_x, n, t_z] with t_z along a direction projected on the face, shape (3, 3).
+
+    Args:
+        normal: Unit normal n of the face, shape (3,).
+        along: Unit vector, shape (3,).
+        otherwise: Taken where that projection is shorter than 1e-3, shape (3,), of any length.
+    """
     nx, ny, nz = normal
-    # The projection of e on the face is e - n (n . e), written out.
-    tx, ty, tz = -nz * nx, -nz * ny, 1.0 - nz * nz
-    length = (tx * tx + ty * ty + tz * tz) ** 0.5
-    if length < _MIN_PROJECTION:
-        tx, ty, tz = 1.0 - nx * nx, -nx * ny, -nx * nz
+    tx, ty, tz, length = 0.0, 0.0, 0.0, 0.0
+    for ex, ey, ez in (along, otherwise):
+        d = ex * nx + ey * ny + ez * nz
+        tx, ty, tz = ex - d * nx, ey - d * ny, ez - d * nz
         length = (tx * tx + ty * ty + tz * tz) ** 0.5
+        if length >= _MIN_PROJECTION:
+            break
     tx, ty, tz = tx / length, ty / length, tz / length
     x0, x1, x2 = cross((nx, ny, nz), (tx, ty, tz))
     return np.array([[x0, nx, tx], [x1, ny, ty], [x2, nz, tz]])

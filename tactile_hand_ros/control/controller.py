@@ -36,7 +36,7 @@ _LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
 
 
 class PostureHoldConfig(Config):
-    """What the stiffness of the hold follows from, beside the period of the ticks."""
+    """What sets the stiffness of the hold, apart from the tick period."""
 
     latency: int = param(
         3, "ticks by which a torque may act late", unit="ticks", live=True, ge=0, le=100
@@ -241,7 +241,12 @@ class Controller:
             self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._trust()
-            self._held = Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+            self._held = self._nothing
+
+    @property
+    def _nothing(self) -> Held:
+        """What an open or disabled hand holds."""
+        return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
 
     @property
     def target(self) -> Target | None:
@@ -446,7 +451,7 @@ class Controller:
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
         """Return what the hold keeps, for a k_f in N and torques applied since the last tick."""
         if self._held is None:
-            kept = Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+            kept = self._nothing
             if applied is None or not applied.any() or not all_finite(applied):
                 return kept  # still nothing that is known to act
             weight = self._weight(theta)

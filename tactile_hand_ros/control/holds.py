@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, hand_jacobian
+from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 
@@ -104,17 +104,15 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
         ahead, behind = (hand.fingertips(theta + sign * _STEP * rates) for sign in (1.0, -1.0))
         rolling = np.cross(spin, arms)
         missing = np.empty(m + 6)
-        missing[:m] = (
-            _pressing(ahead, np.cross(arms, forces), forces)
-            - _pressing(behind, np.cross(arms, forces), forces)
-        ) / (2.0 * _STEP) + np.einsum("kim,ki->m", tips.angular, np.cross(rolling, forces))
+        pressing = (joint_torques(*each, each.positions + arms, forces) for each in (ahead, behind))
+        missing[:m] = np.subtract(*pressing) / (2.0 * _STEP)
+        missing[:m] += np.einsum("kim,ki->m", tips.angular, np.cross(rolling, forces))
         moved = tips.linear @ rates + rolling - velocity
         missing[m : m + 3], missing[m + 3 :] = 0.0, -np.cross(moved, forces).sum(axis=0)
         stiffness[:, i] = motions.T @ missing
     joints = motions[:m]
-    root = np.linalg.cholesky(joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints)
-    scaled = np.linalg.solve(root, np.linalg.solve(root, 0.5 * (stiffness + stiffness.T)).T)
-    return math.sqrt(_MARGIN * max(0.0, -float(np.linalg.eigvalsh(scaled)[0])))
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints
+    return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
 
 
 def largest_damping(
@@ -135,9 +133,7 @@ def largest_damping(
     joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
     inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints))[1] @ joints
     inertia += twists.T @ body @ twists
-    root = np.linalg.cholesky(joints.T @ joints)
-    scaled = np.linalg.solve(root, np.linalg.solve(root, inertia).T)
-    return 2.0 * float(np.linalg.eigvalsh(scaled)[0]) / tick
+    return 2.0 * _minimum_ratio(inertia, joints.T @ joints) / tick
 
 
 def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
@@ -149,10 +145,10 @@ def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
     return np.asarray(basis[int((sizes > 1e-9 * sizes[0]).sum()) :].T)
 
 
-def _pressing(tips: Fingertips, moments: Array, forces: Array) -> Array:
-    """Return J^T f + J_Omega^T t of forces and moments at the tip centers, shape (m,), N m."""
-    linear = np.einsum("kim,ki->m", tips.linear, forces)
-    return np.asarray(linear + np.einsum("kim,ki->m", tips.angular, moments))
+def _minimum_ratio(a: Array, b: Array) -> float:
+    """Return the minimum of x^T a x / x^T b x, both symmetric and b positive, shape (n, n)."""
+    root = np.linalg.cholesky(b)
+    return float(np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, a).T))[0])
 
 
 @compiled

@@ -11,7 +11,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 
-OF_ALL = (names.DIAGNOSTICS, "/parameter_events", "/rosout")
+OF_ALL = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
 """Topics that every node has."""
 
 

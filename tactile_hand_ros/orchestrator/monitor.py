@@ -157,7 +157,7 @@ class View:
         self._bar.update(self._task, completed=at, description=text, facts=facts, refresh=True)
 
     def _speed(self, at: float) -> float:
-        """Return simulated time per wall-clock time since the first tick; a reset starts anew."""
+        """Return simulated time per wall-clock time since the first tick or the last reset."""
         now = time.monotonic()
         if self._first is None or at <= self._first[1]:
             self._first = (now, at)

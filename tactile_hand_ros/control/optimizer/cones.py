@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.contact import Contacts, in_palm
+from tactile_hand_ros.control.contact import Contacts, face_frame, in_palm
 from tactile_hand_ros.control.grasp import centered
 from tactile_hand_ros.control.loads import (
     LoadMargin,
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 
 
 _MIN_GRASP_FORCE = 0.1  # N; below, the load per unit of internal force means nothing
-_MIN_PROJECTION = 1e-3  # of a unit vector on a face, below which it is no direction
 _CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 SIDES = 12
@@ -128,12 +127,7 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
         plane = -plane
     out = np.empty_like(rotations)
     for i in range(len(arms)):
-        n = np.ascontiguousarray(rotations[i, :, 1])
-        along = plane - (plane @ n) * n
-        if along @ along < _MIN_PROJECTION**2:
-            along = arms[i] - (arms[i] @ n) * n
-        along = along / math.sqrt(along @ along)
-        out[i, :, 0], out[i, :, 1], out[i, :, 2] = np.array(cross(n, along)), n, along
+        out[i] = face_frame(rotations[i, :, 1], plane, arms[i])
     return out
 
 

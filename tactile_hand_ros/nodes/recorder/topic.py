@@ -13,14 +13,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from tactile_hand_ros import names
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, taken
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
 
 _DISCOVERY = 2.0
 """A publisher discovered so soon after subscribing may be older than the subscription [s]."""
-_OF_ALL_NODES = ("/parameter_events", "/rosout")
-"""What a node says there while it starts, before it is discovered, is no loss of the recording."""
 
 
 def publishers_of(node: Node, topic: str) -> Sequence[TopicEndpointInfo]:
@@ -148,7 +147,8 @@ class RawTopic:
         new = len(self._present - self._known)
         self._known = self._known | self._present
         is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        is_free = is_latched or self.name in _OF_ALL_NODES
+        # What a node publishes on its own topics while it starts is no loss of the recording.
+        is_free = is_latched or self.name in names.OF_ALL_NODES
         if is_free or time.monotonic() < self._settled:
             self._sequence.change(self.publishers, older=new)
         else:

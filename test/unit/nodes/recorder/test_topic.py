@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
+from tactile_hand_ros import names
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, SequenceTracker, adapted_qos
@@ -132,7 +133,7 @@ def test_messages_are_taken_with_their_times(stage: Stage) -> None:
 def test_what_a_node_sends_before_it_is_found_is_a_loss_except_on_topics_of_all_nodes(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, shared: tuple[str, ...], lost: int
 ) -> None:
-    monkeypatch.setattr(topic_module, "_OF_ALL_NODES", shared)
+    monkeypatch.setattr(names, "OF_ALL_NODES", shared)
     publisher = stage.publisher(EAGER, 1, 2)  # the subscription asks for more until it adapts
     stage.match(publisher)
     stage.send(publisher, 3)
