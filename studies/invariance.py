@@ -58,15 +58,14 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
     first, first_turned = (VirtualFrame().orientation(p) for p in (points, points @ rotation.T))
     targets = []
     for target in base.targets:
-        goal = rotation_from_vector(target.rotation or (0.0, 0.0, 0.0)) @ first.T
-        goal = rotation @ goal @ rotation.T @ first_turned
-        targets.append(
-            {
-                "time": target.time,
-                "position": turn(target.position),
-                "rotation": vector_from_rotation(goal).tolist(),
-            }
-        )
+        there: dict[str, Any] = {"time": target.time, "position": "keep"}
+        if target.position is not None:
+            there["position"] = turn(target.position)
+        if target.rotation is not None:
+            goal = rotation @ rotation_from_vector(target.rotation) @ first.T
+            goal = goal @ rotation.T @ first_turned
+            there["rotation"] = vector_from_rotation(goal).tolist()
+        targets.append(there)
     pushes = [
         {**push.model_dump(), "force": turn(push.force), "torque": turn(push.torque)}
         for push in plant.disturbances

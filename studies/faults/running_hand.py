@@ -32,7 +32,6 @@ from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
 from tactile_hand_ros.ros.scheduling import Scheduling
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 Array = NDArray[np.float64]
@@ -248,11 +247,10 @@ class RunningHand:
         self._call(Trigger, "plant/reset", Trigger.Request())
         self._call(Trigger, "manipulation_controller/reset", Trigger.Request())
         self._call(Trigger, "slip_regulator/reset", Trigger.Request())
-        codec = PoseCodec()
+        codec = PoseCodec(nan_allowed=True)
         for target in self.scenario.targets:
-            position, rotation = target.target()
-            turn = quaternion_from_rotation(rotation)
-            self.poses.publish(codec.encode(position, turn, target.stamp))
+            pose = target.target()
+            self.poses.publish(codec.encode(pose.position, pose.quaternion, target.stamp))
         self.events.clear()
         self._looked_at = 0
         self._call(SetBool, "plant/run", SetBool.Request(data=True))

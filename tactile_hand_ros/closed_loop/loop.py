@@ -167,7 +167,6 @@ class ClosedLoop:
         self.stamp = 0
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)
         self._desired: tuple[Array, Array] | None = None
-        self._targets = list(scenario.targets)
         for target in scenario.targets:
             self.controller.command(target.target(), target.stamp)
 
@@ -270,9 +269,9 @@ class ClosedLoop:
         record.grip[row] = self.regulator.state
 
     def _write_desired(self, record: Record, row: int) -> None:
-        while self._targets and self._targets[0].stamp <= self.stamp:
-            target = self._targets.pop(0).target()
-            self._desired = target.position, _quaternion(target.orientation)
+        target = self.controller.accepted
+        if target is not None:
+            self._desired = target.position, target.quaternion
         if self._desired is not None:
             record.desired_position[row], record.desired_quaternion[row] = self._desired
 

@@ -18,6 +18,7 @@ from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forc
 from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.hand import Fingertips
+from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
@@ -63,18 +64,49 @@ class LawConfig(Config):
         raise ValueError(f"'{name[:60]}' is not a law{hint} {expected}")
 
 
-class Target(NamedTuple):
-    """Where the hand is to bring the grasp: p_d and R_pod in the palm frame."""
-
-    position: Array
-    orientation: Array
-
-
 class AuxiliaryPose(NamedTuple):
     """What the hand estimates of the object: a centroid and the virtual frame, palm frame."""
 
     position: Array
     orientation: Array
+
+
+class Target(NamedTuple):
+    """Where the hand is to bring the grasp: p_d and R_pod in the palm frame; NaN keeps its own.
+
+    Attributes:
+        position: p_d, shape (3,), m.
+        orientation: R_pod, shape (3, 3).
+        sent: Quaternion of R_pod as a message carried it, x, y, z, w; None without one.
+    """
+
+    position: Array
+    orientation: Array
+    sent: Array | None = None
+
+    @classmethod
+    def of(cls, position: Array, quaternion: Array) -> Target:
+        """Return the target that a message names, shapes (3,), m, and (4,)."""
+        return cls(position, rotation_from_quaternion(quaternion), quaternion)
+
+    @property
+    def quaternion(self) -> Array:
+        """Quaternion of R_pod, x, y, z, w, the very one that was sent, shape (4,)."""
+        return quaternion_from_rotation(self.orientation) if self.sent is None else self.sent
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing of it is to be kept."""
+        return not (np.isnan(self.position).any() or np.isnan(self.orientation).any())
+
+    def kept(self, pose: AuxiliaryPose) -> Target:
+        """Return it with what it keeps taken from a pose of the grasp."""
+        if self.is_whole:
+            return self
+        position = pose.position if np.isnan(self.position).any() else self.position
+        if not np.isnan(self.orientation).any():
+            return self._replace(position=position)
+        return Target.of(position, quaternion_from_rotation(pose.orientation))
 
 
 class LawTorque(NamedTuple):
@@ -219,7 +251,7 @@ class ManipulationLaw:
             CollinearContactsError: If the contacts lie on a line (A7).
         """
         c = self.config
-        error = pose_error(*auxiliary, *target)
+        error = pose_error(*auxiliary, target.position, target.orientation)
         self._integrate(error, dt)
         wrench = self._gains * error
         law = self._law

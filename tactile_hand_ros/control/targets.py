@@ -144,8 +144,8 @@ class TargetQueue:
         is_judged = grasp is not None and self._checked < MOST_CHECKED
         if grasp is not None and is_judged:
             self._checked += 1
-            self._judge(target, grasp)
-        self.schedule(target, stamp, now, judged=is_judged)
+            self._judge(target.kept(grasp.pose), grasp)
+        self.schedule(target, stamp, now, judged=is_judged and target.is_whole)
 
     def schedule(self, target: Target, stamp: int, now: int | None, *, judged: bool) -> None:
         """Queue a desired pose as `command` does, without judging now whether it is in reach.
@@ -187,14 +187,15 @@ class TargetQueue:
             return ""
         *older, newest = self._queue[:count]
         later = self._queue[count:]
+        target = newest.target.kept(grasp.pose)
         try:
             if not newest.judged:
-                self._judge(newest.target, grasp)
+                self._judge(target, grasp)
         except PoseError as error:
             # Without their stamps, so that a pose that is commanded meanwhile comes after them.
             self._queue = [queued._replace(stamp=0) for queued in older] + later
             return str(error)
-        self.target = self.accepted = newest.target
+        self.target = self.accepted = target
         self._queue = later
         return ""
 
@@ -205,7 +206,7 @@ class TargetQueue:
         hand may have come nearer.
         """
         known = self._in_reach
-        if known is None or not all(map(np.array_equal, known, target)):
+        if known is None or not all(map(np.array_equal, known[:2], target[:2])):
             check_reach(self._hand, *grasp, target)
             self._in_reach = target
 

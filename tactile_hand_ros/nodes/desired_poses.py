@@ -7,9 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Controller
@@ -19,9 +17,6 @@ from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.rotations import rotation_from_quaternion
-
-Array = NDArray[np.float64]
 
 DAY_NS = 86_400_000_000_000
 
@@ -32,12 +27,6 @@ def far_ahead(stamp: int, tick: int) -> str:
         f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
         f"{1e-9 * tick:.3f} s; use their time, or 0 for immediately."
     )
-
-
-class _CommandedPose(Target):
-    """A desired pose as it came: the rotation does not give back the exact quaternion."""
-
-    quaternion: Array
 
 
 class DesiredPoses:
@@ -62,7 +51,7 @@ class DesiredPoses:
         """
         self._node, self._controller = node, controller
         self._last_tick = last_tick
-        self._codec = PoseCodec()
+        self._codec = PoseCodec(nan_allowed=True)
         self.fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
         self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.user_qos())
         node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
@@ -70,11 +59,10 @@ class DesiredPoses:
     def take(self, data: bytes) -> None:
         """Take a serialized pose."""
         stamp, pose = self._codec.decode(data)
-        target = _CommandedPose(pose.position, rotation_from_quaternion(pose.quaternion))
+        target = Target.of(*pose)
         last = self._last_tick()
         if last is not None and stamp > last + DAY_NS:
             raise MessageError(far_ahead(stamp, last))
-        target.quaternion = pose.quaternion
         dropped = self._controller.dropped
         self._controller.command(target, stamp)
         self.fresh.append((target, stamp))
@@ -92,7 +80,6 @@ class DesiredPoses:
         """Publish the pose that became the target at a tick [ns], if one did."""
         pose = self._controller.accepted
         if pose is not None:
-            assert isinstance(pose, _CommandedPose)
             self._publisher.publish(self._codec.encode(pose.position, pose.quaternion, tick))
         self.fresh.clear()
 

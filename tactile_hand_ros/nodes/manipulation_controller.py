@@ -4,7 +4,7 @@
 Safe state: posture and last good grasp force are held when a contact, f*, k_f or, where the load is
 observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
 when joint states come without them for `input_timeout`. The hold stops by itself when all inputs of
-a tick are there again. A desired pose that is NaN, in another frame or out of reach is counted and
+a tick are there again. A desired pose that is malformed or out of reach is counted and
 dropped, and the old one stays. Without joint states it is silent; then, and when it crashes, the
 plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
 A tick at which anything else fails, or that would give a torque which is not finite, is answered

@@ -90,9 +90,8 @@ class Steering:
             SteeringError: If a subscriber does not acknowledge them.
         """
         for target in self._targets:
-            pose = target.target()
-            quaternion = quaternion_from_rotation(pose.orientation)
-            self._poses.publish(PoseCodec().encode(pose.position, quaternion, target.stamp))
+            pose, codec = target.target(), PoseCodec(nan_allowed=True)
+            self._poses.publish(codec.encode(pose.position, pose.quaternion, target.stamp))
             self._deliver(self._poses, f"the desired pose for t = {target.time} s")
 
     def send_forces(self, stamp: int) -> None:
@@ -157,7 +156,8 @@ def _spin(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeo
 def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
     """Return the command that moves the hand from a second terminal: to a target of its own."""
     where = "" if namespace == "/" else f" --namespace {namespace}"
-    position = " ".join(f"{x:g}" for x in targets[-1].position) if targets else "X Y Z"
+    last = targets[-1].position if targets else None
+    position = " ".join(f"{x:g}" for x in last) if last else "X Y Z"
     return f"tactile-hand move {position}{where}"
 
 

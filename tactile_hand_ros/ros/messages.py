@@ -402,8 +402,13 @@ class JointCodec:
 class PoseCodec:
     """geometry_msgs/PoseStamped in the palm frame."""
 
-    def __init__(self) -> None:
-        """Prepare the constant bytes."""
+    def __init__(self, *, nan_allowed: bool = False) -> None:
+        """Prepare the constant bytes.
+
+        Args:
+            nan_allowed: Whether the position, the quaternion or both may be NaN, which keeps them.
+        """
+        self._nan_allowed = nan_allowed
         self._template = CdrTemplate().text(PALM_FRAME).doubles(7).finish()
         self._row = self._template.view(0)
 
@@ -414,7 +419,7 @@ class PoseCodec:
             UnsafeOutputError: If a number is not finite.
         """
         self._row[:3], self._row[3:] = position, quaternion
-        check_output(self._row)
+        check_output(self._row, nan_allowed=self._nan_allowed)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Pose]:
@@ -426,10 +431,15 @@ class PoseCodec:
         """
         content = read_content("geometry_msgs/msg/PoseStamped", data)
         _check_frame(content, PALM_FRAME)
-        row = content.doubles["pose"]
-        _checked_vector(row[:3].tolist(), "position")
-        _checked_quaternion(row[3:].tolist(), "the pose")
-        return content.stamp, Pose(row[:3], row[3:])
+        pose = Pose(*np.split(content.doubles["pose"], [3]))
+        position_is_kept, rotation_is_kept = (
+            self._nan_allowed and bool(np.isnan(part).all()) for part in pose
+        )
+        if not position_is_kept:
+            _checked_vector(pose.position.tolist(), "position")
+        if not rotation_is_kept:
+            _checked_quaternion(pose.quaternion.tolist(), "the pose")
+        return content.stamp, pose
 
 
 def feedback_message(intensities: Sequence[float]) -> JoyFeedbackArray:

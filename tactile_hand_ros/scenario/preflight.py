@@ -46,8 +46,11 @@ def check_scenario(scenario: Scenario) -> None:
     _check_mode(scenario)
     frame = VirtualFrame().orientation(contacts.positions)
     pose = AuxiliaryPose(contacts.centroid, frame)
+    there = pose
     for target in scenario.targets:
-        check_reach(hand, state.theta, contacts, pose, target.target())
+        wanted = target.target().kept(there)
+        check_reach(hand, state.theta, contacts, pose, wanted)
+        there = AuxiliaryPose(wanted.position, wanted.orientation)
     law, rate = scenario.manipulation_controller.law, scenario.plant.rate
     largest = largest_damping(hand, state.theta, contacts, plant.body_inertia, 1.0 / rate)
     if law.damping > largest:

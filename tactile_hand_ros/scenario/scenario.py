@@ -7,19 +7,18 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError, field_validator, model_validator
+from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
-from tactile_hand_ros.control.grasp import VirtualFrame
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
-from tactile_hand_ros.errors import ConfigurationError, GraspError
-from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.files import (
     CONTROLLER,
     put_changes,
@@ -52,20 +51,23 @@ class TargetConfig(Config):
     """A desired pose and when it is commanded."""
 
     time: float = param(0.0, "simulated time of the command", unit="s", ge=0.0)
-    position: Vector = param(..., "p_d of the contact centroid, palm frame", unit="m")
+    position: Vector | None = param(
+        ..., "p_d of the contact centroid, palm frame; keep for that of the grasp then", unit="m"
+    )
     rotation: Vector | None = param(
-        (0.0, 0.0, 0.0),
-        "R_pod as a rotation vector, palm frame; keep for that of the target before, or of the "
-        "first grasp",
-        unit="rad",
+        "keep", "R_pod as a rotation vector, palm frame; without, that of the grasp", unit="rad"
     )
 
-    @field_validator("rotation", mode="before")
+    @field_validator("position", "rotation", mode="before")
     @classmethod
-    def _may_be_kept(cls, rotation: Any) -> Any:
-        if isinstance(rotation, str) and rotation != "keep":
-            raise ValueError(f"'{rotation[:60]}' is neither [x, y, z] in rad nor keep")
-        return None if rotation == "keep" else rotation
+    def _may_be_kept(cls, value: Any) -> Any:
+        if value is None or (isinstance(value, str) and value != "keep"):
+            raise ValueError(f"'{str(value)[:60]}' is neither [x, y, z] nor keep")
+        return None if value == "keep" else value
+
+    @field_serializer("position", "rotation")
+    def _kept(self, value: Vector | None) -> Vector | str:
+        return "keep" if value is None else value
 
     @field_validator("rotation")
     @classmethod
@@ -79,14 +81,11 @@ class TargetConfig(Config):
         return round(self.time * 1e9)
 
     def target(self) -> Target:
-        """Return position and orientation as arrays.
-
-        Raises:
-            ConfigurationError: If the orientation is to be kept, and which one is not known yet.
-        """
+        """Return position and orientation as arrays, NaN where they are kept."""
+        position = np.full(3, np.nan) if self.position is None else np.array(self.position)
         if self.rotation is None:
-            raise ConfigurationError("rotation is keep; load_scenario puts the orientation there")
-        return Target(np.array(self.position), rotation_from_vector(self.rotation))
+            return Target.of(position, np.full(4, np.nan))
+        return Target(position, rotation_from_vector(self.rotation))
 
 
 class UserForceConfig(Config):
@@ -274,7 +273,7 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     data = parse_yaml(resolved(scenario), "the scenario")
     places = put_changes(data, changes)
     labels = {place: f"the change of {key}" for place, key in places.items()}
-    wanted = _finished(validate(Scenario, data, _source("the changed scenario", labels)))
+    wanted = validate(Scenario, data, _source("the changed scenario", labels))
     if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
         take_law(wanted.manipulation_controller.law)
     return wanted
@@ -302,7 +301,7 @@ def load_scenario(
     labels = {
         place: (options or {}).get(key, f"the change of {key}") for place, key in places.items()
     }
-    scenario = _finished(validate(Scenario, data, _source(str(path), labels)))
+    scenario = validate(Scenario, data, _source(str(path), labels))
     _check_times(scenario, str(path), changes or {})
     take_law(scenario.manipulation_controller.law)
     return scenario
@@ -348,35 +347,3 @@ def _check_times(scenario: Scenario, file: str, changes: Mapping[str, Any]) -> N
                 source=file,
                 place=place,
             )
-
-
-def _finished(scenario: Scenario) -> Scenario:
-    """Return a scenario with numbers for the orientations that its targets keep."""
-    if all(target.rotation is not None for target in scenario.targets):
-        return scenario
-    kept, targets = first_rotation(scenario.plant), []
-    for target in scenario.targets:
-        kept = kept if target.rotation is None else target.rotation
-        targets.append(target.model_copy(update={"rotation": kept}))
-    return scenario.model_copy(update={"targets": targets})
-
-
-def first_rotation(config: PlantConfig) -> Vector:
-    """Return the orientation of the virtual frame at the start, a rotation vector in rad.
-
-    Raises:
-        HandModelError: If the hand cannot be built.
-        ObjectModelError: If the object cannot be built or does not fit into the hand.
-        GraspError: If a finger does not touch or the contacts do not define a frame (A7).
-    """
-    from tactile_hand_ros.simulation.plant import Plant  # loads a library of rigid bodies
-
-    contacts = Plant(config).state.contacts
-    if not contacts.all_touching:
-        raise GraspError(
-            "rotation: keep needs a grasp at the start, but a finger does not touch; change "
-            "initial_joints, the layout, or the object's size or place"
-        )
-    frame = VirtualFrame().orientation(contacts.positions)
-    x, y, z = vector_from_rotation(frame).tolist()
-    return x, y, z

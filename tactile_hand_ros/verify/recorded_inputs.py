@@ -16,7 +16,6 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.run.events import nanoseconds, read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -123,7 +122,7 @@ def read_inputs(run: Run, scenario: Scenario) -> Inputs:
 def _poses(run: Run) -> list[Change]:
     stamps, poses = _numbers(run, names.ACCEPTED_POSE, "pose", 7)
     return [
-        Change(stamp, names.DESIRED_POSE, Target(pose[:3], rotation_from_quaternion(pose[3:])))
+        Change(stamp, names.DESIRED_POSE, Target.of(pose[:3], pose[3:]))
         for stamp, pose in zip(stamps, poses, strict=True)
     ]
 

@@ -12,7 +12,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import Scenario
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -148,8 +147,7 @@ def write_run(bag: RunWriter, scenario: Scenario, record: Record) -> None:
     """Write the poses that a scenario commands as accepted ones, and all ticks of its run."""
     for command in scenario.targets:
         target = command.target()
-        quaternion = quaternion_from_rotation(target.orientation)
-        pose = pose_stamped(command.stamp, target.position, quaternion)
+        pose = pose_stamped(command.stamp, target.position, target.quaternion)
         bag.write("/accepted/desired_pose", pose, START)
     for row in range(len(record)):
         write_tick(bag, record, row, START + row * PERIOD)

@@ -9,8 +9,10 @@ from support.grasps import moved
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.targets import MOST_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
+from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -38,6 +40,23 @@ def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
     pulls = bench.controller.hand.fingertips(bench.theta).linear.sum(axis=0)
     assert (pulls @ back)[0] < 0.0 and np.linalg.norm(back) > 1e-3
     np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
+
+
+def test_a_target_keeps_what_is_nan_as_the_grasp_is_when_it_takes_effect(bench):
+    nothing, turn = np.full((3, 3), np.nan), rotation_from_vector([0.0, 0.0, 0.1])
+    there = bench.centroid + [0.0, 0.0, 0.01]
+    bench.controller.command(Target(there, nothing), stamp=2 * TICK)
+    bench.controller.command(Target(np.full(3, np.nan), turn), stamp=4 * TICK)
+    moved_on = bench.elsewhere(0.0, 0.002, 0.0, turn=(0.05, 0.0, 0.0))
+    bench.step(2)
+    pose = bench.step(2, contacts=moved_on).pose
+    kept = bench.controller.target
+    np.testing.assert_array_equal(kept.position, there)
+    np.testing.assert_array_equal(kept.orientation, rotation_from_quaternion(kept.quaternion))
+    np.testing.assert_allclose(kept.orientation, pose.orientation, atol=1e-12)
+    bench.step(contacts=moved_on)
+    np.testing.assert_array_equal(bench.controller.target.position, pose.position)
+    np.testing.assert_array_equal(bench.controller.target.orientation, turn)
 
 
 def test_a_grasp_force_beyond_the_joints_keeps_its_shape(bench):

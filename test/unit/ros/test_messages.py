@@ -223,6 +223,20 @@ def test_bad_contacts_and_poses_are_refused(case, words):
         codec.decode(serialize_message(message))
 
 
+@pytest.mark.parametrize("kept", [slice(0, 3), slice(3, 7), slice(0, 7)])
+def test_only_a_desired_pose_may_keep_its_parts_by_nan(kept):
+    row = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0])
+    row[kept] = np.nan
+    codec = PoseCodec(nan_allowed=True)
+    data = codec.encode(row[:3], row[3:], 5)
+    same_bits(np.concatenate(codec.decode(data)[1]), row)
+    with pytest.raises(MessageError):
+        PoseCodec().decode(data)
+    row[:] = np.nan, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0
+    with pytest.raises(MessageError, match="position is"):
+        codec.decode(codec.encode(row[:3], row[3:], 5))
+
+
 def test_a_force_in_another_frame_is_refused_unless_the_frame_does_not_matter():
     data = WrenchCodec("tip").encode((0.0, 7.0, 0.0), 5)
     with pytest.raises(MessageError, match="frame_id is 'tip', expected 'palm'"):

@@ -3,7 +3,7 @@
 
 import pytest
 
-from tactile_hand_ros.errors import ConfigurationError, GraspError
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.scenario.files import merged, put_changes, read_layers
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -63,10 +63,3 @@ def test_changes_are_put_where_their_keys_say():
     assert "layout" not in data
     with pytest.raises(ConfigurationError, match="'seed.a.b' cannot be set: 'seed' has no keys"):
         put_changes(data, {"seed.a.b": 1})
-
-
-def test_an_orientation_that_is_kept_needs_a_grasp():
-    keep = {"targets": [{"position": [0.0, 0.0, 0.4], "rotation": "keep"}]}
-    smaller = {"plant.object.size": [0.24, 0.2604, 0.2604]}
-    with pytest.raises(GraspError, match="rotation: keep needs a grasp at the start"):
-        load_scenario("paper", {**keep, **smaller})

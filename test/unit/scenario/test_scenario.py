@@ -9,7 +9,6 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import (
     Scenario,
@@ -221,23 +220,23 @@ def test_another_hand_drops_the_layout_that_was_for_the_old_one(tmp_path):
     assert load_scenario("paper", both).layout == "flat"
 
 
-def test_kept_orientation_is_that_of_the_target_before_or_of_the_first_grasp(tmp_path):
+def test_what_a_target_does_not_name_is_kept_as_the_hand_believes_it_then(tmp_path):
     kept = load(
         tmp_path,
         """
         extends: pinch
         duration: 3
         targets:
-          - {time: 0, position: [0, 0.05, 0.41], rotation: keep}
-          - {time: 1, position: [0, 0.05, 0.41], rotation: [0, 0, 0.1]}
-          - {time: 2, position: [0, 0.06, 0.41], rotation: keep}
+          - {time: 0, position: [0, 0.05, 0.41]}
+          - {time: 0.02, position: keep, rotation: [0, 0, 0.1]}
+          - {time: 0.04, position: [0, 0.06, 0.41], rotation: keep}
         """,
     )
-    start = ClosedLoop(kept).run(1)
-    believed = rotation_from_quaternion(start.auxiliary_quaternion[0])
-    np.testing.assert_allclose(kept.targets[0].target().orientation, believed, atol=1e-9)
-    assert kept.targets[2].rotation == kept.targets[1].rotation == (0.0, 0.0, 0.1)
-    assert "keep" not in resolved(kept) and "null" not in resolved(kept)
+    run = ClosedLoop(kept).run(21)
+    for row in (0, 20):
+        np.testing.assert_array_equal(run.desired_quaternion[row], run.auxiliary_quaternion[row])
+    np.testing.assert_array_equal(run.desired_position[10], run.auxiliary_position[10])
+    assert kept.changed({}) == kept and "null" not in resolved(kept)
 
 
 def test_mistakes_in_changes_name_the_option_and_not_the_file(tmp_path):
