@@ -146,6 +146,9 @@ def faults(
         list[str] | None,
         typer.Option(help="in-process, lockstep, composed or processes; may be repeated."),
     ] = None,
+    hand: Annotated[
+        list[str] | None, typer.Option(help="paper or human; may be repeated. By default both.")
+    ] = None,
     deaths: Annotated[
         bool | None,
         typer.Option(help="Only nodes that are killed or stopped, or only all other faults."),
@@ -165,8 +168,13 @@ def faults(
         raise ConfigurationError(
             f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
         )
+    if unknown := [name for name in hand or () if name not in space.SITUATIONS]:
+        raise ConfigurationError(
+            f"the campaign has no hand '{unknown[0]}'; choose from {', '.join(space.SITUATIONS)}"
+        )
     check_writable(out)
-    among = [c for c in space.cells() if c.way in ways and deaths in (None, c.is_death)]
+    cells = space.cells(hand or tuple(space.SITUATIONS))
+    among = [c for c in cells if c.way in ways and deaths in (None, c.is_death)]
     with progress("injecting") as watch:
         chosen = space.sample(runs, seed, among)
         for name, group in itertools.groupby(chosen, lambda run: run.way):

@@ -24,8 +24,12 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
 
-RATES = {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0}
-"""Ticks per second of simulated time."""
+RATES = {
+    "paper": {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0},
+    # Light fingers need stiffer holds, so faster ticks; six processes in real time cannot keep up.
+    "human": {"in-process": 1000.0, "lockstep": 1000.0, "composed": 1000.0, "processes": 500.0},
+}
+"""Ticks per second of simulated time, by hand and way."""
 
 FAULT_TIME = 0.5
 """How long a fault lasts, by the wall clock [s]."""
@@ -78,13 +82,29 @@ SITUATIONS = {
         },
         0.8,
     ),
+    "human, at rest": Situation("human_hold", {}, 0.4),
+    "human, turning": Situation("human_turn", {}, 2.05),
+    "human, lifting": Situation(
+        "human_lift",
+        {
+            "plant.disturbances": [
+                _vertical("step", 0.0, 2.943),
+                _vertical("ramp", 0.4, -2.943, duration=0.5),
+            ]
+        },
+        0.5,
+    ),
+    "human, pulled": Situation(
+        "human_pull", {"plant.disturbances": [_vertical("ramp", 0.3, -4.0, duration=0.3)]}, 0.4
+    ),
 }
 
 
 def scenario(situation: str, way: str) -> Scenario:
     """Return the scenario of a situation for a way to run."""
-    chosen, rate = SITUATIONS[situation], RATES[way]
+    chosen = SITUATIONS[situation]
     base = load_scenario(chosen.scenario)
+    rate = RATES[base.hand][way]
     changes: dict[str, Any] = {
         **chosen.changes,
         "duration": _ENDLESS,

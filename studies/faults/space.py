@@ -20,7 +20,12 @@ WAYS = ("in-process", "lockstep", "composed", "processes")
 """By direct calls, without a clock; in lockstep in processes; in real time in one process and in
 processes."""
 
-SITUATIONS = ("at rest", "moving", "lifting", "pulled", "heavy")
+SITUATIONS = {
+    "paper": ("at rest", "moving", "lifting", "pulled", "heavy"),
+    "human": ("human, at rest", "human, turning", "human, lifting", "human, pulled"),
+}
+"""What the hand does, by the hand that does it."""
+
 FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 NONE = "none"
 """No fault: what the hand does in that way and situation anyway."""
@@ -62,11 +67,12 @@ class Cell(NamedTuple):
         return self.component in HAND and self.fault in DEADLY
 
 
-def cells() -> list[Cell]:
-    """Return all cells that exist."""
+def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Cell]:
+    """Return all cells that exist for some hands."""
+    situations = itertools.chain.from_iterable(SITUATIONS[hand] for hand in hands)
     return [
         Cell(way, situation, component, fault)
-        for way, situation in itertools.product(WAYS, SITUATIONS)
+        for way, situation in itertools.product(WAYS, situations)
         for component, faults in FAULTS_OF.items()
         for fault in (*faults, *((NONE,) if component in _bases(way) else ()))
         if _exists(way, component, fault)
