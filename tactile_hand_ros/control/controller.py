@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
-from tactile_hand_ros.control.holds import bearable_fraction, required_bandwidth, spring, stiffest
+from tactile_hand_ros.control.holds import (
+    bearable_fraction,
+    fitted_gains,
+    required_bandwidth,
+    spring,
+    stiffest,
+)
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
@@ -65,7 +71,7 @@ class ControllerConfig(Config):
         live=True,
     )
     reference_time: float = param(
-        0.0,
+        0.4,
         "time constant with which the hand follows a new desired pose, 0 for immediately",
         unit="s",
         live=True,
@@ -222,7 +228,7 @@ class Controller:
         self._trust()
 
     def _new_grasp(self) -> None:
-        self.warning = ""
+        self.warning, self._fitted_to = "", 0.0
         # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
         self._required: tuple[float, float] | None = None
 
@@ -360,6 +366,7 @@ class Controller:
             self._grasp = Grasp(theta, contacts, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
+            self._fit(theta, contacts)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
@@ -477,6 +484,15 @@ class Controller:
         limits = self.hand.effort_limits
         return stiffest(inertia, limits, self._period, late, c.rate_lag, c.resolution)
 
+    def _fit(self, theta: Array, contacts: Contacts) -> None:
+        """Fit the gains that are not given to the hand, once in a grasp and for its ticks."""
+        if self._law.fits or self._fitted_to == self._period:
+            return
+        self._fitted_to = self._period
+        c = self.config
+        how = self._period, c.hold.rate_lag, c.touch_latency + c.law.observer.time
+        self._law.fit(*fitted_gains(self.hand, theta, contacts, *how))
+
     def _judge_hold(
         self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
     ) -> None:
@@ -524,7 +540,13 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._enter(Mode.DISABLED, theta)
         self._regrasp.follow(theta)
-        torque = _sum(-self.config.law.damping * rates, self._weight(theta))
+        damping = self.config.law.damping
+        if damping > 0.0:
+            torque = -damping * rates
+        else:  # that of a hold
+            self._posture = theta
+            torque = self._spring(theta, rates)
+        torque = _sum(torque, self._weight(theta))
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:

@@ -41,6 +41,8 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
+_ALONE = 1.5  # K_c d / M_h of fingers alone; they oscillate at pi / 2
+_POSE_PHASE = 0.25  # of the stiffness, by the age of touch: not felt in the damping
 _NOISE = 0.05  # of the effort limits that a step of an encoder may cost as damping
 _MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
@@ -115,6 +117,34 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
     return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
 
 
+def fitted_gains(
+    hand: Hand, theta: Array, contacts: Contacts, tick: float, rate_lag: float, touch: float
+) -> tuple[Array, Array]:
+    """Return K_c, shape (m, m), N m s/rad, and K_p, (6, 6), N/m and N m/rad, that fit a hand.
+
+    Fingers alone oscillate with K_c = 2 M_h / T, for torques that are held for T, and with
+    (pi / 2) M_h / d, for rates that act d late. An object adds inertia, so K_c = M_h / T, or nearly
+    the other where that is less. A stiffness K_p = p D / t, with the damping D of the grasp and a
+    pose that is t late, takes a phase p.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Where it holds an object; all fingers must touch.
+        tick: T, s.
+        rate_lag: Time by which the measured rates are late, s.
+        touch: t: age of touch, and time constant of what follows from it, s.
+    """
+    late = max(tick, (0.5 * tick + rate_lag) / _ALONE)
+    damping = hand.dynamics(theta, np.zeros(hand.joints))[1] / late
+    rates = _rates_of_twists(hand, theta, contacts)
+    stiffness = np.zeros((6, 6))
+    for part, per_error in ((slice(0, 3), 1.0), (slice(3, 6), 0.5)):  # |r_d| is twice the angle
+        moved = rates[:, part]
+        stiffness[part, part] = per_error * _POSE_PHASE / touch * (moved.T @ damping @ moved)
+    return damping, stiffness
+
+
 def largest_damping(
     hand: Hand, theta: Array, contacts: Contacts, body: Array, tick: float
 ) -> float:
@@ -134,6 +164,32 @@ def largest_damping(
     inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints))[1] @ joints
     inertia += twists.T @ body @ twists
     return 2.0 * _minimum_ratio(inertia, joints.T @ joints) / tick
+
+
+def largest_stiffness(
+    hand: Hand, theta: Array, contacts: Contacts, damping: float, late: float
+) -> tuple[float, float]:
+    """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque takes all damping.
+
+    A force -k x that is d late is one with k d less damping: k d < D, with the damping D of a grasp
+    in the direction where it is least.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Where it holds an object; all fingers must touch.
+        damping: K_c, N m s/rad.
+        late: d, s.
+    """
+    rates = _rates_of_twists(hand, theta, contacts)
+    linear, angular = (np.linalg.svd(part, compute_uv=False)[-1] for part in np.split(rates, 2, 1))
+    return damping * linear**2 / late, 0.5 * damping * angular**2 / late
+
+
+def _rates_of_twists(hand: Hand, theta: Array, contacts: Contacts) -> Array:
+    """Return the joint rates of unit twists of an object in the hand, shape (m, 6)."""
+    joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
+    return np.asarray(joints @ np.linalg.pinv(twists))
 
 
 def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:

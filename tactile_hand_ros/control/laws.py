@@ -42,9 +42,25 @@ class LawConfig(Config):
         "law: optimal is (14), contact is (10), kawamura is (8), or your own as module:Class",
     )
     folder: str = param("", "folder with the module of your own law; empty for PYTHONPATH")
-    k_p: float = param(3.0, "position gain", unit="N/m", live=True, ge=0.0, le=1e4)
-    k_o: float = param(0.5, "orientation gain", unit="N m/rad", live=True, ge=0.0, le=1e3)
-    damping: float = param(0.07, "joint damping K_c", unit="N m s/rad", live=True, ge=0.0, le=1e2)
+    k_p: float = param(
+        0.0, "position gain, 0 for one that fits the hand", unit="N/m", live=True, ge=0.0, le=1e4
+    )
+    k_o: float = param(
+        0.0,
+        "orientation gain, 0 for one that fits the hand",
+        unit="N m/rad",
+        live=True,
+        ge=0.0,
+        le=1e3,
+    )
+    damping: float = param(
+        0.0,
+        "joint damping K_c, 0 for one that fits the hand",
+        unit="N m s/rad",
+        live=True,
+        ge=0.0,
+        le=1e2,
+    )
     k_st: float = param(
         0.0, "gain of the relative attitude term in (8)", unit="N m/rad", live=True, ge=0.0
     )
@@ -187,6 +203,7 @@ class ManipulationLaw:
         self._integral = np.zeros(6)
         self._observer = LoadObserver()
         self.acts = True
+        self._fitted: tuple[Array, Array] | None = None
         self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
@@ -199,6 +216,15 @@ class ManipulationLaw:
             self._integral[:] = 0.0
         if config.observer.time == 0.0:
             self._observer.reset()
+
+    @property
+    def fits(self) -> bool:
+        """Whether all gains are given, so that it needs none that fit the hand."""
+        return bool((self._gains > 0.0).all()) and self.config.damping > 0.0
+
+    def fit(self, damping: Array, stiffness: Array) -> None:
+        """Take gains of the hand for those that are not given, see `holds.fitted_gains`."""
+        self._fitted = damping, stiffness
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
@@ -253,12 +279,15 @@ class ManipulationLaw:
         c = self.config
         error = pose_error(*auxiliary, target.position, target.orientation)
         self._integrate(error, dt)
-        wrench = self._gains * error
+        wrench, damping = self._gains * error, c.damping * rates
+        if self._fitted is not None and not self.fits:
+            wrench = np.where(self._gains > 0.0, wrench, self._fitted[1] @ error)
+            damping = damping if c.damping > 0.0 else self._fitted[0] @ rates
         law = self._law
         law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
         carried = self._carried(contacts, forces, dt)
         load = np.zeros(len(rates)) if carried is None else law.drive(carried)
-        return LawTorque(law.internal_torque(), load, law.drive(wrench), -c.damping * rates)
+        return LawTorque(law.internal_torque(), load, law.drive(wrench), -damping)
 
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
         """Return what integral and observer carry, shape (6,), or None while both are off."""

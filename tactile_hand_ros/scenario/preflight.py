@@ -7,7 +7,7 @@ import numpy as np
 
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
-from tactile_hand_ros.control.holds import largest_damping
+from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
@@ -25,8 +25,8 @@ def check_scenario(scenario: Scenario) -> None:
         ObjectModelError: If the object cannot be built or does not fit into the hand.
         GraspError: If a finger does not touch, the hand is singular or the normals cannot balance.
         PoseError: If a target is out of reach.
-        ConfigurationError: If a value does not fit the hand, the damping is unstable at this rate,
-            or a law of the user's own fails.
+        ConfigurationError: If a value does not fit the hand, a gain is unstable at this rate, or a
+            law of the user's own fails.
     """
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
@@ -51,14 +51,18 @@ def check_scenario(scenario: Scenario) -> None:
         wanted = target.target().kept(there)
         check_reach(hand, state.theta, contacts, pose, wanted)
         there = AuxiliaryPose(wanted.position, wanted.orientation)
-    law, rate = scenario.manipulation_controller.law, scenario.plant.rate
-    largest = largest_damping(hand, state.theta, contacts, plant.body_inertia, 1.0 / rate)
-    if law.damping > largest:
-        raise ConfigurationError(
-            f"damping = {law.damping:g} N m s/rad is unstable at {rate:g} Hz for this hand; at "
-            f"most {largest:.2g}, and half of that or less where commands are late",
-            place="manipulation_controller.law.damping",
-        )
+    law, tick = scenario.manipulation_controller.law, 1.0 / scenario.plant.rate
+    grasp = hand, state.theta, contacts
+    most = {"damping": largest_damping(*grasp, plant.body_inertia, tick)}
+    if law.damping > 0.0:
+        most["k_p"], most["k_o"] = largest_stiffness(*grasp, law.damping, 0.5 * tick)
+    for name, largest in most.items():
+        if (given := getattr(law, name)) > largest:
+            raise ConfigurationError(
+                f"{name} = {given:g} is unstable at {1.0 / tick:g} Hz for this hand; at most "
+                f"{largest:.2g}, and half of that or less where commands are late",
+                place=f"manipulation_controller.law.{name}",
+            )
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))

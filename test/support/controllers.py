@@ -19,6 +19,9 @@ TICK = 2_000_000
 REST = np.zeros(9)
 
 
+TABLE_I = {"law.k_p": 3.0, "law.k_o": 0.5, "law.damping": 0.07, "reference_time": 0.0}
+
+
 class Bench:
     """A controller that sees the paper's grasp at rest; its contacts may move without the joints.
 
@@ -29,7 +32,7 @@ class Bench:
         state = plant().state
         changes = {name.replace("__", "."): value for name, value in values.items()}
         self.controller = Controller(
-            ControllerConfig().changed({"touch_tolerance": 10.0, **changes})
+            ControllerConfig().changed({"touch_tolerance": 10.0, **TABLE_I, **changes})
         )
         self.theta, self.contacts, self.rates = state.theta, state.contacts, REST
         self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces

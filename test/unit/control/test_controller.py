@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from support.controllers import REST, TICK, Bench
+from support.controllers import REST, TABLE_I, TICK, Bench
 from support.grasps import moved
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -347,13 +347,13 @@ def test_nothing_is_integrated_over_an_interruption(interrupt):
 def test_gains_change_while_running(bench):
     bench.controller.command(bench.target(0.05, 0.0, 0.0))
     soft = bench.step().torque
-    bench.controller.configure(ControllerConfig().changed({"law.k_p": 6.0}))
+    bench.controller.configure(ControllerConfig().changed({**TABLE_I, "law.k_p": 6.0}))
     stiff = bench.step().torque
-    bench.controller.configure(ControllerConfig().changed({"law.k_p": 0.0}))
+    bench.controller.configure(ControllerConfig().changed({**TABLE_I, "law.k_p": 1e-12}))
     none = bench.step().torque
     np.testing.assert_allclose(stiff - none, 2.0 * (soft - none), atol=1e-9)
     assert np.abs(soft - none).max() > 1e-2
-    bench.controller.configure(ControllerConfig().changed({"law.damping": 0.2}))
+    bench.controller.configure(ControllerConfig().changed({**TABLE_I, "law.damping": 0.2}))
     bench.controller.enabled = False
     idling = bench.step(rates=np.ones(9)).torque
     np.testing.assert_allclose(idling, -0.2, atol=1e-15)

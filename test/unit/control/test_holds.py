@@ -10,13 +10,17 @@ from support.hands import scaled_paper
 
 from studies.faults.situations import SITUATIONS, scenario
 from studies.stalls import GuardedLoop, Watch
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
     JointTerms,
+    fitted_gains,
     joint_torque,
+    largest_stiffness,
     required_bandwidth,
     spring,
     stiffest,
@@ -245,3 +249,35 @@ def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(s
     watch = Watch(guarded)
     watch.run(2.0, answers=True, delay=3)
     assert watch.moved < farthest and loop.state.contacts.all_touching
+
+
+@pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
+@pytest.mark.parametrize("lag", [0.0, 0.0016, 0.01])
+@pytest.mark.parametrize("name", ["pull", "human_hold"])
+def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, lag, name):
+    plant = Plant(load_scenario(name).plant)
+    grasp = plant.hand, plant.state.theta, plant.state.contacts
+    damping, stiffness = fitted_gains(*grasp, tick, lag, 0.03)
+    speed = np.linalg.eigvals(np.linalg.solve(plant.hand.dynamics(grasp[1], STILL)[1], damping))
+    assert_allclose(speed, min(1.0 / tick, 1.5 / (0.5 * tick + lag)))
+    # A pose that is 30 ms late takes a quarter of a radian of each motion.
+    most = largest_stiffness(*grasp, 1.0, 0.03)
+    softest = np.linalg.eigvalsh(damping)[0]
+    assert np.linalg.eigvalsh(stiffness[:3, :3])[0] > 0.25 * softest * most[0]
+    assert_allclose(stiffness, stiffness.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_late(late):
+    changes = {"plant.rate": 1000.0 / (2 - late), "tactile_sensor.rate": 1000.0 / (2 - late)}
+    loop = ClosedLoop(load_scenario("human_hold", {**changes, "duration": 1.0}))
+    record, waiting = (
+        Record.empty(400, loop.plant.hand.finger_names, loop.plant.hand.joint_names),
+        [],
+    )
+    for row in range(400):
+        waiting.append(loop.answer(record, row).torque)
+        loop.advance(waiting[max(0, row - late)])
+    assert not np.isnan(record.true_positions).any()
+    assert np.abs(record.rates[-100:]).max() < 1.0
+    assert record.true_slid[-1].max() < 1e-4

@@ -176,8 +176,8 @@ def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
     limits = Bench().controller.hand.effort_limits
     rates = np.linspace(-1.0, 1.5, 9)
 
-    def torque(force, k_p=0.0, damping=0.0):
-        bench = Bench(law__k_p=k_p, law__k_o=0.0, law__damping=damping)
+    def torque(force, k_p=1e-12, damping=1e-12):
+        bench = Bench(law__k_p=k_p, law__k_o=1e-12, law__damping=damping)
         bench.controller.command(bench.target(0.0, 0.0, 0.03))
         return bench.step(rates=rates, grasp_force=force).torque
 

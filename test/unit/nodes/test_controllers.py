@@ -258,7 +258,7 @@ def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here: Process) -> Non
 
 
 def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here: Process) -> None:
-    node = here.make(ManipulationControllerNode, **{"law.damping": 0.0})
+    node = here.make(ManipulationControllerNode, **{"law.damping": 1e-12})
     sent = tapped(node)
     limits = HAND.effort_limits
     tick(node, 0)

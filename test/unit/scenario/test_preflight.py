@@ -151,3 +151,10 @@ def test_damping_that_throws_the_object_away_is_refused_with_what_would_do(dampi
         return
     with pytest.raises(ConfigurationError, match="unstable at 1000 Hz.*at most 0.04"):
         check_scenario(chosen)
+
+
+def test_a_stiffness_that_takes_all_damping_by_its_delay_is_refused():
+    gains = {"law.damping": 0.012, "law.k_o": 1.0}
+    check_scenario(load_scenario("human_hold", gains))
+    with pytest.raises(ConfigurationError, match="k_o = 6 is unstable at 1000 Hz.*at most [1-5]"):
+        check_scenario(load_scenario("human_hold", {**gains, "law.k_o": 6.0}))
