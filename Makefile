@@ -47,7 +47,7 @@ help:
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
-	@echo 'make study NAME=slip      a study: slip, detector, loads, faults, robustness, stalls, fuzz or soak; ARGS="--help" for its options'
+	@echo 'make study NAME=slip      a study: slip, loads, faults, robustness, stalls, fuzz or soak; ARGS="--help" for its options'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
 	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
@@ -59,7 +59,7 @@ demo: $(VENV)/.package
 run: $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" run "$$SCENARIO" $(ARGS)
 
-bench: $(VENV)/.bench $(VENV)/.studies $(VENV)/.package
+bench: $(VENV)/.studies $(VENV)/.package
 	@$(PY) bench $(ARGS)
 
 study: $(VENV)/.studies $(VENV)/.package
@@ -140,11 +140,6 @@ $(VENV)/.browser: requirements/browser.sh $(VENV)/.created
 $(VENV)/.studies: requirements/locked/studies.txt $(VENV)/.run
 	@echo 'set-up: what studies run on'
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt)
-	@touch '$@'
-
-$(VENV)/.bench: requirements/locked/bench.txt $(VENV)/.run
-	@echo 'set-up: what speed is compared with'
-	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt bench.txt)
 	@touch '$@'
 
 # Changes only when a file is added or removed, which no time stamp would show.

@@ -69,7 +69,6 @@ setup(
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "fast": ["numba>=0.60"],
         "study": ["joblib>=1.3,<2", "pyarrow>=14", "dask>=2024.1", "distributed>=2024.1"],
-        "bench": ["qpsolvers>=4", "quadprog>=0.1.13", "daqp>=0.6", "mujoco>=3.3"],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
     },
     zip_safe=False,

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bench.result import Measurement
     from bench.workload import Workload
 
-SECTIONS = ("blocks", "libraries", "lockstep", "start", "realtime")
+SECTIONS = ("blocks", "lockstep", "start", "realtime")
 
 
 def bench(
@@ -70,11 +70,10 @@ def bench(
 
 
 def _measure(name: str, work: Workload) -> list[Measurement]:
-    from bench import baselines, blocks, graph
+    from bench import blocks, graph
 
     measurements = {
         "blocks": (blocks.measure_loop, blocks.measure_blocks),
-        "libraries": (baselines.measure_solvers, baselines.measure_steps),
         "lockstep": (graph.measure_lockstep,),
         "start": (graph.measure_short_run,),
         "realtime": (graph.measure_real_time,),

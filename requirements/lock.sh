@@ -27,4 +27,3 @@ rm -f locked/*.txt
 lock run
 lock studies run
 lock dev run
-lock bench run

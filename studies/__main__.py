@@ -72,24 +72,6 @@ def slip(
     _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
 
 
-def detector(
-    out: Annotated[Path, typer.Option(help="Folder for figure and table.")] = Path("detector"),
-    runs: Annotated[int, typer.Option(help="Number of recorded cases.", min=1)] = 120,
-    jobs: JobsOption = -1,
-    seed: SeedOption = 0,
-    formats: FormatOption = None,
-) -> None:
-    """Replay the slip detector alone: detection against false alarms."""
-    from studies.slip import detector as d
-    from tactile_hand_ros.report.style import save
-
-    kinds = folder_for_results(out, formats)
-    with steps("replaying", d.steps(runs)) as advance, workers(jobs):
-        scores = d.run_roc(runs, seed=seed, progress=advance)
-    files = save(d.figure(scores), out, "study_roc", kinds)
-    _finish(out, files, ("detector", d.COLUMNS, d.rows(scores)))
-
-
 def invariance(
     out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("invariance"),
     runs: Annotated[int, typer.Option(help="Number of random orientations.", min=0)] = 3,
@@ -259,7 +241,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, detector, invariance, loads, faults, fuzz, robustness, soak, stalls):
+for _command in (slip, invariance, loads, faults, fuzz, robustness, soak, stalls):
     app.command()(_command)
 
 

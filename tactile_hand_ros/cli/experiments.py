@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,9 +88,6 @@ class SweepOptions:
     jobs: JobsOption = -1
     cluster: ClusterOption = ""
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
-    rerun: Annotated[
-        int | None, typer.Option(help="Replay one run of a study as a recorded run, by its number.")
-    ] = None
     formats: FormatOption = None
 
     @property
@@ -121,8 +116,6 @@ class SweepOptions:
                     "--over, --set and --metric away."
                 )
             return read_sweep(self.folder)
-        if self.rerun is not None:
-            raise TactileHandError("--rerun was given, expected the folder of a study before it.")
         return make_sweep(
             self.targets,
             self.over,
@@ -138,12 +131,10 @@ class SweepOptions:
 def sweep(options: SweepOptions) -> None:
     """Run scenarios over ranges of their parameters; table, summary and figures.
 
-    Give the folder of a study alone to continue it, with --rerun to replay one of its runs.
+    Give the folder of a study alone to continue it.
     """
     formats = figure_formats(options.formats)
     wanted, folder = options.requested(), options.folder
-    if options.rerun is not None:
-        raise typer.Exit(_rerun(wanted, folder, options.rerun))
     check_writable(folder)
     _run(wanted, folder, options.jobs, options.cluster)
     _show(wanted, folder, formats)
@@ -185,33 +176,6 @@ def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     if rows := tables.effect_rows(results):
         print_table(rich_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10]))
     print(f"{page}, runs.parquet, runs.csv and {len(pictures)} figures")
-
-
-def _rerun(wanted: Sweep, folder: Path, index: int) -> int:
-    """Replay one run through the nodes, recorded, with the values that it had."""
-    from tactile_hand_ros import files
-    from tactile_hand_ros.scenario.scenario import resolved
-    from tactile_hand_ros.sweep.engine import build
-    from tactile_hand_ros.sweep.table import read_description
-
-    point = wanted.study.point(index)
-    scenario = wanted.scenario(point)
-    before = read_description(folder)["build"]
-    if before != build():
-        text = f"note: the study was made by {before}, this is {build()}: results may differ."
-        print(text, file=sys.stderr)
-    values = {"seed": point.seed, **point.values}
-    listed = " ".join(f"{path}={json.dumps(value)}" for path, value in values.items())
-    print(f"run {index}: {listed}", flush=True)
-    file = folder / f"run_{index}.yaml"
-    files.replace_text(file, resolved(scenario))
-    from tactile_hand_ros.ros.processes import child_environment, executable_path
-
-    command = [str(executable_path("orchestrator"))]
-    options = ["--scenario", str(file), "--out", str(folder / "runs")]
-    # What else this computer does may be the study itself.
-    options += ["--startup-timeout", "120"]
-    return subprocess.run([*command, *options], env=child_environment()).returncode
 
 
 def reproduce(

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.config.explanation import did_you_mean
@@ -128,8 +127,7 @@ class Sweep:
         Raises:
             StudyError: If the folder holds another study or cannot be written, or processes die.
         """
-        description = {"version": tactile_hand_ros.__version__, **asdict(self)}
-        return keep(self.study, folder, description, watch)
+        return keep(self.study, folder, asdict(self), watch)
 
 
 def make_sweep(

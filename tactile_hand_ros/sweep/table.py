@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import tactile_hand_ros
 from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.sweep.engine import FAILED, REACHED, Point, Study, StudyError, build
+from tactile_hand_ros.sweep.engine import FAILED, REACHED, Point, Study, StudyError
 from tactile_hand_ros.sweep.statistics import fraction_of
 
 DESCRIPTION, ROWS, TABLE, TEXT = "study.json", "runs.jsonl", "runs.parquet", "runs.csv"
@@ -83,7 +84,7 @@ def keep(
 ) -> Tally:
     """Make all runs that are not done yet and write the tables of all that are.
 
-    A row has number, outcome, reason of a failure, build and seed of its run, then its parameters,
+    A row has number, outcome, reason of a failure and seed of its run, then its parameters,
     those that are dataclasses field by field, then what the run returned.
 
     Args:
@@ -98,7 +99,8 @@ def keep(
     """
     optional("pyarrow", "A study's table")
     total = len(study.fractions)
-    done = _begin(folder, {**description, "build": build()})
+    version = tactile_hand_ros.__version__
+    done = _begin(folder, {**description, "version": version})
     tally = Tally(total, len(done))
     if tally.before == total and (folder / TABLE).is_file():
         return tally
@@ -134,7 +136,7 @@ def _begin(folder: Path, description: Mapping[str, Any]) -> set[int]:
 
 
 def _row(point: Point, result: Any) -> dict[str, Any]:
-    row = {INDEX: point.index, "outcome": "", "reason": "", "build": build(), "seed": point.seed}
+    row = {INDEX: point.index, "outcome": "", "reason": "", "seed": point.seed}
     for name, value in point.values.items():
         row |= (
             asdict(value) if is_dataclass(value) and not isinstance(value, type) else {name: value}

@@ -23,7 +23,7 @@ def tree(tmp_path: Path) -> Path:
     (tree / "requirements" / "locked").mkdir(parents=True)
     for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
         (tree / name).touch()
-    for name in ("run.txt", "studies.txt", "bench.txt"):
+    for name in ("run.txt", "studies.txt"):
         (tree / "requirements" / "locked" / name).touch()
     (tree / ".venv" / ".created").write_text(f"{tree}/.venv\n")
     (tree / ".venv" / ".run").touch()

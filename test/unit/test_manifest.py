@@ -61,12 +61,12 @@ def test_everything_required_reaches_a_ros_workspace() -> None:
     from_rosdep = set(python_keys().values())
     from_pip = set(requirements("jazzy.txt"))
     needed = {canonicalize_name(each.name) for each in declared()}
-    tested_with = set(requirements("dev.txt") | requirements("bench.txt") | STUDIES)
+    tested_with = set(requirements("dev.txt") | STUDIES)
     assert needed - from_rosdep - from_pip - tested_with == set()
 
 
 def test_pins_lie_in_the_declared_ranges() -> None:
-    pinned = requirements("run.txt") | requirements("dev.txt") | requirements("bench.txt") | STUDIES
+    pinned = requirements("run.txt") | requirements("dev.txt") | STUDIES
     for each in declared():
         pin = next(iter(pinned[canonicalize_name(each.name)].specifier)).version
         assert each.specifier.contains(pin), f"{each} is pinned to {pin}"
@@ -85,7 +85,7 @@ def locked(name: str) -> dict[str, list[Requirement]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "bench.txt", "studies.txt"])
+@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "studies.txt"])
 def test_pins_are_locked_with_their_hashes(name: str) -> None:
     files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
     everything = {key: each for file in files for key, each in locked(file).items()}

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.slip import detector, study
+from studies.slip import study
 from studies.slip.minimum import minimum_at
 from studies.slip.study import SlipCase
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.slip.detector import ContactState, SlipDetectorConfig
+from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.scenario.scenario import load_scenario, plain
 from tactile_hand_ros.sweep.engine import workers
 from tactile_hand_ros.sweep.table import read_table
 
@@ -133,25 +134,18 @@ def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run: Record)
     assert after > 3.0 * before
 
 
-def test_replaying_the_detector_gives_its_states_in_the_run(run: Record) -> None:
-    """To the last tick, so that what is replayed with other times is the same detector."""
-    trace = detector.trace_of(run, study.scenario_of(CASE))
-    states = detector.replay(trace, SlipDetectorConfig())
-    assert (states == run.grip).all()
-    assert detector.delay(trace, states) == pytest.approx(measured(run)["detection"])
-
-
-def test_a_longer_time_between_false_alarms_alarms_no_earlier(run: Record) -> None:
-    """Nor more often while nothing slides."""
-    trace = detector.trace_of(run, study.scenario_of(CASE))
-    scores = [detector.score(trace, [trace], (0.01, h)) for h in (1.0, 1e8, 1e250)]
-    delays = [score.delay for score in scores]
-    assert delays == sorted(delays) and delays[0] < delays[2]
-
-
 def test_the_papers_manipulation_gives_no_false_alarm() -> None:
-    """A quarter of a minute of it, with the whole skin; docs/slip_study.md has minutes."""
-    scenario = detector.paper_scenario(15.0, noise=True)
+    """There, back and there again, with the whole skin of `gravity`."""
+    way = ((-0.1, 0.2, 0.4), (0.0, 0.0434, 0.4098), (-0.1, 0.2, 0.4))
+    scenario = load_scenario(
+        "paper",
+        {
+            "duration": 15.0,
+            "plant.rate": 1000.0,
+            "tactile_sensor": plain(load_scenario("gravity"))["tactile_sensor"],
+            "targets": [{"time": 5.0 * i, "position": list(to)} for i, to in enumerate(way)],
+        },
+    )
     record = ClosedLoop(scenario).run()
     assert not (record.true_sliding > study.SLIDING).any()
     assert (record.grip[100:] == ContactState.STICK).all()
@@ -166,9 +160,3 @@ def test_a_small_study_gives_its_tables_and_figure(tmp_path: Path) -> None:
     assert [row[1] for row in study.rows(table)][-4:] == ["1", "2", "1", "1"]
     assert study.fraction_rows(table)[0][:2] == ["slipped", "2"]
     assert study.figure(table) is not None
-
-
-def test_the_detector_is_scored_and_drawn() -> None:
-    scores = [detector.Score(0.01, h, 0, 1.0, 10, 9, 0.005) for h in (10.0, 20.0)]
-    assert detector.rows(scores)[0][-2:] == ["90.0 %", "5 ms"]
-    assert detector.figure(scores) is not None

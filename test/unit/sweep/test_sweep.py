@@ -87,8 +87,6 @@ def test_bad_input_is_refused_in_a_sentence(
     assert "0 processes cannot work" in refused(
         capsys, "sweep", "paper", f"--over={MASS}", f"--out={tmp_path / 'x'}", "--jobs=0"
     )
-    assert "expected the folder of a study" in sweep("paper", f"--over={MASS}", "--rerun=1")
-    assert "there is no run 24" in refused(capsys, "sweep", folder, "--rerun=24")
     assert "defines what it varies" in refused(capsys, "sweep", folder, f"--over={MASS}")
     assert "another study: runs is 24 there" in refused(
         capsys, "sweep", "paper", f"--over={MASS}", f"--out={folder}"
