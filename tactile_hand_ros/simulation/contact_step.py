@@ -23,7 +23,6 @@ TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # share of a penetration that is removed in a step
 _FASTEST_RECOVERY = 5e-3  # and its highest speed, m/s: what leaves is not to fly off
-_SAME_FRAME = 2.5  # trace of R_before^T R; less where the axes of a frame have jumped
 
 
 class HandTerms(NamedTuple):
@@ -165,9 +164,11 @@ def contact_geometry(
 
 @compiled
 def observed(
-    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array, impulses: Array
-) -> tuple[Array, Array, Array]:
+    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array, past: Past
+) -> tuple[Array, Array, Array, Array]:
     """Return contact points, frames and gaps as `contact_geometry`, NaN where nothing touches.
+
+    The last are the impulses of the last step in these frames, shape (k, 3), N s.
 
     Args:
         shape: The object.
@@ -175,15 +176,17 @@ def observed(
         rotation: Object frame in the palm frame, shape (3, 3).
         tips: Fingertip centres, palm frame, shape (k, 3), m.
         radii: Fingertip radii, shape (k,), m.
-        impulses: Of the last step, shape (k, 3), N s: what is pushed touches, whatever rounding
-            makes of its gap.
+        past: The last step: what is pushed touches, whatever rounding makes of its gap.
     """
     points, frames, gaps = contact_geometry(shape, position, rotation, tips, radii)
+    impulses, m = past.impulses.copy(), past.rows.shape[2] - 6
     for i in range(len(gaps)):
-        if gaps[i] > TOUCH and impulses[i, 1] <= 0.0:
+        if impulses[i, 1] > 0.0:
+            impulses[i] = carried(frames[i].T, past.rows[i, :, m:], impulses[i])
+        elif gaps[i] > TOUCH:
             points[i] = np.nan
             frames[i] = np.nan
-    return points, frames, gaps
+    return points, frames, gaps, impulses
 
 
 @compiled
@@ -230,7 +233,8 @@ def step(
     for i in range(c):
         j = near[i]
         rows[3 * i : 3 * i + 3], turn[3 * i : 3 * i + 3] = every[j], turning[j]
-        mu[i], start[i], closing[i] = friction[j], past.impulses[j], _closing(gaps[j], h)
+        mu[i], closing[i] = friction[j], _closing(gaps[j], h)
+        start[i] = carried(every[j, :, m:], past.rows[j, :, m:], past.impulses[j])
     inverse_times, free = _response(h, v, hand, body, rotation, rows)
     impulses, sliding, residual, outcome = np.zeros((k, 3)), np.zeros((k, 2)), 0.0, EXACT
     settled, struck = np.zeros(k, dtype=np.bool_), False
@@ -270,16 +274,35 @@ def _since(h: float, v: Array, rows: Array, past: Past) -> tuple[Array, Array]:
     for i in range(k):
         if past.impulses[i, 1] <= 0.0:
             continue
-        now, then, same = rows[i] @ v, past.rows[i] @ v, 0.0
-        for j in range(3):
-            for a in range(m, m + 3):  # the columns of G^T that hold the contact frame
-                same += rows[i, j, a] * past.rows[i, j, a]
-        if same < _SAME_FRAME:
-            continue
+        now, then = rows[i] @ v, carried(rows[i, :, m:], past.rows[i, :, m:], past.rows[i] @ v)
         if past.settled[i]:
             turning[i] = 0.5 * (now - then)
         slid[i] += 0.5 * h * np.hypot(now[0] + then[0], now[2] + then[2])
     return turning, slid
+
+
+@compiled
+def carried(now: Array, then: Array, vector: Array) -> Array:
+    """Return a vector in the axes that a contact has now, shape (3,).
+
+    The parts along the normal and across it stay; the tangents, which follow the palm's z axis, may
+    have turned about the normal by any angle since then.
+
+    Args:
+        now: The axes of the contact frame as rows, palm axes, shape (3, 3 or more).
+        then: The same at a time shortly before.
+        vector: In the axes of then, shape (3,).
+    """
+    c, s = 0.0, 0.0
+    for a in range(3):
+        c += now[0, a] * then[0, a] + now[2, a] * then[2, a]
+        s += now[0, a] * then[2, a] - now[2, a] * then[0, a]
+    length = np.hypot(c, s)
+    if length == 0.0:
+        return vector.copy()
+    c, s = c / length, s / length
+    x, n, z = vector
+    return np.array([c * x + s * z, n, c * z - s * x])
 
 
 @compiled

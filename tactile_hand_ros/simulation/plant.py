@@ -229,13 +229,13 @@ class Plant:
         """Hand and object now; a step replaces its arrays and never writes into them."""
         m, h = self.hand.joints, self.config.time_step
         tips = self.hand.tip_positions(self._theta)
-        points, frames, gaps = observed(
+        points, frames, gaps, impulses = observed(
             self.solid.shape,
             self._position,
             self._rotation,
             tips,
             self.hand.radii,
-            self._past.impulses,
+            self._past,
         )
         return PlantState(
             self._theta,
@@ -247,7 +247,7 @@ class Plant:
             self._v[m : m + 3],
             self._v[m + 3 :],
             Contacts(points, frames),
-            self._past.impulses / h,
+            impulses / h,
             self._sliding,
             self._past.slid,
             gaps,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, contact_frame
+from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
 from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
 
 Array = NDArray[np.float64]
@@ -268,17 +268,42 @@ def _measured(
         elapsed: Time since the last sample, s.
     """
     c = config[0]
-    positions, quaternions, felt = positions.copy(), quaternions.copy(), np.empty_like(forces)
-    if c["location_noise"] > 0.0 or c["location_resolution"] > 0.0:
-        _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
+    positions, quaternions, felt = positions.copy(), quaternions.copy(), forces.copy()
     for i in range(len(radii)):
-        rms, touches = _vibration(c, sliding[i]), math.isfinite(positions[i, 0])
+        felt[i] += _vibration(c, sliding[i]) * noise[1, i]
+    is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
+    if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
+        # A force is one vector, in whatever frame it is reported.
+        felt = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), felt, 1.0)
+        _follow(memory, c, felt, noise[2], elapsed)
+        if is_displaced:
+            _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
+        seen = rows_of_quaternions(quaternions).reshape(-1, 3, 3)
+        felt = in_palm(seen.transpose(0, 2, 1), felt, 1.0)
+    for i in range(len(radii)):
+        touches = math.isfinite(positions[i, 0])
         for axis in range(3):
-            force = forces[i, axis] + rms * noise[1, i, axis]
-            force = _felt(memory[i], c, axis, force, noise[2, i, axis], elapsed)
-            force += c["force_noise"] * noise[3, i, axis]
+            force = felt[i, axis] + c["force_noise"] * noise[3, i, axis]
             felt[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
     return positions, quaternions, felt
+
+
+@compiled
+def _follow(memory: Rows, c: Row, forces: Array, white: Array, elapsed: float) -> None:
+    """Give forces, palm axes, the skin's bandwidth and drift; without a contact, NaN, it rests."""
+    fraction, walk = 1.0, c["bias_drift"] * math.sqrt(elapsed)
+    if c["bandwidth"] > 0.0:
+        fraction = -math.expm1(-2.0 * math.pi * c["bandwidth"] * elapsed)
+    for i in range(len(memory)):
+        before, bias = memory[i]["felt"], memory[i]["bias"]
+        bias += walk * white[i]
+        if not math.isfinite(forces[i, 0]):
+            before[:] = 0.0
+            continue
+        if math.isfinite(before[0]):
+            forces[i] = before + fraction * (forces[i] - before)
+        before[:] = forces[i]
+        forces[i] += bias
 
 
 @compiled
@@ -286,21 +311,6 @@ def _vibration(c: Row, speed: float) -> float:
     """Return the rms force of a contact that slides at a speed in m/s."""
     gain, limit = c["vibration.gain"], c["vibration.limit"]
     return limit * (1.0 - math.exp(-gain / limit * speed)) if gain > 0.0 else 0.0
-
-
-@compiled
-def _felt(m: Row, c: Row, axis: int, force: float, white: float, elapsed: float) -> float:
-    """Return a component of a force after bandwidth and drift."""
-    if c["bandwidth"] > 0.0:
-        share = 1.0 - math.exp(-2.0 * math.pi * c["bandwidth"] * elapsed)
-        before = m["felt"][axis]
-        if not math.isnan(before):
-            force = before + share * (force - before)
-        m["felt"][axis] = force
-    if c["bias_drift"] > 0.0:
-        m["bias"][axis] += c["bias_drift"] * math.sqrt(elapsed) * white
-        force += m["bias"][axis]
-    return force
 
 
 @compiled

@@ -17,6 +17,7 @@ from tactile_hand_ros.control.loads import (
     required_grasp_force,
     shift,
 )
+from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ _MEMORY = np.dtype(
     [
         ("load", np.float64, 3),  # smoothed, palm axes; NaN: none yet
         ("trend", np.float64, 3),  # its rate
-        ("shape", np.float64, 3),  # smoothed force per unit internal force, palm axes
+        ("internal", np.float64, 3),  # smoothed internal force, palm axes
     ]
 )
 
@@ -62,7 +63,8 @@ class RequiredGraspForce:
 
     The load may change at any time and is followed fast. The shape is f*, which the hand itself
     changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
-    and the need of a shape near the edge of its cone grows without bound.
+    and the need of a shape near the edge of its cone grows without bound. It is the smoothed
+    internal force per unit of itself, so that a sample counts for as much as it shows.
 
     What a new grasp needs apart from its reserve is known from the first sample on, and asked for
     immediately. The reserve rises over `reserve_time`: until f* has taken the shape that is
@@ -114,11 +116,9 @@ class RequiredGraspForce:
         self._held_for += dt
         if self._held_for < self._reserve_time:
             radii *= self._held_for / self._reserve_time
-        shapes = parts.internal / parts.grasp_force
         usable = friction / (1.0 + margin)
-        return _needed(
-            self._memory, self._config, parts.load, shapes, normals, friction, usable, radii, dt
-        )
+        touch = parts.load, parts.internal, normals
+        return _needed(self._memory, self._config, *touch, friction, usable, radii, dt)
 
 
 @compiled
@@ -126,7 +126,7 @@ def _needed(
     memory: Rows,
     config: Rows,
     loads: Array,
-    shapes: Array,
+    internal: Array,
     normals: Array,
     friction: Array,
     usable: Array,
@@ -134,29 +134,33 @@ def _needed(
     dt: float,
 ) -> tuple[float, float]:
     """Return what the neediest contact of a memory needs, and with a reserve, N."""
-    c, needed, ready = config[0], 0.0, 0.0
+    c, needed, ready, total = config[0], 0.0, 0.0, 0.0
     for i in range(len(memory)):
         m = memory[i]
         if dt == 0.0 or math.isnan(m["load"][0]):
-            m["load"][:], m["trend"][:], m["shape"][:] = loads[i], 0.0, shapes[i]
+            m["load"][:], m["trend"][:], m["internal"][:] = loads[i], 0.0, internal[i]
         else:
-            _follow(m, c, loads[i], shapes[i], dt)
+            _follow(m, c, loads[i], internal[i], dt)
+        total += dot(m["internal"], normals[i])
+    for i in range(len(memory)):
+        m = memory[i]
+        shape = m["internal"] / total
         # A load that grows at a constant rate is ahead of its low-pass by the lag.
         lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
         load = m["load"] + (lag + c["lead"]) * m["trend"]
-        alone = required_grasp_force(load, m["shape"], normals[i], usable[i])
+        alone = required_grasp_force(load, shape, normals[i], usable[i])
         lost = shift(radii[i], friction[i])
-        more = required_grasp_force(load, m["shape"], normals[i], friction[i], lost)
+        more = required_grasp_force(load, shape, normals[i], friction[i], lost)
         needed = max(needed, alone)
         ready = max(ready, alone, more if math.isfinite(more) else 0.0)
     return needed, ready
 
 
 @compiled
-def _follow(m: Row, c: Row, load: Array, shape: Array, dt: float) -> None:
-    """Smooth load, trend and shape of a contact."""
+def _follow(m: Row, c: Row, load: Array, internal: Array, dt: float) -> None:
+    """Smooth load, trend and internal force of a contact."""
     fraction, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
-    m["shape"][:] += slow * (shape - m["shape"])
+    m["internal"][:] += slow * (internal - m["internal"])
     moved = fraction * (load - m["load"])
     m["load"][:] += moved
     m["trend"][:] += fraction * (moved / dt - m["trend"])

@@ -13,30 +13,28 @@ NOISELESS = {
     "tactile_sensor.location_noise": 0.0,
     "tactile_sensor.bias_drift": 0.0,
     "tactile_sensor.vibration.gain": 0.0,
+    "plant.encoder.bits": 0,
     "plant.disturbances": [{"kind": "step", "start": 0.03, "force": [1.0, 2.0, -8.0]}],
 }
 EXACTLY = rotation_from_vector([0.0, -0.5 * np.pi, 0.0])
 WAYS = dict(orientations(1, seed=3))
 
 
-@pytest.fixture(scope="module")
-def straight():
+@pytest.fixture(scope="module", params=["pull", "human_pull"])
+def straight(request):
     """Return the run of a hand that is not turned."""
-    return run_turned("pull", np.eye(3), NOISELESS)
+    return request.param, run_turned(request.param, np.eye(3), NOISELESS)
 
 
 @pytest.mark.parametrize("way", [name for name in WAYS if name != "none"])
 def test_a_turned_hand_does_the_same(straight, way):
-    """Also with a contact normal along palm z, where the contact frames flip.
-
-    The regulator agrees to rounding (test_regulator); the plant's contacts are solved in contact
-    frames, and a flip costs up to 3 % of k_f.
-    """
-    record = run_turned("pull", WAYS[way], NOISELESS)
-    np.testing.assert_array_equal(record.grip, straight.grip)
-    np.testing.assert_allclose(record.grasp_force, straight.grasp_force, rtol=0.05)
-    np.testing.assert_allclose(record.friction, straight.friction, rtol=1e-3)
-    np.testing.assert_allclose(record.theta, straight.theta, atol=1e-3)
+    """Also with a contact normal along palm z, where the contact frames flip."""
+    name, expected = straight
+    record = run_turned(name, WAYS[way], NOISELESS)
+    np.testing.assert_array_equal(record.grip, expected.grip)
+    np.testing.assert_allclose(record.grasp_force, expected.grasp_force, rtol=1e-9)
+    np.testing.assert_allclose(record.friction, expected.friction, rtol=1e-9)
+    np.testing.assert_allclose(record.theta, expected.theta, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

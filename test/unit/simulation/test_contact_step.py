@@ -6,12 +6,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.plants import jacobian, plant
 
+from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
     Body,
     HandTerms,
     _since,
+    carried,
     half_step,
     no_past,
     observed,
@@ -110,6 +112,17 @@ def test_each_finger_rubs_with_its_own_friction_and_slides_its_own_way():
     np.testing.assert_array_equal(before, [1e-3, 3e-3, 2e-3])
 
 
+def test_a_vector_is_carried_to_where_the_tangents_of_a_contact_point_now():
+    """Frames that flip about the normal within a step show the same force."""
+    vector, normal = np.array([0.3, 2.0, -0.4]), np.array([2e-3, -1e-3, 1.0])
+    normal /= np.linalg.norm(normal)
+    near = normal + [-4e-3, 3e-3, 0.0]
+    near /= np.linalg.norm(near)
+    then, now = contact_frame(normal), contact_frame(near)
+    assert np.linalg.norm(now - then) > 1.0
+    np.testing.assert_allclose(now @ carried(now.T, then.T, vector), then @ vector, atol=2e-2)
+
+
 @pytest.mark.parametrize(
     ("gap", "speed", "opening"),
     [
@@ -192,7 +205,12 @@ def test_only_what_touches_or_is_pushed_is_seen():
     tips = position + (on_face + (radii + gaps)[:, None] * faces) @ rotation.T
     impulses = np.stack([np.full(6, 0.1), pushes, np.full(6, -0.1)], axis=1)
     shape = ConvexPolyhedron.box(size).shape
-    points, frames, found = observed(shape, position, rotation, tips, radii, impulses)
+    rows = np.zeros((6, 3, 6))
+    rows[:, 0, 2], rows[:, 1, 1], rows[:, 2, 0] = 1.0, 1.0, -1.0
+    past = no_past(6, np.zeros(6))._replace(impulses=impulses, rows=rows)
+    points, frames, found, felt = observed(shape, position, rotation, tips, radii, past)
+    np.testing.assert_allclose(felt[:, 1], pushes)
+    np.testing.assert_allclose(np.linalg.norm(felt, axis=1), np.linalg.norm(impulses, axis=1))
     np.testing.assert_allclose(found, gaps, atol=1e-12)
     seen = np.array([False, True, True, True, False, True])
     assert ((gaps > TOUCH) & (pushes == 0.0) == ~seen).all()
@@ -222,11 +240,11 @@ def test_a_step_that_nothing_touches_follows_its_own_mean_velocity():
 
 
 def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next():
-    """Pushed and settled, pushed only, not pushed, and one whose frame has jumped round."""
+    """Pushed and settled, pushed only, not pushed, and one whose tangents have jumped round."""
     random, m = np.random.default_rng(2), 4
     frames = [rotation_from_vector(0.3 * random.standard_normal(3)) for _ in range(4)]
     turned = [rotation_from_vector(0.1 * random.standard_normal(3)) @ f for f in frames]
-    turned[3] = rotation_from_vector([0.0, 0.8, 0.0]) @ frames[3]
+    turned[3] = frames[3] @ rotation_from_vector([0.0, 0.8, 0.0])
     before, now = (random.standard_normal((4, 3, m + 6)) for _ in range(2))
     before[:, :, m : m + 3] = np.swapaxes(frames, 1, 2)
     now[:, :, m : m + 3] = np.swapaxes(turned, 1, 2)
@@ -237,8 +255,11 @@ def test_contacts_turn_and_slide_from_the_middle_of_a_step_to_that_of_the_next()
     )
     turning, found = _since(H, v, now, past)
     new, old = now @ v, before @ v
-    np.testing.assert_allclose(turning[0], 0.5 * (new - old)[0], rtol=1e-12)
-    assert not turning[1:].any()
+    for i in (0, 1):
+        old[i] = carried(now[i, :, m:], before[i, :, m:], old[i])
+    old[3] = rotation_from_vector([0.0, -0.8, 0.0]) @ old[3]
+    np.testing.assert_allclose(turning[::3], 0.5 * (new - old)[::3], rtol=1e-12)
+    assert not turning[1:3].any()
     way = 0.5 * H * np.hypot(*(new + old)[:, [0, 2]].T)
-    np.testing.assert_allclose(found - slid, [way[0], way[1], 0.0, 0.0], rtol=1e-9)
+    np.testing.assert_allclose(found - slid, [way[0], way[1], 0.0, way[3]], rtol=1e-9)
     np.testing.assert_array_equal(slid, [1.0, 2.0, 3.0, 4.0])

@@ -81,13 +81,14 @@ def test_what_will_be_there_after_the_lead_counts(finger, rate):
 
 
 def test_a_shape_is_followed_slowly():
-    """After 10 ms of 1 ms ticks, with a time constant of 30 ms."""
+    """After 10 ms of 1 ms ticks, with a time constant of 30 ms; a firmer sample counts for more."""
     need, load = fresh(), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     need.step(felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), UP, OWN, 0.0)
     other = np.array([0.2, 0.3, 0.5])
     for _ in range(10):
         needed, _ = need.step(felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), UP, OWN, DT)
-    share = 0.2 + (0.5 - 0.2) * np.exp(-10.0 / 30.0)
+    then = np.exp(-10.0 / 30.0)
+    share = (4.0 * 0.2 * (1.0 - then) + 6.0 * 0.5 * then) / (4.0 * (1.0 - then) + 6.0 * then)
     assert needed == pytest.approx(1.0 / (0.4 * share))
 
 
