@@ -239,6 +239,9 @@ class GuardHoldConfig(Config):
     resolution: float = param(
         0.0, "error of a measured joint angle, which is no load", unit="rad", ge=0.0, le=0.1
     )
+    stopping_time: float = param(
+        0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
+    )
     reserve: float = param(
         0.2, "fraction by which the grasp force is raised immediately", ge=0.0, le=2.0
     )
@@ -262,6 +265,9 @@ class JointTerms(NamedTuple):
     tips: Fingertips
     inertia: Array
     bias: Array
+
+
+_LOAD_TIME = 0.005  # s over which the load is averaged
 
 
 class GuardHold:
@@ -317,11 +323,6 @@ class GuardHold:
         ]
         return max(1.0, min(factors))
 
-    @property
-    def _settling(self) -> float:
-        """Time in which the spring settles, s: to brake sooner would strain it."""
-        return 2.0 / self.bandwidth
-
     def brake(self, theta: Array, rates: Array) -> None:
         """Come to rest from this posture and these rates, with the internal force as it is."""
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
@@ -360,7 +361,7 @@ class GuardHold:
         """
         if self._internal_force < self._hand.least_force:
             return
-        fraction = -math.expm1(-self._tick / self._settling)
+        fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
         c, stiffness = self._config, self.bandwidth**2 * terms.inertia
         deflection = np.sign(self._deflected) * np.maximum(
@@ -375,7 +376,7 @@ class GuardHold:
 
         With x = t / T: q' = theta'_0 (1 + x) e^-x, which ends 2 T theta'_0 from the start.
         """
-        stopping = self._settling
+        stopping = self._config.stopping_time
         x = self._ticks * self._tick / stopping
         fading = math.exp(-x)
         posture = self._start + stopping * (2.0 - (2.0 + x) * fading) * self._speed
