@@ -96,8 +96,9 @@ def loads(
     seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
     floor: Annotated[
         list[float] | None,
-        typer.Option(help="Floor of the reserve [N]; may be repeated. A grid by default.", min=0.0),
+        typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
     ] = None,
+    hand: Annotated[str, typer.Option(help="paper or human.")] = "paper",
     formats: FormatOption = None,
 ) -> None:
     """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
@@ -105,14 +106,17 @@ def loads(
     What is in the folder already is kept: after an interruption the same command continues.
     """
     from studies.slip import loads as load_study
+    from tactile_hand_ros.errors import ConfigurationError
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
+    if hand not in load_study.RANGES:
+        raise ConfigurationError(f"--hand is '{hand}', expected {' or '.join(load_study.RANGES)}.")
     with progress("loading") as watch, workers(jobs):
-        load_study.run_loads(runs, seed, out, reserves, watch)
+        load_study.run_loads(runs, seed, out, reserves, watch, hand)
     curve = load_study.trade_offs(read_table(out))
     files = save(load_study.figure(curve), out, "study_loads", kinds)
     _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))

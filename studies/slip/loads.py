@@ -34,18 +34,34 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 KINDS = ("step", "pulse", "ramp", "sine")
-LAYOUTS = ("three_faces", "pinch")
-DEFAULT = (3.0, 0.2)
-"""The reserve of a hand by default: floor, N, and fraction of the largest recent load."""
+DEFAULT = (0.6, 0.2)
+"""The reserve by default: per weight of a finger, and fraction of the largest recent load."""
 
-RESERVES = {"floor": (0.0, 1.0, 2.0, 3.0, 5.0), "fraction": (0.1, 0.2, 0.4)}
-"""Floors, N, and fractions of the reserves that are compared, each with each."""
+RESERVES = {"floor": (0.0, 0.2, 0.4, 0.6, 1.0), "fraction": (0.1, 0.2, 0.4)}
+"""Floors and fractions of the reserves that are compared, each with each."""
 
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
-_INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
+_BITS = 14  # of the encoders
 _RESERVED = ("slip_regulator.reflex.need", "force_optimizer")  # who keep a reserve
 _RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a hand is loaded with: its scenario, layouts, and largest values in SI units."""
+
+    scenario: str
+    layouts: tuple[str, ...]
+    mass: tuple[float, float]
+    force: tuple[float, float]
+    torque: float
+
+
+RANGES = {
+    "paper": Range("gravity", ("three_faces", "pinch"), (0.05, 0.4), (1.0, 12.0), 0.3),
+    "human": Range("human_hold", ("tripod",), (0.02, 0.3), (0.25, 4.0), 0.015),
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +70,9 @@ class LoadCase:
 
     Attributes:
         index: Number of the case; it seeds the sensor.
+        hand: Hand, of `RANGES`.
         layout: Layout of the fingers.
+        down: Direction of gravity in the palm frame.
         mass: Mass of the object, kg.
         friction: mu, which the hand knows.
         kind: Course of the load over time.
@@ -64,7 +82,9 @@ class LoadCase:
     """
 
     index: int
+    hand: str
     layout: str
+    down: tuple[float, float, float]
     mass: float
     friction: float
     kind: str
@@ -73,19 +93,22 @@ class LoadCase:
     torque: tuple[float, float, float]
 
 
-def sample_loads(runs: int, seed: int) -> list[LoadCase]:
-    """Return random loads; the same seed gives the same ones."""
-    random = np.random.default_rng(seed)
+def sample_loads(runs: int, seed: int, hand: str = "paper") -> list[LoadCase]:
+    """Return random loads on a hand; the same seed gives the same ones."""
+    random, limits = np.random.default_rng(seed), RANGES[hand]
+    low, high = limits.mass
     cases = []
     for index in range(runs):
-        force, torque = (_direction(random) for _ in range(2))
-        force *= random.uniform(1.0, 12.0)
-        torque *= random.uniform(0.0, 0.3)
+        down, force, torque = (_direction(random) for _ in range(3))
+        force *= random.uniform(*limits.force)
+        torque *= random.uniform(0.0, limits.torque)
         cases.append(
             LoadCase(
                 index=index,
-                layout=LAYOUTS[int(random.integers(2))],
-                mass=0.05 * 8.0 ** float(random.random()),
+                hand=hand,
+                layout=limits.layouts[int(random.integers(len(limits.layouts)))],
+                down=(float(down[0]), float(down[1]), float(down[2])),
+                mass=low * (high / low) ** float(random.random()),
                 friction=float(random.uniform(0.4, 1.0)),
                 kind=KINDS[int(random.integers(4))],
                 duration=float(random.uniform(0.02, 0.3)),
@@ -102,15 +125,16 @@ def _direction(random: np.random.Generator) -> Array:
 
 
 @functools.cache
-def _start(layout: str) -> tuple[Contacts, Array]:
+def _start(hand: str, layout: str) -> tuple[Contacts, Array]:
     """Return contacts and center of mass at the start, in a layout."""
-    plant = Plant(load_scenario("gravity", {"layout": layout, "targets": []}).plant)
+    changes = {"layout": layout, "targets": []}
+    plant = Plant(load_scenario(RANGES[hand].scenario, changes).plant)
     return plant.state.contacts, plant.state.position
 
 
 def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
     """Return the scenario of a load on a grasp with a reserve, see `DEFAULT`."""
-    centroid = _start(case.layout)[0].centroid.tolist()
+    centroid = _start(case.hand, case.layout)[0].centroid.tolist()
     load = {
         "kind": case.kind,
         "start": EVENT_TIME,
@@ -124,15 +148,16 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
         "seed": case.index + 1,
         "layout": case.layout,
         "targets": [{"time": 0.0, "position": centroid}],
+        "gravity": [9.81 * x for x in case.down],
+        "plant.encoder.bits": _BITS,
         "plant.object.mass": case.mass,
-        "plant.object.inertia": [_INERTIA * case.mass] * 3,
         "plant.object.friction": case.friction,
         "plant.disturbances": [load],
         "slip_regulator.friction.prior": case.friction,
         **{f"{place}.reserve.floor": floor for place in _RESERVED},
         **{f"{place}.reserve.share": fraction for place in _RESERVED},
     }
-    return load_scenario("gravity", values)
+    return load_scenario(RANGES[case.hand].scenario, values)
 
 
 def run_load(case: LoadCase, floor: float, fraction: float = DEFAULT[1]) -> dict[str, Any]:
@@ -173,8 +198,8 @@ def relaxed_run(scenario: Scenario, event: int) -> Record:
 
 def _minimum(case: LoadCase, factors: Sequence[float]) -> float:
     """Return the minimum grasp force against the weight, also with some multiples of the load."""
-    contacts, position = _start(case.layout)
-    weight = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
+    contacts, position = _start(case.hand, case.layout)
+    weight = 9.81 * case.mass * np.array([*case.down, 0.0, 0.0, 0.0])
     load = np.array([*case.force, *case.torque])
     wrenches = [weight + factor * load for factor in (0.0, *factors)]
     return max(minimum_against(contacts, position, w, case.friction) for w in wrenches)
@@ -186,6 +211,7 @@ def run_loads(
     folder: Path,
     reserves: Mapping[str, tuple[float, ...]] = RESERVES,
     watch: Callable[[Tally], None] = lambda _: None,
+    hand: str = "paper",
 ) -> Tally:
     """Let the same loads act on grasps with each reserve, where `workers` says; write the table.
 
@@ -193,15 +219,16 @@ def run_loads(
         runs: Number of loads.
         seed: The same seed gives the same loads.
         folder: Of the results; holds those of an earlier, unfinished call.
-        reserves: Floors, N, and fractions of the reserve.
+        reserves: Floors and fractions of the reserve.
         watch: Called after each run.
+        hand: Hand, of `RANGES`.
 
     Raises:
         StudyError: If the folder holds another study or cannot be written.
     """
-    space = {"case": Choice(tuple(sample_loads(runs, seed)))}
+    space = {"case": Choice(tuple(sample_loads(runs, seed, hand)))}
     space |= {name: Choice(values) for name, values in reserves.items()}
-    description = {"loads": runs, "seed": seed, "reserves": dict(reserves)}
+    description = {"loads": runs, "seed": seed, "hand": hand, "reserves": dict(reserves)}
     return keep(Study(space, "grid", run_one), folder, description, watch)
 
 
@@ -218,7 +245,7 @@ class TradeOff:
     """Comfort and safety with one reserve, over the loads that can be survived.
 
     Attributes:
-        floor: Floor of the reserve, N.
+        floor: Floor of the reserve, per weight of a finger.
         fraction: Its fraction of the largest recent load.
         runs: Number of loads.
         grasp_force: Mean of k_f before the load, N.
@@ -263,7 +290,7 @@ def rows(curve: Sequence[TradeOff]) -> list[list[str]]:
     """Return the curve as text, columns as in `HEADS`."""
     return [
         [
-            f"{point.floor:g} N",
+            f"{point.floor:g}",
             f"{100 * point.fraction:g} %",
             str(point.runs),
             f"{point.grasp_force:.1f} N",
@@ -295,7 +322,7 @@ def figure(curve: Sequence[TradeOff]) -> Figure:
                 axes.plot(over, percent, f"{marker}-", color=finger_color(i), ms=3.5, label=label)
         for point in some:
             place = point.grasp_force / point.need, 100.0 * point.slid / max(point.runs, 1)
-            axes.annotate(f" {point.floor:g} N", place, fontsize=7, va="bottom")
+            axes.annotate(f" {point.floor:g}", place, fontsize=7, va="bottom")
         axes.set_xlabel("mean grasp force before the load per minimum, by floor of the reserve")
         axes.set_ylabel("fraction of the loads [%]")
         axes.legend()

@@ -103,7 +103,10 @@ class LoadMarginConfig(Config):
     """How much more than it measures a grasp is ready for."""
 
     floor: float = param(
-        3.0, "force on the object that may come at any time", unit="N", live=True, ge=0.0
+        0.6,
+        "force on the object that may come at any time, per weight of a finger",
+        live=True,
+        ge=0.0,
     )
     share: float = param(
         0.2, "fraction of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
@@ -114,11 +117,15 @@ class LoadMarginConfig(Config):
 
 
 class LoadMargin:
-    """Remembers the largest load of the recent past at each contact."""
+    """Remembers the largest load of the recent past at each contact.
 
-    def __init__(self, config: LoadMarginConfig, contacts: int) -> None:
-        """Start without a past of k contacts."""
-        self._largest = np.zeros(contacts)
+    What may come at any time is in proportion to the weight of a finger: when the hand starts,
+    stops or bumps into something, its own fingers load the object.
+    """
+
+    def __init__(self, config: LoadMarginConfig, contacts: int, finger_weight: float) -> None:
+        """Start without a past of k contacts of fingers with a weight in N."""
+        self._largest, self._weight = np.zeros(contacts), finger_weight
         self.configure(config)
 
     def configure(self, config: LoadMarginConfig) -> None:
@@ -138,7 +145,7 @@ class LoadMargin:
         """
         c, size = self._config, np.sqrt((load * load).sum(axis=1))
         self._largest = np.maximum(math.exp(-dt / c.memory) * self._largest, size)
-        return np.maximum(c.floor / len(load), c.share * self._largest)
+        return np.maximum(c.floor * self._weight / len(load), c.share * self._largest)
 
 
 @compiled

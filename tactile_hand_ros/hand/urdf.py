@@ -10,10 +10,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tactile_hand_ros.config.hand_config import MountConfig
+from tactile_hand_ros.config.hand_config import HandConfig, MountConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
+_GRAVITY = 9.81  # m/s^2
 _MOST_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
 _PRINTED = 0.01  # of the largest moment: the digits that a URDF leaves out
@@ -46,6 +47,19 @@ def describe(path: Path, layout: Mapping[str, MountConfig], any_inertia: bool = 
         return ElementTree.tostring(root, encoding="unicode")
     except RecursionError:
         raise HandModelError(f"'{path}' is nested too deeply; expected a URDF") from None
+
+
+def finger_weight(config: HandConfig) -> float:
+    """Return the weight of a hand without its palm per finger, N: what its own links may load.
+
+    Raises:
+        HandModelError: If the URDF cannot be read.
+    """
+    root = ElementTree.fromstring(describe(config.folder / config.urdf, {}, config.any_inertia))
+    links = (link for link in root.findall("link") if link.get("name") != config.palm)
+    masses = (link.find("inertial/mass") for link in links)
+    total = sum(float(mass.get("value", 0.0)) for mass in masses if mass is not None)
+    return _GRAVITY * total / len(config.fingers)
 
 
 def _parsed(path: Path) -> Element:

@@ -8,7 +8,9 @@ from support.outcomes import run_scenario, survival
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.hand.urdf import finger_weight
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
@@ -65,12 +67,13 @@ def dropped(record):
 def excess_force(record, name):
     """Mean sum of the true normal forces in the last 0.2 s against the least that is ready.
 
-    Ready for the load and 3 N on top in the worst of six directions: the floor of the reserve.
+    Ready for the load and the floor of the reserve on top in the worst of six directions.
     """
     scenario = load_scenario(name)
     assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
     pressed = record.true_forces[-200:, :, 1].sum(axis=1).mean()
-    floor = scenario.slip_regulator.reflex.need.reserve.floor
+    weight = finger_weight(load_hand_config(scenario.hand))
+    floor = weight * scenario.slip_regulator.reflex.need.reserve.floor
     pushes = floor * np.vstack([np.eye(3), -np.eye(3)])
     return pressed / max(ready_force(record, scenario, push) for push in pushes)
 

@@ -148,9 +148,9 @@ class ConeTracker:
     is not followed, and afterwards all starts with the load that is measured then.
     """
 
-    def __init__(self, config: TrackerConfig, contacts: int) -> None:
-        """Follow the load of k contacts."""
-        self._reserve = LoadMargin(config.reserve, contacts)
+    def __init__(self, config: TrackerConfig, contacts: int, finger_weight: float) -> None:
+        """Follow the load of k contacts of fingers with a weight in N."""
+        self._reserve = LoadMargin(config.reserve, contacts, finger_weight)
         self._doubted = False
         self.configure(config)
         self.reset()

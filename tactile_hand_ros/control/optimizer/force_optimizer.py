@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import (
@@ -35,6 +36,7 @@ from tactile_hand_ros.control.optimizer.quadratic_program import (
     Solution,
 )
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.hand.urdf import finger_weight
 
 Array = NDArray[np.float64]
 
@@ -187,7 +189,7 @@ class ForceOptimizer:
         """
         self._k = fingers
         self._shape: Array | None = None
-        self._tracker = ConeTracker(config, fingers)
+        self._tracker = ConeTracker(config, fingers, finger_weight(load_hand_config(config.hand)))
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:

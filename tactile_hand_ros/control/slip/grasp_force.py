@@ -72,10 +72,12 @@ class RequiredGraspForce:
     grasp force that it asks for is that of a shape which is about to change.
     """
 
-    def __init__(self, config: RequiredGraspForceConfig, contacts: int) -> None:
-        """Start without a grasp of k contacts."""
+    def __init__(
+        self, config: RequiredGraspForceConfig, contacts: int, finger_weight: float
+    ) -> None:
+        """Start without a grasp of k contacts by fingers with a weight in N."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
-        self._reserve = LoadMargin(config.reserve, contacts)
+        self._reserve = LoadMargin(config.reserve, contacts, finger_weight)
         self.configure(config)
         self.reset()
 

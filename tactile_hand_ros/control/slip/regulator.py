@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from tactile_hand_ros.compiled import Rows
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
@@ -24,6 +25,7 @@ from tactile_hand_ros.control.slip.grasp_force import (
     SlipResponseConfig,
 )
 from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.hand.urdf import finger_weight
 
 Array = NDArray[np.float64]
 
@@ -98,7 +100,9 @@ class SlipRegulator:
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        self._required = RequiredGraspForce(config.reflex.need, fingers)
+        self._required = RequiredGraspForce(
+            config.reflex.need, fingers, finger_weight(load_hand_config(config.hand))
+        )
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._doubted = False
         self.reset()

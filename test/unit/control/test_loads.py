@@ -25,7 +25,7 @@ MU = np.array([0.5, 0.3, 0.8])
 
 def cone_watch(**values):
     config = ForceOptimizerConfig(load_time=0.02, squeeze_share=0.7, **values)
-    return ConeTracker(config, 3)
+    return ConeTracker(config, 3, 1.0)
 
 
 def thin(margin):
@@ -253,7 +253,7 @@ def test_a_tick_of_the_optimizer_follows_reset_rejection_and_configuration():
 
 
 def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_recent_load():
-    margin = LoadMargin(LoadMarginConfig(floor=0.6, share=0.5, memory=2.0), 3)
+    margin = LoadMargin(LoadMarginConfig(floor=0.6, share=0.5, memory=2.0), 3, 1.0)
     load = np.array([[0.3, 0.0, 0.4], [0.0, 0.1, 0.0], [0.0, 0.0, 4.0]])
     np.testing.assert_allclose(margin.step(load, 0.0), [0.25, 0.2, 2.0])
     faded = 2.0 * math.exp(-0.5)

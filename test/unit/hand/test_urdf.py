@@ -6,9 +6,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from tactile_hand_ros.config.hand_config import MountConfig
+from tactile_hand_ros.config.hand_config import MountConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
-from tactile_hand_ros.hand.urdf import describe
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.urdf import describe, finger_weight
 
 MOMENTS = {"ixx": 2.0, "iyy": 3.0, "izz": 4.0, "ixy": 0.5, "ixz": -0.4, "iyz": 0.3}
 
@@ -129,3 +130,10 @@ def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
     assert origins["a"] == origins["c"] == {"xyz": "1 2 3", "rpy": "0.1 0.2 0.3"}
     with pytest.raises(HandModelError, match="'c', which is not a fixed joint.*joints: a, b"):
         describe(path, {"c": mount})
+
+
+@pytest.mark.parametrize(("name", "weight"), [("paper", 9.81 * 0.5), ("human", 9.81 * 0.06)])
+def test_a_finger_weighs_what_its_links_weigh_without_the_palm(name, weight):
+    assert finger_weight(load_hand_config(name)) == pytest.approx(weight)
+    hand = Hand.load(name)
+    assert hand.least_force == pytest.approx(0.01 * weight)

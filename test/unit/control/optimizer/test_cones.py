@@ -95,9 +95,9 @@ def test_a_load_is_followed_with_its_time_constant_at_any_rate_and_afresh_after_
     config = ForceOptimizerConfig(load_time=0.04, load_memory=0.04)
 
     def at_once(forces):
-        return ConeTracker(config, 3).step(7, grasp, forces, mu)
+        return ConeTracker(config, 3, 1.0).step(7, grasp, forces, mu)
 
-    tracker = ConeTracker(config, 3)
+    tracker = ConeTracker(config, 3, 1.0)
     first = tracker.step(0, grasp, heavy, mu)
     np.testing.assert_array_equal(first.load, at_once(heavy).load)
     for tick in range(1, ticks + 1):

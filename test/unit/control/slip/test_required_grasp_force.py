@@ -22,11 +22,11 @@ def felt(load, force):
 
 
 def fresh():
-    return RequiredGraspForce(RequiredGraspForceConfig(reserve=NO_RESERVE), len(MU))
+    return RequiredGraspForce(RequiredGraspForceConfig(reserve=NO_RESERVE), len(MU), 1.0)
 
 
 def required(reserve, time=0.05):
-    return RequiredGraspForce(RequiredGraspForceConfig(reserve=reserve, reserve_time=time), 3)
+    return RequiredGraspForce(RequiredGraspForceConfig(reserve=reserve, reserve_time=time), 3, 1.0)
 
 
 def follow(need, load, ticks, force=6.0, noise=0.0, seed=0):
@@ -183,7 +183,7 @@ def test_the_reserve_of_a_new_grasp_rises_over_its_time():
 @pytest.mark.parametrize("ticks", [1, 20, 49])
 def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_comes_later(ticks):
     """The need of each tick is that without any reserve."""
-    need, bare = RequiredGraspForce(RequiredGraspForceConfig(), 3), fresh()
+    need, bare = RequiredGraspForce(RequiredGraspForceConfig(), 3, 1.0), fresh()
     for each in (need, bare):
         reserves(each, ticks)
     step = reserves(need, 30, 3.0 * CARRIED, first=ticks)
@@ -193,7 +193,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
     """After its time another load, and another radius, count immediately."""
-    need, at = RequiredGraspForce(RequiredGraspForceConfig(), 3), at_once(floor=3.0, share=0.2)
+    need, at = RequiredGraspForce(RequiredGraspForceConfig(), 3, 1.0), at_once(floor=0.6, share=0.2)
     for each in (need, at):
         reserves(each, 101)
     first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]
