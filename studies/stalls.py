@@ -42,7 +42,7 @@ class Case:
     time: float
 
 
-GUARDS = {"no": LAST_TORQUE, "yes": GuardConfig()}
+GUARDS = {"no": LAST_TORQUE, "yes": None}  # that of the scenario
 CASES = (
     Case("at rest", "paper", 9.0),
     Case("moving", "paper", 0.8),
@@ -62,11 +62,11 @@ FAULTS |= {f"{ticks} late": (0.0, ticks) for ticks in (1, 3, 4, 20)}
 class GuardedLoop:
     """A closed loop whose commands reach the joints through a guard, late or not at all."""
 
-    def __init__(self, scenario: Scenario, config: GuardConfig) -> None:
-        """Build the loop of a scenario and the guard."""
+    def __init__(self, scenario: Scenario, config: GuardConfig | None = None) -> None:
+        """Build the loop of a scenario and its guard, or one with another configuration."""
         self.loop = ClosedLoop(scenario)
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
-        self.guard = CommandGuard(config, hand, plant.tick)
+        self.guard = CommandGuard(config or plant.guard, hand, plant.tick)
         self.rate = plant.rate
         self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._waiting: deque[TorqueCommand] = deque()
@@ -87,6 +87,7 @@ class GuardedLoop:
         loop = self.loop
         theta, rates, _ = loop.state.joints
         loop.advance(self.guard.step(loop.stamp, theta, rates, self._newest))
+        loop.controller.joints_held = self.guard.holding
 
     def run(self, seconds: float, *, answers: bool = True, delay: int = 0) -> None:
         """Move ahead by simulated time, at least one tick."""

@@ -153,7 +153,8 @@ class _Controller(_Block):
         is_missing |= self._observes and forces is None
         self._missing = self._missing + self._tick if is_missing else 0.0
         if is_missing:
-            answer = self.block.hold(theta, rates, "inputs are missing", applied=applied)
+            why = "inputs are missing"
+            answer = self.block.hold(theta, rates, why, applied=applied, stamp=stamp)
             self.drives = False
             return answer if self._missing >= self._timeout else _NOTHING
         self.before_step()

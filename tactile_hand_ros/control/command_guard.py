@@ -22,6 +22,7 @@ from tactile_hand_ros.control.holds import (
     split_forces,
     tip_forces,
 )
+from tactile_hand_ros.control.joint_rates import JointRates
 from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
@@ -120,6 +121,7 @@ class CommandGuard:
         """
         self._config, self._hand, self._tick = config, hand, tick
         self._hold = GuardHold(config.hold, hand, 1e-9 * tick)
+        self._rates = JointRates(hand.joints)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
         self._change = 1e-9 * tick * config.torque_rate or np.inf
         self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
@@ -128,6 +130,7 @@ class CommandGuard:
     def reset(self) -> None:
         """Forget everything, as at the start."""
         self._past.clear()
+        self._rates.reset()
         self._last: Array | None = None  # commanded torque inside the limits
         self._newest: TorqueCommand | None = None
         self._posture = np.zeros(self._hand.joints)  # when the torque last changed
@@ -169,6 +172,8 @@ class CommandGuard:
             last, before = self._past[-1], self._past[max(-2, -len(self._past))]
             on = 2.0 * last.theta - before.theta, 2.0 * last.rates - before.rates
             theta, rates = self._hold.reference if self.state is State.HOLD else on
+        else:
+            rates = self._rates.step(stamp, theta, rates, self._config.hold.resolution)
         reason = BLIND if is_blind else refused or self._judge(stamp, theta, rates, command)
         state, reason = self.state, self._moved_on(stamp, reason)
         if self.state is State.ACT:

@@ -19,6 +19,7 @@ from tactile_hand_ros.control.holds import (
     spring,
     stiffest,
 )
+from tactile_hand_ros.control.joint_rates import JointRates
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
@@ -47,11 +48,8 @@ class PostureHoldConfig(Config):
     latency: int = param(
         3, "ticks by which a torque may act late", unit="ticks", live=True, ge=0, le=100
     )
-    rate_lag: float = param(
-        0.0, "time by which the measured joint rates are late", unit="s", live=True, ge=0.0, le=0.1
-    )
     resolution: float = param(
-        0.0, "error of a measured joint angle", unit="rad", live=True, ge=0.0, le=0.1
+        0.0, "error of a measured joint angle, 0 if exact", unit="rad", live=True, ge=0.0, le=0.1
     )
 
 
@@ -172,8 +170,9 @@ class Controller:
 
     Attributes:
         enabled: Whether the law acts, instead of mere damping.
-        touch_rejected: Whether joints and touch did not fit each other when they last came; touch
-            teaches nothing then. An open or disabled hand rejects nothing.
+        touch_rejected: Whether touch teaches nothing: when joints and touch last came, they did not
+            fit each other, or a guard held the joints, which shakes the grasp and which no k_f
+            reaches. An open or disabled hand rejects nothing.
         joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
             integral and the reference wait for the end of that.
         warning: Why this grasp could not be held without inputs; empty where it could.
@@ -194,6 +193,7 @@ class Controller:
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
         self._inputs = InputCheck(self.hand)
         self._reference = SmoothReference()
+        self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
@@ -215,6 +215,7 @@ class Controller:
         self._law.reset()
         self._inputs.reset()
         self._reference.reset()
+        self._rates.reset()
         self._targets.reset()
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # nothing is known to be held
@@ -222,7 +223,6 @@ class Controller:
         self._grasp: Grasp | None = None
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
-        self._seen: tuple[int | None, Array] | None = None  # of the last hold: stamp and joints
         self._period = _LONGEST_PERIOD  # of the ticks, s
         self._new_grasp()
         self._trust()
@@ -345,6 +345,7 @@ class Controller:
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         dt = self._elapsed(stamp)
+        rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
         self._targets.begin_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
@@ -397,10 +398,10 @@ class Controller:
         if self._compares_forces and forces is not None and applied is not None:
             pressing = forces, applied
         limits = Tolerances(
-            c.touch_tolerance, c.force_tolerance, c.touch_latency, c.hold.resolution
+            c.touch_tolerance, c.force_tolerance, c.touch_latency, self._rates.error
         )
         tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
-        self.touch_rejected = bool(problem)
+        self.touch_rejected = bool(problem) or self.joints_held
         return tips, problem
 
     def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
@@ -417,12 +418,16 @@ class Controller:
         reason: str,
         grasp_force: float = 0.0,
         applied: Array | None = None,
+        stamp: int | None = None,
     ) -> Command:
         """Answer a tick that misses an input: keep posture and last good grasp force.
 
         Where a guard holds the joints, without delay and stiffer, it is not relieved by that: the
-        answer is not to be sent. The arguments are those of `_holding`.
+        answer is not to be sent. The arguments are those of `_holding`, and the tick in ns, from
+        which rates follow; without it they are taken as measured.
         """
+        if stamp is not None:
+            rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
         held = self._holding(theta, rates, reason, grasp_force, applied)
         return held._replace(do_not_send=self.joints_held)
 
@@ -469,20 +474,13 @@ class Controller:
     def _spring(self, theta: Array, rates: Array) -> Array:
         """Return the torque that brings the joints back to the posture to hold, (m,), N m."""
         inertia = self.hand.dynamics(theta, rates)[1]
-        w, differs = self._stiffest(inertia)
-        before, self._seen = self._seen, (self._last_stamp, theta)
-        if differs and before is not None and before[0] is not None and self._last_stamp:
-            passed = 1e-9 * (self._last_stamp - before[0])
-            if 0.0 < passed <= _LONGEST_GAP:
-                rates = (theta - before[1]) / passed
-        return spring(inertia, w, self._posture - theta, -rates)
+        return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
 
-    def _stiffest(self, inertia: Array) -> tuple[float, bool]:
-        """Return the bandwidth of the hold, rad/s, and whether it takes differences of angles."""
+    def _stiffest(self, inertia: Array) -> float:
+        """Return the bandwidth of the hold, rad/s."""
         c = self.config.hold
         late = (0.5 + c.latency) * self._period
-        limits = self.hand.effort_limits
-        return stiffest(inertia, limits, self._period, late, c.rate_lag, c.resolution)
+        return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
     def _fit(self, theta: Array, contacts: Contacts) -> None:
         """Fit the gains that are not given to the hand, once in a grasp and for its ticks."""
@@ -490,7 +488,8 @@ class Controller:
             return
         self._fitted_to = self._period
         c = self.config
-        how = self._period, c.hold.rate_lag, c.touch_latency + c.law.observer.time
+        touch = c.touch_latency + c.law.observer.time
+        how = self._period, touch, c.hold.resolution
         self._law.fit(*fitted_gains(self.hand, theta, contacts, *how))
 
     def _judge_hold(
@@ -503,7 +502,7 @@ class Controller:
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
             inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
             needed = required_bandwidth(self.hand, theta, contacts, forces)
-            self._required = needed, self._stiffest(inertia)[0]
+            self._required = needed, self._stiffest(inertia)
         required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period

@@ -41,35 +41,37 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
-_ALONE = 1.5  # K_c d / M_h of fingers alone; they oscillate at pi / 2
 _POSE_PHASE = 0.25  # of the stiffness, by the age of touch: not felt in the damping
-_NOISE = 0.05  # of the effort limits that a step of an encoder may cost as damping
+# Fractions of a finger's weight that errors of angles may shake: in a hold, where they do all the
+# time, and with gains, where they do while it moves. The grasp force keeps 0.6 in reserve.
+_HOLD_SHAKES, _GAINS_SHAKE = 0.03, 0.3
 _MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
 _STEP = 1e-5  # of finite differences, rad
 
 
-def stiffest(
-    inertia: Array, limits: Array, tick: float, late: float, rate_lag: float, resolution: float
-) -> tuple[float, bool]:
-    """Return the largest bandwidth w of a hold, rad/s, and whether it needs rates of its own.
-
-    Differences of angles are half a tick late, less than rates behind a filter, and jump by a step
-    of the encoder in a tick. Where the fingers are light that is no torque to speak of.
+def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float) -> float:
+    """Return the largest bandwidth w of a hold, rad/s.
 
     Args:
+        hand: The hand.
         inertia: M_h, shape (m, m).
-        limits: Effort limits of the joints, shape (m,), N m.
-        tick: Time between two ticks, s.
+        tick: Time between two ticks, s. Rates that follow from angles are half of it late.
         late: Time after which a torque acts, at most, s.
-        rate_lag: Time by which the measured rates are late, s.
-        resolution: Error of an angle, rad.
+        error: Of an angle, rad; 0 where angles and rates are exact.
     """
-    measured, own = _PHASE / (late + rate_lag), _PHASE / (late + 0.5 * tick)
-    noise = 2.0 * own * resolution / tick * inertia.diagonal()
-    if own > measured and (noise < _NOISE * limits).all():
-        return own, True
-    return measured, False
+    if error == 0.0:
+        return _PHASE / late
+    return min(_PHASE / (late + 0.5 * tick), _quietest(hand, inertia, error, _HOLD_SHAKES))
+
+
+def _quietest(hand: Hand, inertia: Array, error: float, fraction: float) -> float:
+    """Return the bandwidth w, rad/s, with which errors e of angles shake a hand as they may.
+
+    Their torque M_h w^2 e may be that of a fraction of a finger's weight at its full reach.
+    """
+    allowed = fraction * hand.finger_weight * hand.spans.max()
+    return math.sqrt(allowed / (inertia.diagonal().max() * error)) if error > 0.0 else math.inf
 
 
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
@@ -118,25 +120,29 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
 
 
 def fitted_gains(
-    hand: Hand, theta: Array, contacts: Contacts, tick: float, rate_lag: float, touch: float
+    hand: Hand,
+    theta: Array,
+    contacts: Contacts,
+    tick: float,
+    touch: float,
+    error: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return K_c, shape (m, m), N m s/rad, and K_p, (6, 6), N/m and N m/rad, that fit a hand.
 
-    Fingers alone oscillate with K_c = 2 M_h / T, for torques that are held for T, and with
-    (pi / 2) M_h / d, for rates that act d late. An object adds inertia, so K_c = M_h / T, or nearly
-    the other where that is less. A stiffness K_p = p D / t, with the damping D of the grasp and a
-    pose that is t late, takes a phase p.
+    Fingers alone oscillate with K_c = 2 M_h / T, for torques that are held for T. An object adds
+    inertia, so K_c = M_h / T, or less where encoders would shake the hand with that. A stiffness
+    K_p = p D / t, with the damping D of the grasp and a pose that is t late, takes a phase p.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
         contacts: Where it holds an object; all fingers must touch.
         tick: T, s.
-        rate_lag: Time by which the measured rates are late, s.
         touch: t: age of touch, and time constant of what follows from it, s.
+        error: Of an angle, rad.
     """
-    late = max(tick, (0.5 * tick + rate_lag) / _ALONE)
-    damping = hand.dynamics(theta, np.zeros(hand.joints))[1] / late
+    inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
+    damping = inertia * min(1.0 / tick, _quietest(hand, inertia, error, _GAINS_SHAKE))
     rates = _rates_of_twists(hand, theta, contacts)
     stiffness = np.zeros((6, 6))
     for part, per_error in ((slice(0, 3), 1.0), (slice(3, 6), 0.5)):  # |r_d| is twice the angle
@@ -233,11 +239,8 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
 class GuardHoldConfig(Config):
     """How joints are held while there is no command for them."""
 
-    rate_lag: float = param(
-        0.0, "time by which the measured joint rates are late", unit="s", ge=0.0, le=0.1
-    )
     resolution: float = param(
-        0.0, "error of a measured joint angle, which is no load", unit="rad", ge=0.0, le=0.1
+        0.0, "error of a measured joint angle, 0 if exact", unit="rad", ge=0.0, le=0.1
     )
     stopping_time: float = param(
         0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
@@ -298,11 +301,9 @@ class GuardHold:
         """
         self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
         tips, inertia, _ = self._hand.dynamics(theta, rates)
-        c, limits = self._config, self._hand.effort_limits
         # A torque is held for a tick, so half a tick late; the other half is for the drive.
-        how = self._tick, self._tick, c.rate_lag, c.resolution
-        self.bandwidth, self._differs = stiffest(inertia, limits, *how)
-        self._seen = theta
+        how = self._tick, self._tick, self._config.resolution
+        self.bandwidth = stiffest(self._hand, inertia, *how)
         _, internal = split_forces(tip_forces(tips, pressed))
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
         self._internal = joint_torque(tips, internal)
@@ -343,9 +344,6 @@ class GuardHold:
         acceleration = self._move_reference()
         posture, speed = self.reference
         theta, rates = joints or self.reference
-        if self._differs and joints is not None and self._ticks > 1:
-            rates = (theta - self._seen) / self._tick
-        self._seen = theta
         away, w = posture - theta, self.bandwidth
         if follows:
             self._follow_load(terms, away)

@@ -130,6 +130,7 @@ class ForceTorqueCheck:
         """Forget the past: time or grasp are new."""
         self._last: tuple[int, Array] | None = None
         self._pressed = self._felt = np.zeros(0)
+        self._noise = np.zeros(len(self._least))
         self._began = 0
         self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and what was pressed then
         self._frozen: list[_Frozen] = []
@@ -145,7 +146,7 @@ class ForceTorqueCheck:
         applied: Array,
         tolerance: float,
         latency: float = 0.0,
-        resolution: float = 0.0,
+        rate_error: Array | float = 0.0,
     ) -> str:
         """Return why forces and torques do not fit each other; empty if they do.
 
@@ -160,7 +161,7 @@ class ForceTorqueCheck:
             applied: Torque since the last tick, shape (m,), N m.
             tolerance: Largest error of J_h^T f_c of a finger as a fraction of it.
             latency: Largest age of the forces, s. For so long after a reset nothing is compared.
-            resolution: Error of a joint angle, rad, of whose differences the rates are made.
+            rate_error: How far the rates may be off, shape (m,), rad/s.
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
@@ -179,11 +180,12 @@ class ForceTorqueCheck:
             felt = self._pressed
         self._felt = self._felt + fraction * (felt - self._felt)
         self._remember(stamp, latency)
-        noise = np.abs(inertia).sum(axis=1) @ own.T * (resolution / (dt * FELT_TIME))
-        limits = self._least + noise
+        noise = own @ np.abs(inertia) @ np.broadcast_to(rate_error, rates.shape) / FELT_TIME
+        self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
+        limits = self._least + self._noise
         if not any(self._fits(past, own, tolerance, limits) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
-        if self._is_frozen(stamp, tips, forces, noise):
+        if self._is_frozen(stamp, tips, forces, self._noise):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
 
@@ -248,13 +250,13 @@ class Tolerances(NamedTuple):
         touch: Distance of a contact from its fingertip, m.
         force: Difference between measured forces and joint torques, a fraction.
         latency: Age of measured forces, s.
-        resolution: Error of a joint angle, rad.
+        rates: How far joint rates may be off, shape (m,), rad/s; 0 where they are exact.
     """
 
     touch: float
     force: float
     latency: float
-    resolution: float = 0.0
+    rates: Array | float = 0.0
 
 
 class InputCheck:
@@ -299,8 +301,17 @@ class InputCheck:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips, allowed = terms[0], (limits.force, limits.latency, limits.resolution)
-            problem = self._forces.step(stamp, rates, terms, contacts, *pressing, *allowed)
+            tips = terms[0]
+            problem = self._forces.step(
+                stamp,
+                rates,
+                terms,
+                contacts,
+                *pressing,
+                limits.force,
+                limits.latency,
+                limits.rates,
+            )
         gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch)
         frozen = self._joints.step(theta, contacts, _STANDING * limits.touch)
         return tips, problem or gap or frozen

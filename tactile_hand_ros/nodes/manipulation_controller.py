@@ -348,7 +348,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick for which inputs are missing."""
-        command = self._controller.hold(joints.theta, joints.rates, reason, applied=joints.applied)
+        command = self._controller.hold(
+            joints.theta, joints.rates, reason, applied=joints.applied, stamp=stamp
+        )
         if not command.do_not_send:
             self._send(stamp, command)
             self.diagnostics.tick()

@@ -219,7 +219,7 @@ def _derive_holds(data: dict[str, Any]) -> None:
     except ValidationError:
         pass  # which the validation of the scenario will name
     else:
-        seen = {"rate_lag": encoder.rate_lag, "resolution": encoder.resolution}
+        seen = {"resolution": encoder.resolution}
         derived, posture = {**derived, **seen}, {**seen, **posture}
     data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
     follows = {"grasp_force_limit": limit, "touch_latency": _touch_latency(data)}
@@ -244,9 +244,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     controller = data["manipulation_controller"]
     derived = (
         (data["plant"]["guard"]["hold"], "squeeze_limit", limit),
-        (data["plant"]["guard"]["hold"], "rate_lag", encoder.rate_lag),
         (data["plant"]["guard"]["hold"], "resolution", encoder.resolution),
-        (controller["hold"], "rate_lag", encoder.rate_lag),
         (controller["hold"], "resolution", encoder.resolution),
         (controller, "grasp_force_limit", limit),
         (controller, "touch_latency", _touch_latency(data)),

@@ -32,11 +32,6 @@ class EncoderConfig(Config):
         return self.bits == 0 and self.noise == 0.0
 
     @property
-    def rate_lag(self) -> float:
-        """Time by which the rates are late, s."""
-        return 0.0 if self.is_exact else 1.0 / (2.0 * math.pi * self.rate_cutoff)
-
-    @property
     def resolution(self) -> float:
         """Error of an angle, rad: a step, and three standard deviations."""
         return (2.0 * math.pi / 2**self.bits if self.bits else 0.0) + 3.0 * self.noise

@@ -252,9 +252,10 @@ class ShadowLoop(Chain):
 
     def _hold(self, row: int) -> None:
         r = self._inputs.record
-        self._change(names.CONTROLLER, int(r.stamps[row]))
+        stamp, why = int(r.stamps[row]), "inputs are missing"
+        self._change(names.CONTROLLER, stamp)
         held = self.controller.hold(
-            r.theta[row], r.rates[row], "inputs are missing", applied=r.torque[row]
+            r.theta[row], r.rates[row], why, applied=r.torque[row], stamp=stamp
         )
         self._out.command[row] = held.torque
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from studies.stalls import GuardedLoop
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -53,7 +52,7 @@ def run_with_late_commands(name, changes, seed=None):
         Whether the object is held at the end, mean k_f of the last half second, the largest slip.
     """
     scenario = load_scenario(name, {"plant.rate": 500.0, **changes})
-    guarded = GuardedLoop(scenario, GuardConfig())
+    guarded = GuardedLoop(scenario)
     random, forces = np.random.default_rng(seed), []
     for tick in range(scenario.ticks):
         is_late = seed is not None and tick >= JITTER[1]  # time begins with the first command

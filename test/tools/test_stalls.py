@@ -23,7 +23,7 @@ SCENARIOS = {
 }
 
 
-def stalled(name: str, config: GuardConfig, seconds: float):
+def stalled(name: str, config: GuardConfig | None, seconds: float):
     """Return the outcome of a stall that begins at 0.3 s and its loop."""
     guarded = GuardedLoop(SCENARIOS[name], config)
     guarded.run(0.3)
@@ -34,7 +34,7 @@ def stalled(name: str, config: GuardConfig, seconds: float):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_stall_costs_no_object(name):
-    watch, guarded = stalled(name, GuardConfig(), 0.6)
+    watch, guarded = stalled(name, None, 0.6)
     assert guarded.guard.reason
     watch.run(0.3, answers=True, moves=True)
     assert not watch.is_lost and not guarded.guard.holding
@@ -49,14 +49,14 @@ def test_the_same_stall_without_the_guard_drops_it(name):
 
 
 def test_a_stall_shorter_than_the_age_limit_changes_nothing():
-    _, guarded = stalled("moving", GuardConfig(), 0.006)
+    _, guarded = stalled("moving", None, 0.006)
     _, unguarded = stalled("moving", LAST_TORQUE, 0.006)
     assert not guarded.guard.reason
     assert (guarded.loop.state.theta == unguarded.loop.state.theta).all()
 
 
 def test_commands_that_are_always_late_let_the_hand_stand_still():
-    guarded = GuardedLoop(SCENARIOS["moving"], GuardConfig())
+    guarded = GuardedLoop(SCENARIOS["moving"])
     guarded.run(0.3)
     watch = Watch(guarded)
     watch.run(0.5, answers=True, delay=4)

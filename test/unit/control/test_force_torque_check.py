@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.control.joint_rates import JointRates
 from tactile_hand_ros.control.plausibility import ForceTorqueCheck
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig, JointSensor
@@ -108,20 +109,18 @@ def test_a_finger_whose_error_is_below_the_tolerance_is_believed(finger, joint, 
 
 
 def test_what_encoders_make_up_is_no_error():
-    """Rates that jump by a step of 14 bits in a tick look like newton-meters of inertia."""
-    encoder, random = EncoderConfig(bits=14), np.random.default_rng(1)
-    joints = JointSensor(encoder, 0.0, 0.002, 1)
-    noise = 1e-5 * random.standard_normal((300, 9))  # about the edge of a step
-    rates = [joints.step(each, each, each).rates for each in noise]
-    assert np.abs(rates).max() > 0.1
+    """At a constant speed, rates that a step of 12 bits changes look like inertia."""
+    encoder = EncoderConfig(bits=12)
+    joints, made = JointSensor(encoder, 0.0, 0.002, 1), JointRates(9)
     watches = ForceTorqueCheck(PLANT.hand), ForceTorqueCheck(PLANT.hand)
     doubts = np.zeros(2, dtype=int)
-    for tick, rate in enumerate(rates):
-        seen = FORCES, torque(FORCES), 0.3, 0.0
-        for i, resolution in enumerate((0.0, encoder.resolution)):
-            doubts[i] += bool(
-                watches[i].step(tick * TICK, rate, TERMS, CONTACTS, *seen, resolution)
-            )
+    for tick in range(300):
+        true = np.linspace(-0.3, 0.3, 9) * 0.002 * tick
+        seen = joints.step(true, true, true)
+        rate = made.step(tick * TICK, *seen[:2], encoder.resolution)
+        for i, error in enumerate((0.0, made.error)):
+            pressing = noisy(tick), torque(FORCES), 0.02, 0.0, error
+            doubts[i] += bool(watches[i].step(tick * TICK, rate, TERMS, CONTACTS, *pressing))
     assert doubts[0] > 0 and doubts[1] == 0
 
 

@@ -12,7 +12,6 @@ from studies.faults.situations import SITUATIONS, scenario
 from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.holds import (
     GuardHold,
@@ -52,16 +51,16 @@ def terms(theta, rates) -> JointTerms:
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
-@pytest.mark.parametrize(("lag", "resolution"), [(0.0, 0.0), (0.0016, 1e-6), (0.0016, 0.01)])
+@pytest.mark.parametrize(("lag", "resolution"), [(0.0, 0.0), (0.5, 1e-6)])
 def test_a_moving_free_hand_comes_to_rest_and_stays(tick, lag, resolution):
-    """Stable at every rate; behind a filter with measured rates or differences of angles."""
-    made, theta, rates = hold(tick, rate_lag=lag, resolution=resolution), THETA, SPEED
+    """Stable at every rate, also with rates that are half a tick late."""
+    made, theta, rates = hold(tick, resolution=resolution), THETA, SPEED
     made.engage(theta, rates, STILL)
     seen = rates
     for _ in range(round(1.0 / tick)):
         model = terms(theta, rates)
-        seen = seen + (1.0 - np.exp(-tick / lag) if lag else 1.0) * (rates - seen)
-        torque = made.step((theta, seen), model, follows=False)
+        torque = made.step((theta, lag * seen + (1.0 - lag) * rates), model, follows=False)
+        seen = rates
         theta = theta + 0.5 * tick * rates
         rates = rates + tick * np.linalg.solve(model.inertia, torque - model.bias)
         theta = theta + 0.5 * tick * rates
@@ -69,12 +68,12 @@ def test_a_moving_free_hand_comes_to_rest_and_stays(tick, lag, resolution):
     assert np.abs(theta - THETA).max() < 0.012
 
 
-def test_a_hold_is_as_stiff_as_its_delay_allows_and_differs_where_that_is_no_noise():
-    inertia, limits = np.diag([1e-4, 1e-4]), np.full(2, 1.5)
-    delay = 0.001, 0.001
-    assert stiffest(inertia, limits, *delay, 0.0, 1e-4) == (500.0, False)
-    assert stiffest(inertia, limits, *delay, 0.001, 1e-4) == (pytest.approx(1000.0 / 3.0), True)
-    assert stiffest(inertia, limits, *delay, 0.001, 2e-3) == (250.0, False)
+def test_a_hold_is_as_stiff_as_its_delay_allows_and_encoders_shake_it_little():
+    inertia, delay = np.diag(np.linspace(0.02, 0.08, 9)), (0.001, 0.001)
+    assert stiffest(HAND, inertia, *delay, 0.0) == 500.0
+    assert stiffest(HAND, inertia, *delay, 1e-9) == pytest.approx(1000.0 / 3.0)
+    shaken = stiffest(HAND, inertia, *delay, 1e-3)
+    assert shaken**2 * 0.08 * 1e-3 == pytest.approx(0.03 * HAND.finger_weight * HAND.spans.max())
 
 
 def test_braking_begins_without_a_step_of_the_torque_and_ends_in_a_spring():
@@ -133,7 +132,7 @@ def test_what_an_encoder_cannot_tell_is_no_load():
     for _ in range(2000):
         theta = THETA + step * random.integers(-1, 2, 9)
         torque = made.step((theta, STILL), model, follows=True)
-    found = torque - spring(model.inertia, W, THETA - theta, STILL)
+    found = torque - spring(model.inertia, made.bandwidth, THETA - theta, STILL)
     assert_allclose(found, PRESSED, atol=1e-9)
 
 
@@ -195,7 +194,7 @@ def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
 def stalled(folder, scale, mass, moment):
     """Run a guarded loop until its commands stop at a moment, s; return it after one more."""
     chosen = load_scenario("gravity", scaled_paper(folder, scale, mass))
-    guarded = GuardedLoop(chosen, chosen.plant.guard)
+    guarded = GuardedLoop(chosen)
     guarded.run(moment)
     watch = Watch(guarded)
     watch.run(1.0, answers=False)
@@ -218,48 +217,51 @@ def test_the_lightest_hand_keeps_the_object(tmp_path):
     assert not outcome.is_lost and outcome.moved < 1e-3
 
 
-@pytest.mark.parametrize(("mass", "warns"), [(0.03, False), (0.01, True)])
+@pytest.mark.parametrize(("mass", "warns"), [(0.05, False), (0.01, True)])
 def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     tmp_path, mass, warns
 ):
-    """At 1 kHz with torques three ticks late: 30 g a link are enough, 10 g are not."""
+    """At 1 kHz with torques three ticks late: 50 g a link are enough, 10 g are not."""
     chosen = load_scenario("gravity", scaled_paper(tmp_path, 0.25, mass))
-    guarded = GuardedLoop(chosen, chosen.plant.guard)
+    guarded = GuardedLoop(chosen)
     guarded.run(0.5)
     loop, controller = guarded.loop, guarded.loop.controller
     assert bool(controller.warning) == warns
     if warns:
         assert (
-            "would buckle: at 1000 Hz the hold has a bandwidth of 143 rad/s" in controller.warning
+            "would buckle: at 1000 Hz the hold has a bandwidth of 125 rad/s" in controller.warning
         )
         return
-    controller.step = lambda stamp, theta, rates, *_: controller.hold(theta, rates, "silence")
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(
+        theta, rates, "silence", stamp=stamp
+    )
     watch = Watch(guarded)
     watch.run(1.0, answers=True, delay=3)
     assert watch.moved < 3e-3 and loop.state.contacts.all_touching
 
 
-@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 1e-3), ("moving", 4e-3)])
+@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 4e-3), ("moving", 4e-3)])
 def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
     """At 250 Hz: a spring that is too soft lets two fingers buckle."""
-    guarded = GuardedLoop(scenario(situation, "processes"), GuardConfig())
+    guarded = GuardedLoop(scenario(situation, "processes"))
     guarded.run(SITUATIONS[situation].time + 0.1)
     loop, controller = guarded.loop, guarded.loop.controller
-    controller.step = lambda stamp, theta, rates, *_: controller.hold(theta, rates, "silence")
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(
+        theta, rates, "silence", stamp=stamp
+    )
     watch = Watch(guarded)
     watch.run(2.0, answers=True, delay=3)
     assert watch.moved < farthest and loop.state.contacts.all_touching
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
-@pytest.mark.parametrize("lag", [0.0, 0.0016, 0.01])
 @pytest.mark.parametrize("name", ["pull", "human_hold"])
-def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, lag, name):
+def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     plant = Plant(load_scenario(name).plant)
     grasp = plant.hand, plant.state.theta, plant.state.contacts
-    damping, stiffness = fitted_gains(*grasp, tick, lag, 0.03)
+    damping, stiffness = fitted_gains(*grasp, tick, 0.03)
     speed = np.linalg.eigvals(np.linalg.solve(plant.hand.dynamics(grasp[1], STILL)[1], damping))
-    assert_allclose(speed, min(1.0 / tick, 1.5 / (0.5 * tick + lag)))
+    assert_allclose(speed, 1.0 / tick)
     # A pose that is 30 ms late takes a quarter of a radian of each motion.
     most = largest_stiffness(*grasp, 1.0, 0.03)
     softest = np.linalg.eigvalsh(damping)[0]
