@@ -163,13 +163,14 @@ def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.sweep import results as tables
-    from tactile_hand_ros.sweep.figures import figures
+    from tactile_hand_ros.sweep.figures import figure
 
     results = tables.read_results(wanted, out)
     pictures = []
     for each in results:
-        for name, figure in figures(each).items():
-            pictures.append(save(figure, out, name, formats)[0])
+        if (drawn := figure(each)) is not None:
+            name = "_".join(filter(None, ("metrics", each.scenario)))
+            pictures.append(save(drawn, out, name, formats)[0])
     page = tables.write_summary(results, out, pictures)
     print_table(rich_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results)))
     print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))

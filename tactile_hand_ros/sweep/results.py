@@ -7,7 +7,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +25,6 @@ from tactile_hand_ros.sweep.table import Table, read_table
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 """A value and the ends of its 95 % interval."""
-
-
-class Effect(NamedTuple):
-    """How much a parameter moves a metric.
-
-    Attributes:
-        parameter: Its path.
-        metric: Its column.
-        value: Spearman's rank correlation.
-        low: Lower end of the 95 % interval.
-        high: Upper end.
-    """
-
-    parameter: str
-    metric: str
-    value: float
-    low: float
-    high: float
 
 
 class Results:
@@ -88,13 +70,15 @@ class Results:
         columns = {name: self.column(name) for name in self.metrics}
         return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
 
-    def effects(self) -> list[Effect]:
-        """Return the effect of each parameter on reaching the goal and on each metric."""
-        return [
-            Effect(path, name, *_correlation(self.column(path), self.column(name)))
+    def effects(self) -> list[tuple[str, str, float]]:
+        """Return parameter, metric or ``reached``, and rank correlation; the strongest first."""
+        every = [
+            (path, name, _correlation(self.column(path), self.column(name)))
             for name in (REACHED, *self.metrics)
             for path in self.parameters
         ]
+        known = [effect for effect in every if not math.isnan(effect[2])]
+        return sorted(known, key=lambda effect: -abs(effect[2]))
 
 
 def _is_number(parameter: Any) -> bool:
@@ -102,16 +86,12 @@ def _is_number(parameter: Any) -> bool:
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def _correlation(x: Array, y: Array) -> Interval:
-    """Return Spearman's rank correlation, with the interval of Bonett and Wright, 2000."""
+def _correlation(x: Array, y: Array) -> float:
+    """Return Spearman's rank correlation; NaN where it is not known."""
     known = np.isfinite(y)
-    x, y, n = x[known], y[known], int(known.sum())
-    if n < 4 or not np.ptp(x) or not np.ptp(y):
-        return math.nan, math.nan, math.nan
-    r = float(optional("scipy.stats", "A rank correlation").spearmanr(x, y).statistic)
-    z = math.atanh(max(-0.999999, min(0.999999, r)))
-    half = 1.96 * math.sqrt((1.0 + 0.5 * r * r) / (n - 3))
-    return r, math.tanh(z - half), math.tanh(z + half)
+    if known.sum() < 4 or not np.ptp(x[known]) or not np.ptp(y[known]):
+        return math.nan
+    return float(optional("scipy.stats", "A rank correlation").spearmanr(x[known], y[known])[0])
 
 
 def read_results(sweep: Sweep, folder: Path) -> list[Results]:
@@ -122,7 +102,7 @@ def read_results(sweep: Sweep, folder: Path) -> list[Results]:
 
 SUMMARY = "summary.md"
 FRACTION_COLUMNS = ("scenario", "outcome", "runs", "fraction", "95 % interval")
-EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation", "95 % interval")
+EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation")
 METRIC_COLUMNS = ("scenario", "metric", "runs", "median", "95 % interval")
 
 
@@ -145,14 +125,11 @@ def metric_rows(results: Sequence[Results]) -> list[list[str]]:
 
 
 def effect_rows(results: Sequence[Results]) -> list[list[str]]:
-    """Return sensitivities as text, the strongest first; what is unknown is left out."""
+    """Return rank correlations as text, columns as in `EFFECT_COLUMNS`."""
     return [
-        [_name(each), parameter, metric, *_texts(interval, _number)]
+        [_name(each), parameter, metric, _number(value)]
         for each in results
-        for parameter, metric, *interval in sorted(
-            (effect for effect in each.effects() if not math.isnan(effect.value)),
-            key=lambda effect: -abs(effect.value),
-        )
+        for parameter, metric, value in each.effects()
     ]
 
 

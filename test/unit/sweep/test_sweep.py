@@ -15,8 +15,9 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import load_scenario, plain
+from tactile_hand_ros.sweep.figures import figure
 from tactile_hand_ros.sweep.metrics import friction_margin, outcome
-from tactile_hand_ros.sweep.results import Results
+from tactile_hand_ros.sweep.results import Results, effect_rows
 from tactile_hand_ros.sweep.sweep import make_sweep
 
 MASS, FRICTION = "plant.object.mass=0.001..0.1:log", "plant.object.friction=0.2..1"
@@ -44,8 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_sweep_leaves_table_summary_and_figures(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert {"study.json", "runs.parquet", "runs.csv", "summary.md"} <= names
-    for scenario in ("paper", "pinch"):
-        assert {f"metrics_{scenario}.png", f"success_{scenario}.png"} <= names
+    assert {"metrics_paper.png", "metrics_pinch.png"} <= names
     table = pyarrow.csv.read_csv(folder / "runs.csv")
     assert table.num_rows == 24
     assert sorted(set(table["scenario"].to_pylist())) == ["paper", "pinch"]
@@ -136,6 +136,9 @@ def test_the_parameter_that_matters_is_found() -> None:
         table["plant.object.mass"] + 0.01 * table["plant.object.friction"]
     )
     table["outcome"] = np.array(["missed"] * 64)
-    effects = {e.parameter: e for e in Results(made, table).effects() if e.metric != "reached"}
-    assert effects["plant.object.mass"].value > 0.99
-    assert abs(effects["plant.object.friction"].value) < 0.4
+    results = Results(made, table)
+    effects = {path: value for path, name, value in results.effects() if name != "reached"}
+    assert effects["plant.object.mass"] > 0.99 and abs(effects["plant.object.friction"]) < 0.4
+    assert [row[1:3] for row in effect_rows([results])][0] == [*effects][:1] + results.metrics
+    [slips] = [axes for axes in figure(results).axes if axes.get_xlabel() == "plant.object.mass"]
+    np.testing.assert_array_equal(slips.lines[1].get_ydata(), table["max_slip_distance_m"])
