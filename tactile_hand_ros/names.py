@@ -42,6 +42,8 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"
 OF_ALL_NODES = ("/parameter_events", "/rosout")
 """Every node publishes there, also while it starts."""
+OF_ALL = (DIAGNOSTICS, *OF_ALL_NODES)
+"""Topics that every node has."""
 
 RESET = "~/reset"
 ENABLE = "~/enable"

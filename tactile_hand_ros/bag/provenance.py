@@ -15,6 +15,9 @@ RECORD_NAME = "tactile_hand_ros"
 SCENARIO_KEY = "scenario"
 """Key of the scenario's YAML text, in that record and in the bag's custom data."""
 
+LOST_KEY = "lost_messages"
+"""Key of the number of lost messages in the custom data; with a topic behind it, those of that."""
+
 # What can change a number; `pin` is the name of Pinocchio on the Python index only.
 _LIBRARIES = ("rclpy", "numpy", "osqp", "pin")
 

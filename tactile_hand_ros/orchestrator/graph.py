@@ -11,9 +11,6 @@ from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 
-OF_ALL = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
-"""Topics that every node has."""
-
 
 class DuplicateNodeError(TactileHandError):
     """A node of the same name already runs."""
@@ -72,6 +69,6 @@ def _ends(reports: Mapping[str, Mapping[str, str] | None], end: str) -> dict[str
     for name, values in reports.items():
         for key, count in (values or {}).items():
             kind, _, topic = key.partition(" ")
-            if kind == end and topic not in OF_ALL:
+            if kind == end and topic not in names.OF_ALL:
                 found.setdefault(topic, {})[name] = int(count)
     return found

@@ -7,16 +7,15 @@ import datetime
 import json
 import time
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from rich.table import Table
 
-from tactile_hand_ros.bag.provenance import versions
+from tactile_hand_ros.bag.provenance import LOST_KEY, versions
 from tactile_hand_ros.errors import TactileHandError, counted
 from tactile_hand_ros.files import replace_text
-from tactile_hand_ros.orchestrator.graph import OF_ALL
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
@@ -35,7 +34,6 @@ from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
 EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
-LOST_KEY = "lost_messages"
 _CTRL_C = 130  # exit code
 _SILENCE = 3.0  # s between two lines about a bag that is being read
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
@@ -93,7 +91,7 @@ def read_results(
         results = RunResults(run, run.metrics.to_dict(), recording)
     except TactileHandError as error:
         return RunResults(problems=[str(error)])
-    ticks, lost = results.metrics["ticks"], _lost(run.custom_data)
+    ticks, lost = results.metrics["ticks"], run.lost_messages or 0
     # In real time a late plant skips ticks.
     expected = plan.scenario.ticks if outcome.is_complete and _is_lockstep(plan) else None
     recording |= {"expected_ticks": expected, LOST_KEY: lost}
@@ -105,16 +103,6 @@ def read_results(
     if lost:
         results.problems.append(f"the recorder lost {counted(lost, 'message')}")
     return results
-
-
-def _lost(counts: Mapping[str, str]) -> int:
-    """Return how many messages of the hand were lost.
-
-    What a node publishes on the topics that every node has, before the recorder has found it, is
-    lost on a busy machine; the run is complete without it.
-    """
-    topics = {key.removeprefix(LOST_KEY): n for key, n in counts.items() if LOST_KEY in key}
-    return sum(int(n) for topic, n in topics.items() if topic and topic not in OF_ALL)
 
 
 def _is_lockstep(plan: Plan) -> bool:

@@ -17,14 +17,7 @@ from tactile_hand_ros.run.recording import BagMetrics
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
-LOST = "lost_messages"
 _VERSION = "version_"
-
-
-def lost_messages(run: RunData) -> int | None:
-    """Return how many messages the recorder lost, None where it does not say."""
-    text = run.custom_data.get(LOST, "")
-    return int(text) if text.isdigit() else None
 
 
 def passed(run: RunData) -> bool | None:
@@ -47,7 +40,7 @@ def tiles(run: RunData) -> list[dict[str, Any]]:
 def _recording_tiles(run: RunData, bag: BagMetrics) -> list[dict[str, Any]]:
     return [
         _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
-        _recorded(bag.messages, lost_messages(run)),
+        _recorded(bag.messages, run.lost_messages),
     ]
 
 
@@ -134,7 +127,7 @@ def all_tables(run: RunData) -> list[dict[str, Any]]:
 def _recording_rows(run: RunData) -> list[list[str]]:
     if run.bag_metrics is None:
         return []
-    lost = lost_messages(run)
+    lost = run.lost_messages
     first, *rest = tables.bag_rows(run.bag_metrics)
     return [first, ["messages lost", "not recorded" if lost is None else str(lost)], *rest]
 

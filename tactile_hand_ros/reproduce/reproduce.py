@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -176,8 +175,8 @@ _LAW_NUMBERS = {
     "largest_rolling_m": ("rolling", 1e3, "mm"),
     "stiffness_N_per_m": ("stiffness", 1.0, "N/m"),
 }
-"""Head, factor and unit of each of `law_numbers`."""
-LAW_COLUMNS = ("law", *(head for head, _, _ in _LAW_NUMBERS.values()))
+"""Name, factor and unit of each of `law_numbers`."""
+LAW_COLUMNS = ("law", *LAWS)
 _COLORS = {ClaimVerdict.HOLDS: "green", ClaimVerdict.PARTLY: "yellow", ClaimVerdict.FAILS: "red"}
 
 
@@ -189,11 +188,11 @@ def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
 def law_rows(result: Reproduction) -> list[list[str]]:
     """Return the comparison of laws as text, columns as in `LAW_COLUMNS`."""
     rows = []
-    for law, numbers in result.laws.items():
-        cells = [number(f * numbers[name], unit) for name, (_, f, unit) in _LAW_NUMBERS.items()]
-        if math.isnan(numbers["first_contact_loss_s"]):
-            cells[list(_LAW_NUMBERS).index("first_contact_loss_s")] = "never"
-        rows.append([law, *cells])
+    for name, (head, factor, unit) in _LAW_NUMBERS.items():
+        cells = [number(factor * result.laws[law][name], unit) for law in LAWS]
+        if name == "first_contact_loss_s":
+            cells = [cell.replace("unknown", "never") for cell in cells]
+        rows.append([head, *cells])
     return rows
 
 

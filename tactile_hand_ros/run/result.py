@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from tactile_hand_ros import names
+from tactile_hand_ros.bag.provenance import LOST_KEY
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.extras import optional
@@ -62,6 +64,17 @@ class RunData:
         self.name = "run" if scenario is None else scenario.name
         self.scenario_text = "" if scenario is None else resolved(scenario)
         self.latencies = np.full(len(record), np.nan)
+
+    @property
+    def lost_messages(self) -> int | None:
+        """How many messages of the hand the recorder lost, None where it does not say.
+
+        What a node publishes on the topics that every node has, before the recorder has found it,
+        is lost on a busy machine; the run is complete without it.
+        """
+        noted = {k.removeprefix(LOST_KEY): n for k, n in self.custom_data.items() if LOST_KEY in k}
+        counts = [n for topic, n in noted.items() if topic and topic not in names.OF_ALL]
+        return sum(int(n) for n in counts if n.isdigit()) if noted else None
 
     @cached_property
     def metrics(self) -> Metrics:

@@ -30,7 +30,7 @@ from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import LawFactory
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.errors import BagError, GraspError
+from tactile_hand_ros.errors import BagError, GraspError, counted
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, changed
@@ -148,8 +148,8 @@ def reason(run: Run) -> str:
     ]
     if others:
         return f": {'; '.join(others)}."
-    if int(data.get("lost_messages", 0)):
-        return f": {data['lost_messages']} messages are missing from the bag."
+    if run.lost_messages:
+        return f": {counted(run.lost_messages, 'message')} of the hand were lost while recording."
     return "; changed code, or a node that was started again, may be the reason."
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from rclpy.node import Node
 
 from tactile_hand_ros.bag.metadata import offered_qos
-from tactile_hand_ros.bag.provenance import RECORD_NAME, provenance
+from tactile_hand_ros.bag.provenance import LOST_KEY, RECORD_NAME, provenance
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
@@ -115,9 +115,9 @@ class Recording:
             return
         self._last_call()
         lost = self.lost()
-        self.writer.custom_data["lost_messages"] = str(sum(lost.values()))
+        self.writer.custom_data[LOST_KEY] = str(sum(lost.values()))
         for name, count in lost.items():
-            self.writer.custom_data[f"lost_messages{name}"] = str(count)
+            self.writer.custom_data[LOST_KEY + name] = str(count)
         self.writer.close()
 
     def _last_call(self) -> None:

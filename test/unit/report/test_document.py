@@ -48,7 +48,7 @@ def pulled() -> tuple[Scenario, Any]:
 
 def recorded_run(folder: Path) -> Run:
     scenario, record = pulled()
-    told = {"scenario": resolved(scenario), "lost_messages": "2", "version_numpy": "2.4"}
+    told = {"scenario": resolved(scenario), "lost_messages/clock": "2", "version_numpy": "2.4"}
     return Run(write_record(folder / "bag", record, custom_data=told))
 
 
