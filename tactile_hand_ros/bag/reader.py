@@ -25,19 +25,17 @@ _OFTEN = 10_000  # messages between two reports of progress
 
 
 class RecordedMessage(NamedTuple):
-    """One decoded message; log time in ns since the epoch."""
-
-    topic: str
-    log_time: int
-    message: Any
-
-
-class RawMessage(NamedTuple):
-    """One serialized message; log time in ns since the epoch."""
+    """One message as its recorded bytes; log time in ns since the epoch."""
 
     topic: str
     log_time: int
     data: bytes
+    type: str
+
+    @property
+    def message(self) -> Any:
+        """The message itself; raises a `BagError` as `decode`."""
+        return decode(self.type, self.data)
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ def summarize(path: Path | str) -> BagSummary:
 def read_messages(
     path: Path | str, topics: Collection[str] | None = None
 ) -> Iterator[RecordedMessage]:
-    """Yield decoded messages in order of their log time.
+    """Yield messages in order of their log time.
 
     Args:
         path: Bag folder or file.
@@ -122,17 +120,9 @@ def read_messages(
     Raises:
         BagError: If the bag cannot be read.
     """
-    with open_bag(path) as reader, _damage_refused(path):
-        for connection, log_time, data in _messages(reader, topics):
-            message = reader.deserialize(data, connection.msgtype)
-            yield RecordedMessage(connection.topic, log_time, message)
-
-
-def read_raw(path: Path | str, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-    """Yield messages as their recorded bytes; arguments and errors as `read_messages`."""
     with open_bag(path) as reader:
         for connection, log_time, data in _messages(reader, topics):
-            yield RawMessage(connection.topic, log_time, bytes(data))
+            yield RecordedMessage(connection.topic, log_time, bytes(data), connection.msgtype)
 
 
 class TopicMessages(NamedTuple):

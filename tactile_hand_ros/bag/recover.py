@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
-from tactile_hand_ros.bag.reader import check_regular, find_bag, read_raw, summarize
+from tactile_hand_ros.bag.reader import check_regular, find_bag, read_messages, summarize
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError, counted
@@ -84,7 +84,7 @@ def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
 def is_whole(bag: Path) -> bool:
     """Return whether nothing is missing in a bag; all of it is read."""
     try:
-        return sum(1 for _ in read_raw(bag)) == summarize(bag).message_count
+        return sum(1 for _ in read_messages(bag)) == summarize(bag).message_count
     except BagError:
         return False
 

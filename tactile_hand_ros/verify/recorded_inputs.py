@@ -144,7 +144,7 @@ def _configurations(run: Run, node: str, config: Config) -> list[Change]:
     topic = run.topics.full(names.accepted_parameters(node))
     changes = [
         Change(nanoseconds(event.stamp), PARAMETERS, config.changed(_values(event)))
-        for _, _, event in read_messages(run.bag, [topic])
+        for event in (each.message for each in read_messages(run.bag, [topic]))
     ]
     # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
     stamps = [change.stamp for change in changes]

@@ -19,7 +19,7 @@ from support.messages import encoded
 from visualization_msgs.msg import MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
@@ -132,7 +132,7 @@ def bags(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pa
 def payloads(bag: Path) -> dict[str, list[bytes]]:
     """Return the bytes of every topic, a tick that was sent again counted once."""
     found: dict[str, list[bytes]] = {}
-    for message in read_raw(bag, [f"/{topic}" for topic in TICK_TOPICS]):
+    for message in read_messages(bag, [f"/{topic}" for topic in TICK_TOPICS]):
         found.setdefault(message.topic, []).append(message.data)
     return {topic: [data for data, _ in groupby(sent)] for topic, sent in found.items()}
 

@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from tactile_hand_ros.bag.reader import read_messages, read_raw, summarize
+from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import (
@@ -125,7 +125,7 @@ def test_everything_sent_before_the_end_is_in_the_bag(
     for topic in ("/left/joint_states", "/left/tactile/index/wrench", "/clock"):
         assert summary.counts[topic] == COUNT
     assert summary.custom_data["lost_messages"] == "0"
-    raw = [m.data for m in read_raw(tmp_path / "bag", ["/left/joint_states"])]
+    raw = [m.data for m in read_messages(tmp_path / "bag", ["/left/joint_states"])]
     assert [deserialize_message(data, JointState) for data in raw] == [
         joint_state(i) for i in range(COUNT)
     ]

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import PATIENCE, Graph
 
-from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.ros.middleware import isolated_domain
@@ -79,7 +79,7 @@ def domain() -> Iterator[int]:
 def payloads(bag: Path) -> dict[str, list[bytes]]:
     """Return the messages of a bag by topic."""
     found: dict[str, list[bytes]] = {}
-    for message in read_raw(bag):
+    for message in read_messages(bag):
         found.setdefault(message.topic, []).append(message.data)
     return found
 

@@ -71,7 +71,7 @@ def test_every_pose_arrives_and_refusals_are_answered(
     hand.send(signal.SIGINT)
     assert hand.wait(PATIENCE) == 0, hand.stderr
     run = Run(tmp_path / "runs" / "latest")
-    points = [m.pose.position for _, _, m in read_messages(run.bag, ["/accepted/desired_pose"])]
+    points = [m.message.pose.position for m in read_messages(run.bag, ["/accepted/desired_pose"])]
     commanded = [(0.0, 0.0436, 0.4118), (0.0, 0.0436, 0.4108)]
     # One that comes together with a reset is taken on both sides of it.
     assert list(dict.fromkeys((p.x, p.y, p.z) for p in points)) == [*POSES, *commanded]

@@ -123,7 +123,7 @@ def use(bag: Path) -> None:
     """Do with a bag what the commands do, each whether or not the one before was refused."""
     calls: list[Callable[[], object]] = [
         lambda: summarize(bag),
-        lambda: list(read_messages(bag)),
+        lambda: [each.message for each in read_messages(bag)],
         lambda: recover(bag, bag.parent / "out"),
     ]
     for call in calls:

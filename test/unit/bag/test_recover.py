@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Writer as ForeignWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_hand_ros.bag.metadata import BagMetadata, dump, offered_qos
-from tactile_hand_ros.bag.reader import find_bag, read_raw, summarize
+from tactile_hand_ros.bag.reader import find_bag, read_messages, summarize
 from tactile_hand_ros.bag.recover import is_whole, recover
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
@@ -74,8 +74,8 @@ def test_cut_at_any_byte_all_whole_chunks_come_back(
     (folder / "metadata.yaml").unlink()
     recovery = recover(folder)
     assert file.read_bytes() == before and os.listdir(folder) == ["run_0.mcap"]
-    got = [m.data for m in read_raw(recovery.target)]
-    assert got == [m.data for m in read_raw(whole)][: len(got)]
+    got = [m.data for m in read_messages(recovery.target)]
+    assert got == [m.data for m in read_messages(whole)][: len(got)]
     assert len(got) == recovery.messages >= chunked(before)
     summary = summarize(recovery.target)
     assert summary.message_count == len(got)
@@ -112,7 +112,7 @@ def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
     damage(tmp_path / "run" / "run_0.mcap", flip)
     assert not is_whole(tmp_path / "run")
     recovery = recover(tmp_path / "run", tmp_path / "out")
-    got = {m.data for m in read_raw(recovery.target)}
+    got = {m.data for m in read_messages(recovery.target)}
     assert got < set(sent) and sent[100] not in got
     assert len(got) > COUNT - 60 and recovery.left > 500
     assert f"{recovery.left} bytes could not be used" in recovery.sentence
@@ -154,7 +154,10 @@ def test_bag_of_others_of_several_files(tmp_path: Path) -> None:
                 writer.write(connection, 100 * number + i, payload(100 * number + i))
         (part / f"{number}.mcap").rename(folder / f"foreign_{number}.mcap")
     recovery = recover(folder)
-    assert [m.log_time for m in read_raw(recovery.target)] == [*range(200, 205), *range(1000, 1005)]
+    assert [m.log_time for m in read_messages(recovery.target)] == [
+        *range(200, 205),
+        *range(1000, 1005),
+    ]
     assert [topic.name for topic in recovery.metadata.topics] == ["/a"]
     assert os.listdir(recovery.target) and is_whole(recovery.target)
     with AnyReader([recovery.target]) as reader:

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
 import tactile_hand_ros
-from tactile_hand_ros.bag.reader import read_raw, summarize
+from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
@@ -80,7 +80,7 @@ class Stage:
 
     def recorded(self) -> dict[str, list[int]]:
         found: dict[str, list[int]] = {}
-        for message in read_raw(self.bag):
+        for message in read_messages(self.bag):
             number = int.from_bytes(message.data[4:12], "little")
             found.setdefault(message.topic, []).append(number)
         return found

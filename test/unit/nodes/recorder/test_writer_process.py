@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tactile_hand_ros.bag.reader import read_raw
+from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
@@ -71,7 +71,7 @@ def test_what_finds_no_room_is_counted_as_lost(
     assert 0 < writer.lost[channel] < 300
     os.kill(writer.process_id, signal.SIGCONT)
     writer.close()
-    numbers = [int.from_bytes(m.data[12:16], "little") for m in read_raw(tmp_path / "bag")]
+    numbers = [int.from_bytes(m.data[12:16], "little") for m in read_messages(tmp_path / "bag")]
     assert numbers == list(range(400 - writer.lost[channel]))
 
 
@@ -126,7 +126,7 @@ def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path: Path) -> None:
     assert sender.returncode == -signal.SIGKILL
     wait_until(lambda: not psutil.pid_exists(int(sender.stdout)))
     assert not (folder / "metadata.yaml").exists()
-    (message,) = read_raw(recover(folder).target)
+    (message,) = read_messages(recover(folder).target)
     assert (message.data, message.log_time) == (MESSAGE, 1)
 
 
