@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import enum
 import reprlib
-import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -16,9 +15,6 @@ from pydantic.fields import FieldInfo
 from tactile_hand_ros.errors import ConfigurationError, nearest, shortened
 
 _MOST_LISTED = 30  # names in a sentence
-
-LOOKALIKE = "it is not a number"
-"""Why a truth value is refused where a number is meant."""
 
 Source = str | Callable[[str], str]
 """Where a value came from: the name of a file or interface, or a function of its dotted place."""
@@ -46,19 +42,21 @@ def _place(location: Iterable[int | str]) -> str:
 
 
 def _sentence(finding: Any, model: type[BaseModel]) -> str:
-    location, kind, given = finding["loc"], finding["type"], finding.get("input")
+    """Return pydantic's finding as a sentence with place, value, what it should be and its unit."""
+    location, kind, told = finding["loc"], finding["type"], finding["msg"].rstrip(".")
     place = _place(location) or "the content"
+    field = _walk(model, location)[1]
+    unit = f" [{unit_of(field)}]" if field is not None and unit_of(field) else ""
     if kind == "extra_forbidden":
         return _unknown_key(location, model)
     if kind == "missing":
-        return f"{place} is missing, expected {allowed_at(model, location)}."
-    reason = str(finding.get("ctx", {}).get("error", LOOKALIKE)).rstrip(".")
-    if reason != LOOKALIKE:
+        return f"{place} is missing, expected the {field.description if field else 'value'}{unit}."
+    if kind == "value_error":
+        reason = told.removeprefix("Value error, ")
         return f"{place} is refused: {reason}." if location else f"{reason}."
-    expected = allowed_at(model, location)
-    if location and isinstance(location[-1], int):  # an item's limits are not the list's
-        expected = " ".join([expected, *_phrases(finding.get("ctx", {}).get)])
-    return f"{place} is {value_text(given)}, expected {expected}."
+    _, should, expected = told.partition(" should ")
+    told = f"but{should}{expected}" if should else told
+    return f"{place} is {value_text(finding.get('input'))}, {told}{unit}."
 
 
 def value_text(value: Any) -> str:
@@ -109,46 +107,13 @@ def _walk(model: type[BaseModel], location: Iterable[int | str]) -> tuple[Any, F
     return annotation, field
 
 
-def allowed_at(model: type[BaseModel], location: Iterable[int | str]) -> str:
-    """Describe in words what a place in a model accepts."""
-    location = tuple(location)
-    annotation, field = _walk(model, location)
-    if not location or field is None:
-        return "a mapping of " + ", ".join(model.model_fields)
-    if isinstance(location[-1], int):
-        return " ".join(filter(None, [_kind(annotation), unit_of(field)]))
-    return allowed(annotation, field)
-
-
 def allowed(annotation: Any, field: FieldInfo) -> str:
-    """Describe in words what a field accepts, e.g. ``a finite number >= 0 and <= 1 N``."""
-    limits = " and ".join(_phrases(lambda name: bound_of(field, name)))
-    unit = unit_of(field)
-    if is_sequence(annotation):
-        item = _kind(element_type(annotation))
-        parts = ["a list", limits, "of which each item is", item, unit]
-    else:
-        parts = [_kind(annotation), limits, unit]
-    return " ".join(filter(None, parts))
-
-
-_KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text"}
-
-
-def _kind(annotation: Any) -> str:
-    choices = choices_of(annotation)
-    if choices:
+    """Describe what a field accepts besides its type, such as ``>= 0 and <= 1 N``."""
+    if choices := choices_of(annotation):
         return "one of " + ", ".join(choices)
-    if is_sequence(annotation):
-        return f"a list of which each item is {_kind(element_type(annotation))}"
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        kinds = [_kind(part) for part in typing.get_args(annotation)]
-        return " or ".join(kinds)
-    if _is_model(annotation):
-        return "a mapping of " + ", ".join(annotation.model_fields)
-    if annotation is type(None):
-        return "nothing"
-    return _KINDS.get(annotation, "a valid value")
+    bounds = ((phrase, bound_of(field, name)) for name, phrase in _LIMITS.items())
+    limits = [phrase.format(bound) for phrase, bound in bounds if bound is not None]
+    return " ".join(filter(None, [" and ".join(limits), unit_of(field)]))
 
 
 _LIMITS = {
@@ -159,11 +124,6 @@ _LIMITS = {
     "min_length": "with at least {} items",
     "max_length": "with at most {} items",
 }
-
-
-def _phrases(bound_named: Callable[[str], Any]) -> list[str]:
-    bounds = ((phrase, bound_named(name)) for name, phrase in _LIMITS.items())
-    return [phrase.format(bound) for phrase, bound in bounds if bound is not None]
 
 
 SEQUENCES = (list, tuple)

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic.fields import FieldInfo
 
 from tactile_hand_ros.config.explanation import (
-    LOOKALIKE,
     SEQUENCES,
     Source,
     after_source,
@@ -68,7 +67,7 @@ class Config(BaseModel):
         if element_type(annotation) in (int, float):
             items = value if isinstance(value, SEQUENCES) else (value,)
             if any(isinstance(item, bool) for item in items):
-                raise ValueError(LOOKALIKE)
+                raise ValueError("true or false is not a number")
         return value
 
     def changed(self: C, changes: Mapping[str, Any]) -> C:

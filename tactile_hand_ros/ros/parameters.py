@@ -312,7 +312,7 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     described = ParameterDescriptor(
         type=kind.value,
         description=f"{field.description or ''} [{unit}]" if unit else field.description or "",
-        additional_constraints=f"expects {allowed(field.annotation, field)}",
+        additional_constraints=allowed(field.annotation, field),
         read_only=read_only,
     )
     if kind is Type.DOUBLE:

@@ -29,9 +29,12 @@ def hand(names: list[str], **more: Any) -> HandConfig:
 @pytest.mark.parametrize(
     ("fingers", "message"),
     [
-        (["thumb"] * 3, "^fingers.0. is 'thumb', expected a mapping of name, tip, radius.$"),
-        (None, "^fingers is None, expected a list with at least 3 items and with at most 32 items"),
-        ({"thumb": {"tip": "a"}}, "^fingers is {'thumb': {'tip': 'a'}}, expected a list with"),
+        (["thumb"] * 3, "^fingers.0. is 'thumb', but should be a valid dictionary"),
+        (None, "^fingers is None, but should be a valid list.$"),
+        (
+            {"thumb": {"tip": "a"}},
+            "^fingers is {'thumb': {'tip': 'a'}}, but should be a valid list",
+        ),
         ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(33)], "at most 32 items"),
         ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(2)], "at least 3 items"),
     ],

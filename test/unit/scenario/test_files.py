@@ -32,7 +32,7 @@ def test_a_law_may_be_named_in_four_ways(tmp_path):
         read_layers(path)
     for text in ("law: contact\nmanipulation_controller: 7\n", "law: 7\n"):
         path.write_text(text)
-        with pytest.raises(ConfigurationError, match="is 7, expected a mapping"):
+        with pytest.raises(ConfigurationError, match="is 7, but should be a valid dictionary"):
             load_scenario(str(path))
 
 

@@ -113,7 +113,7 @@ def test_the_object_is_a_box_unless_corners_are_given():
         ({"inertia": (1.0, -1.0, 1.0)}, "expected three positive values"),
         ({"inertia": (1.0, 3.1, 2.0)}, "a principal inertia above the sum.*lower 3.1 to 3 or less"),
         ({"vertices": [1.0, 2.0]}, "expected x, y, z of every corner"),
-        ({"vertices": [0.1] * 1503}, "with at most 1500 items"),
+        ({"vertices": [0.1] * 1503}, "should have at most 1500 items"),
         ({"mass": 0.0}, "mass is 0.0"),
         ({"friction": -1.0}, "friction is -1.0"),
     ],

@@ -78,7 +78,7 @@ def test_bad_input_is_refused_in_a_sentence(
 
     assert "did you mean 'plant.object.mass'" in sweep("paper", "--over=plant.object.mas=1..2")
     assert "expected the lower bound first" in sweep("paper", "--over=plant.object.mass=2..1")
-    assert "expected a finite number > 0" in sweep("paper", "--over=plant.object.mass=-1..1")
+    assert "should be greater than 0" in sweep("paper", "--over=plant.object.mass=-1..1")
     assert "nothing is varied" in sweep("paper")
     assert "did you mean 'paper'" in sweep("papr", f"--over={MASS}")
     assert "did you mean 'latin'" in sweep("paper", f"--over={MASS}", "--sampler=latn")
