@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile_hand_ros.errors import ConfigurationError
-
 if TYPE_CHECKING:
     from tactile_hand_ros.orchestrator.steering import HandClient
 
@@ -21,7 +19,6 @@ TimeoutOption = Annotated[
     float, typer.Option(min=0.1, help="Longest wait for the hand and for its answer [s].")
 ]
 
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _TIMEOUT = 5.0
 
 
@@ -29,32 +26,23 @@ def move(
     x: Annotated[float, typer.Argument(help="p_d of the contact centroid, palm frame [m].")],
     y: Annotated[float, typer.Argument(help="The same.")],
     z: Annotated[float, typer.Argument(help="The same.")],
-    rotate: Annotated[
-        tuple[str, float] | None,
-        typer.Option(
-            metavar="AXIS ANGLE", help="Turn from here about x, y or z of the palm [degrees]."
-        ),
-    ] = None,
     rotation: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
             metavar="RX RY RZ",
-            help="The orientation itself, as rotation vector in the palm frame [degrees].",
+            help="Its orientation as a rotation vector in the palm frame [degrees].",
         ),
     ] = None,
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Move the object in a running hand; without a rotation it keeps its orientation.
+    """Move the object in a running hand; without --rotation it keeps its orientation.
 
     Exit code 0: the hand accepts the pose; 2: it refuses, or there is no hand.
     """
-    if rotate is not None and rotation is not None:
-        raise ConfigurationError("--rotate and --rotation are given; give one")
-    turn = rotation if rotation is not None else _turn(rotate)
+    turn = None if rotation is None else [math.radians(v) for v in rotation]
     with _hand(namespace, timeout) as hand:
-        radians = [math.radians(v) for v in turn]
-        since, vector = hand.move([x, y, z], radians, absolute=rotation is not None)
+        since, vector = hand.move([x, y, z], turn)
     degrees = ", ".join(f"{round(math.degrees(v), 3) + 0.0:g}" for v in vector)
     print(
         f"the target is ({x:g}, {y:g}, {z:g}) m, rotation ({degrees}) degrees, from "
@@ -94,16 +82,6 @@ def reset(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) ->
     """Put a running simulation back to its start; a real hand forgets grasp and targets."""
     with _hand(namespace, timeout) as hand:
         print(hand.reset())
-
-
-def _turn(rotate: tuple[str, float] | None) -> tuple[float, ...]:
-    """Return the rotation vector of an axis and an angle, in degrees."""
-    if rotate is None:
-        return (0.0, 0.0, 0.0)
-    axis, angle = rotate
-    if axis.lower() not in _AXES:
-        raise ConfigurationError(f"--rotate: the axis is '{axis}', expected x, y or z")
-    return tuple(angle * part for part in _AXES[axis.lower()])
 
 
 @contextlib.contextmanager

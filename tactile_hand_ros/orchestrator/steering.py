@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -178,13 +178,15 @@ class HandClient:
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
 
-    def move(self, position: ArrayLike, turn: ArrayLike, *, absolute: bool) -> tuple[float, Array]:
+    def move(
+        self, position: Sequence[float], rotation: Sequence[float] | None
+    ) -> tuple[float, Array]:
         """Ask for a pose of the grasp.
 
         Args:
             position: p_d of the contact centroid, palm frame, shape (3,), m.
-            turn: Rotation vector, palm axes, shape (3,), rad.
-            absolute: Whether the turn is the orientation itself, or counts from the present one.
+            rotation: Orientation as a rotation vector in the palm frame, shape (3,), rad; None for
+                that of the grasp.
 
         Returns:
             The simulated time from which the pose is the target [s], and its orientation as a
@@ -194,16 +196,23 @@ class HandClient:
             ConfigurationError: If a number is not finite.
             SteeringError: If there is no hand, or it refuses.
         """
-        _check_finite([*np.ravel(position), *np.ravel(turn)])
+        _check_finite([*position, *(rotation or ())])
         publisher = self._node.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
-        now = np.eye(3) if absolute else self._orientation()
-        orientation = rotation_from_vector(turn) @ now
-        quaternion = quaternion_from_rotation(orientation)
-        data = PoseCodec().encode(np.asarray(position, dtype=np.float64), quaternion, 0)
+        quaternion = np.full(4, np.nan)
+        if rotation is not None:
+            quaternion = quaternion_from_rotation(rotation_from_vector(rotation))
+        data = PoseCodec(nan_allowed=True).encode(np.array(position), quaternion, 0)
         wanted = deserialize_message(data, PoseStamped).pose
-        accepted = (PoseStamped, names.ACCEPTED_POSE, lambda message: message.pose == wanted)
-        since = self._send(publisher, data, names.CONTROLLER, names.DESIRED_POSE, accepted)
-        return since, vector_from_rotation(orientation)
+
+        def is_ours(message: PoseStamped) -> bool:
+            is_turned = rotation is None or message.pose.orientation == wanted.orientation
+            return bool(is_turned and message.pose.position == wanted.position)
+
+        accepted = (PoseStamped, names.ACCEPTED_POSE, is_ours)
+        taken = self._send(publisher, data, names.CONTROLLER, names.DESIRED_POSE, accepted)
+        q = taken.pose.orientation
+        orientation = rotation_from_quaternion([q.x, q.y, q.z, q.w])
+        return 1e-9 * stamp_to_ns(taken.header.stamp), vector_from_rotation(orientation)
 
     def grasp_force(self, force: float) -> tuple[float, str]:
         """Ask for a grasp force k_f [N].
@@ -229,8 +238,9 @@ class HandClient:
         publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
         message = Float64(data=force)
-        since = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
+        taken = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
         _spin(self._executor, lambda: bool(modes), _MODE_WAIT)
+        since = 1e-9 * stamp_to_ns(taken.header.stamp)
         return since, modes[-1] if modes else ""
 
     def grasp(self, close: bool) -> str:
@@ -267,20 +277,6 @@ class HandClient:
         self._call(Trigger, f"{names.REGULATOR}/reset", Trigger.Request())
         return self._call(Trigger, last, Trigger.Request())
 
-    def _orientation(self) -> Array:
-        """Return the present orientation of the grasp, shape (3, 3)."""
-        found: list[bytes] = []
-        self._node.create_subscription(
-            PoseStamped, names.AUXILIARY_POSE, found.append, qos.tick_qos(), raw=True
-        )
-        self._wait(lambda: self._node.count_subscribers(names.DESIRED_POSE) > 0, self._absence())
-        self._wait(
-            lambda: bool(found),
-            "the hand does not know the pose of its grasp now (nothing on auxiliary_pose within "
-            f"{self._timeout:g} s); is it running, and do all fingers touch?",
-        )
-        return rotation_from_quaternion(PoseCodec().decode(found[0])[1].quaternion)
-
     def _send(
         self,
         publisher: Any,
@@ -288,8 +284,8 @@ class HandClient:
         node: str,
         topic: str,
         accepted: tuple[Any, str, Callable[[Any], bool]],
-    ) -> float:
-        """Send a command to a node and return the time in its acceptance [s]."""
+    ) -> Any:
+        """Send a command to a node and return the message in which it accepts it."""
         taken: list[Any] = []
         refused: list[DiagnosticArray] = []
         kind, name, is_ours = accepted
@@ -322,7 +318,7 @@ class HandClient:
         self._wait(answered, f"the hand has not answered within {self._timeout:g} s; is it paused?")
         if not taken:
             raise SteeringError(f"the hand refuses: {_reason(refused, topic)}")
-        return 1e-9 * stamp_to_ns(taken[0].header.stamp)
+        return taken[0]
 
     def _call(self, kind: Any, service: str, request: Any) -> str:
         client = self._node.create_client(kind, service)

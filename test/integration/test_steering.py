@@ -57,9 +57,9 @@ def test_every_pose_arrives_and_refusals_are_answered(
     for position in POSES:
         publish_once(domain, position)
     wait = ["--timeout", "60"]
-    assert main(["move", "0.0", "0.0436", "0.4118", "--rotate", "z", "-3", *wait]) == 0
+    assert main(["move", "0.0", "0.0436", "0.4118", "--rotation", "0", "0", "-3", *wait]) == 0
     said = capsys.readouterr().out
-    assert "the target is (0, 0.0436, 0.4118) m, rotation (" in said and ", -3) degrees" in said
+    assert "the target is (0, 0.0436, 0.4118) m, rotation (0, 0, -3) degrees" in said
     assert main(["move", "0.0", "-0.5", "0.4", *wait]) == 2
     assert "the hand refuses: desired pose" in capsys.readouterr().err
     assert main(["squeeze", "12", *wait]) == 0

@@ -66,8 +66,9 @@ class Hand:
 
     def _on_pose(self, message: PoseStamped) -> None:
         self.poses.append(message)
-        accepted = PoseStamped(header=OTHER.header, pose=message.pose)
-        accepted.header.stamp = force_message((0.0, 0.0, 0.0), STAMP, "").header.stamp
+        point, turn = message.pose.position, message.pose.orientation
+        q = NOW.as_quat() if np.isnan(turn.w) else [turn.x, turn.y, turn.z, turn.w]
+        accepted = pose_message((point.x, point.y, point.z), np.array(q), STAMP)
         self._answer(names.DESIRED_POSE, accepted, OTHER)
 
     def _on_force(self, message: Float64) -> None:
@@ -117,10 +118,6 @@ def served(context: Context) -> Iterator[dict[str, Hand]]:
     ]
     for sender in senders:
         sender.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
-    node = hands[""].node
-    publisher = node.create_publisher(PoseStamped, names.AUXILIARY_POSE, qos.tick_qos())
-    now = pose_message((0.0, 0.0, 0.0), NOW.as_matrix(), 1)
-    node.create_timer(0.01, lambda: publisher.publish(now))
     with spinning(*(hand.node for hand in hands.values())):
         yield hands
     for node in (*senders, *(hand.node for hand in hands.values())):
@@ -142,18 +139,19 @@ def client(context: Context) -> Iterator[HandClient]:
         yield HandClient(node, 30.0)
 
 
-@pytest.mark.parametrize("absolute", [True, False])
-def test_a_pose_is_asked_for_once_and_counts_from_the_present_or_from_the_palm(
-    hand: Hand, client: HandClient, absolute: bool
+@pytest.mark.parametrize("turn", [[0.1, -0.2, 0.3], None])
+def test_a_pose_is_asked_for_once_and_may_keep_the_orientation_of_the_grasp(
+    hand: Hand, client: HandClient, turn: list[float] | None
 ) -> None:
-    turn = [0.1, -0.2, 0.3]
-    since, vector = client.move([0.1, 0.2, 0.3], turn, absolute=absolute)
-    wanted = Rotation.from_rotvec(turn) * (Rotation.identity() if absolute else NOW)
+    since, vector = client.move([0.1, 0.2, 0.3], turn)
+    wanted = NOW if turn is None else Rotation.from_rotvec(turn)
     [message] = hand.poses
     point, q = message.pose.position, message.pose.orientation
     assert since == pytest.approx(12.5) and (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
     assert (Rotation.from_rotvec(vector) * wanted.inv()).magnitude() < 1e-9
-    assert (Rotation.from_quat([q.x, q.y, q.z, q.w]) * wanted.inv()).magnitude() < 1e-9
+    sent = [q.x, q.y, q.z, q.w]
+    assert np.isnan(sent).all() == (turn is None)
+    assert turn is None or (Rotation.from_quat(sent) * wanted.inv()).magnitude() < 1e-9
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # from now on
 
 
@@ -180,7 +178,7 @@ def test_a_number_that_is_not_finite_is_refused_before_anything_is_sent(
     hand: Hand, client: HandClient, wrong: float
 ) -> None:
     with pytest.raises(ConfigurationError, match="is not a finite number"):
-        client.move([wrong, 0.0, 0.0], [0.0] * 3, absolute=True)
+        client.move([wrong, 0.0, 0.0], [0.0] * 3)
     with pytest.raises(ConfigurationError, match="is not a finite number"):
         client.grasp_force(wrong)
     assert (hand.poses, hand.forces) == ([], [])
@@ -198,7 +196,7 @@ def test_what_stays_without_an_answer_is_sent_again(
 def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
     hand.reason = "too far"
     for command in (
-        lambda: client.move([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], absolute=True),
+        lambda: client.move([0.0, 0.0, 0.0], None),
         lambda: client.grasp_force(7.0),
         lambda: client.grasp(True),
     ):
@@ -219,16 +217,14 @@ def test_fingers_are_closed_and_opened_and_a_simulation_begins_at_its_start(
     assert hand.calls == [(grasp, True), (grasp, False), (f"{names.PLANT}/reset", None)]
 
 
-def test_a_real_hand_begins_with_its_present_grasp_and_cannot_turn_from_an_unknown_pose(
+def test_a_real_hand_begins_with_its_present_grasp(
     hand: Hand, served: dict[str, Hand], context: Context
 ) -> None:
     with graph_node(context, "user", "/real") as node:
         assert HandClient(node, 30.0).reset() == "done: manipulation_controller/reset"
-        with pytest.raises(SteeringError, match=r"on auxiliary_pose within 0\.3 s"):
-            HandClient(node, 0.3).move([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], absolute=False)
     called = [name for name, _ in served["real"].calls]
     assert called == ["slip_regulator/reset", "manipulation_controller/reset"]
-    assert hand.calls == served["real"].poses == []
+    assert hand.calls == []
 
 
 def test_a_hand_that_is_paused_does_not_answer(
@@ -302,8 +298,7 @@ def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
     with graph_node(context, "user", "/nowhere") as node:
         client = HandClient(node, 0.02)
         for command in (
-            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=True),
-            lambda: client.move([0.0] * 3, [0.0] * 3, absolute=False),
+            lambda: client.move([0.0] * 3, None),
             lambda: client.grasp(True),
         ):
             with pytest.raises(SteeringError, match=absent):
