@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import os
 import queue
 import signal
@@ -54,12 +53,13 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
             code = command()
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has left
-        _drop_output()
+        _drop_unwritten()
         return 0
-    except KeyboardInterrupt:
-        return _ended(program, signal.SIGINT)
-    except _Signalled as end:
-        return _ended(program, end.number)
+    except (KeyboardInterrupt, _Signalled) as end:
+        number = getattr(end, "number", signal.SIGINT)
+        _drop_unwritten()  # the terminal may be what has gone
+        say(program, "interrupted." if number == signal.SIGINT else f"ended by {number.name}.")
+        return 128 + int(number)
     except Exception as error:
         sentence, code = _explained(error)
         if not sentence and code is None:
@@ -76,14 +76,6 @@ class _Signalled(BaseException):
         """Remember which it was."""
         super().__init__(number)
         self.number = number
-
-
-def _ended(program: str, number: signal.Signals) -> int:
-    """Report which signal ended a command; return the code that a shell expects."""
-    _drop_unwritten()  # the terminal may be what has gone
-    is_ctrl_c = number == signal.SIGINT
-    say(program, "interrupted." if is_ctrl_c else f"ended by {number.name}.")
-    return 128 + number
 
 
 @contextlib.contextmanager
@@ -174,49 +166,42 @@ def prepare_for_ros() -> None:
     os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 
-class LastingOutput(io.TextIOBase):
+class LastingOutput:
     """The standard output for work that must continue when nothing can be written any more."""
 
     def __init__(self) -> None:
         """Write to the standard output as it is now: a progress bar replaces it for a while."""
         self._stream = sys.stdout
 
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """The encoding of the standard output."""
-        return self._stream.encoding
+    def __getattr__(self, name: str) -> Any:
+        """Return what the standard output has besides."""
+        return getattr(self._stream, name)
 
-    def isatty(self) -> bool:
-        """Return whether the standard output is a terminal."""
-        return self._stream.isatty()
-
-    def fileno(self) -> int:
-        """Return the descriptor of the standard output."""
-        return self._stream.fileno()
-
-    def write(self, text: str) -> int:
+    def write(self, text: str) -> None:
         """Write a text, or drop it."""
-        self._try(lambda: self._stream.write(text))
-        return len(text)
+        with _dropped(self._stream):
+            self._stream.write(text)
 
     def flush(self) -> None:
         """Write what is buffered, or drop it."""
-        self._try(self._stream.flush)
+        with _dropped(self._stream):
+            self._stream.flush()
 
-    def _try(self, step: Callable[[], Any]) -> None:
-        try:
-            step()
-        except OSError:
-            _redirect(self._stream, os.devnull)
+
+@contextlib.contextmanager
+def _dropped(stream: Any) -> Iterator[None]:
+    """Drop what cannot be written; the interpreter would try again at its end."""
+    try:
+        yield
+    except OSError:  # a full disk, or the terminal or reader is gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def say(program: str, sentence: str) -> None:
     """Print a sentence on stderr, where there is one."""
     if sentence and sys.stderr is not None:
-        try:
+        with _dropped(sys.stderr):
             print(f"{program}: {sentence}", file=sys.stderr, flush=True)
-        except OSError:  # the terminal is gone
-            _redirect(sys.stderr, os.devnull)
 
 
 def os_sentence(error: OSError) -> str:
@@ -275,16 +260,5 @@ def _print_any_character() -> None:
 
 
 def _drop_unwritten() -> None:
-    """Forget output that cannot be written; the interpreter would try again at its end."""
-    try:
+    with _dropped(sys.stdout):
         sys.stdout.flush()
-    except OSError:
-        _drop_output()
-
-
-def _drop_output() -> None:
-    _redirect(sys.stdout, os.devnull)
-
-
-def _redirect(stream: Any, path: str) -> None:
-    os.dup2(os.open(path, os.O_WRONLY), stream.fileno())

@@ -55,15 +55,13 @@ def squeeze(
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Request a grasp force from a running hand.
+    """Request a grasp force; with slip_regulator.mode auto the regulator chooses its own.
 
     Exit code 0: the hand accepts it; 2: it refuses, or there is no hand.
     """
     with _hand(namespace, timeout) as hand:
-        since, mode = hand.grasp_force(force)
+        since = hand.grasp_force(force)
     print(f"a grasp force of {force:g} N is requested from t = {since:.3f} s")
-    if mode == "auto":
-        print("in mode auto the slip regulator chooses the force itself: this changes nothing")
 
 
 def grasp(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
-from rcl_interfaces.msg import ParameterEvent
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -42,7 +41,6 @@ Array = NDArray[np.float64]
 _SLICE = 0.02  # s
 _PATIENCE = 5.0  # s for an answer to the orchestrator
 _AGAIN = 1.0  # s without an answer after which a command is sent again
-_MODE_WAIT = 0.5  # s for the mode of the regulator, which only a hint needs
 _UNDISCOVERED = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node rmw has not discovered yet
 
 
@@ -214,34 +212,19 @@ class HandClient:
         orientation = rotation_from_quaternion([q.x, q.y, q.z, q.w])
         return 1e-9 * stamp_to_ns(taken.header.stamp), vector_from_rotation(orientation)
 
-    def grasp_force(self, force: float) -> tuple[float, str]:
-        """Ask for a grasp force k_f [N].
-
-        Returns:
-            The simulated time at which it takes effect [s], and the mode of the regulator, empty
-            if it is not known.
+    def grasp_force(self, force: float) -> float:
+        """Ask for a grasp force k_f [N]; return the simulated time at which it takes effect [s].
 
         Raises:
             ConfigurationError: If the force is not finite.
             SteeringError: If there is no hand, or it refuses.
         """
         _check_finite([force])
-        modes: list[str] = []
-        self._node.create_subscription(
-            ParameterEvent,
-            names.accepted_parameters(names.REGULATOR),
-            lambda event: modes.extend(
-                p.value.string_value for p in event.changed_parameters if p.name == "mode"
-            ),
-            qos.configuration_qos(),
-        )
         publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
         message = Float64(data=force)
         taken = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
-        _spin(self._executor, lambda: bool(modes), _MODE_WAIT)
-        since = 1e-9 * stamp_to_ns(taken.header.stamp)
-        return since, modes[-1] if modes else ""
+        return 1e-9 * stamp_to_ns(taken.header.stamp)
 
     def grasp(self, close: bool) -> str:
         """Close the fingers until all touch, or open them; return the hand's answer.

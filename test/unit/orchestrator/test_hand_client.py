@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rclpy.context import Context
 from rclpy.node import Node
 from scipy.spatial.transform import Rotation
@@ -155,22 +154,9 @@ def test_a_pose_is_asked_for_once_and_may_keep_the_orientation_of_the_grasp(
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # from now on
 
 
-@pytest.mark.parametrize("mode", ["auto", ""])
-def test_a_force_has_the_time_at_which_it_takes_effect_and_the_mode_of_the_regulator(
-    hand: Hand, client: HandClient, mode: str
-) -> None:
-    """In mode auto it changes nothing, which the command says."""
-    value = ParameterValue(string_value=mode)
-    event = ParameterEvent(changed_parameters=[Parameter(name="mode", value=value)])
-    latched = hand.node.create_publisher(
-        ParameterEvent, names.accepted_parameters(names.REGULATOR), qos.configuration_qos()
-    )
-    if mode:
-        latched.publish(event)
-    since, found = client.grasp_force(7.25)
-    assert since == pytest.approx(12.5) and found == mode
+def test_a_force_has_the_time_at_which_it_takes_effect(hand: Hand, client: HandClient) -> None:
+    assert client.grasp_force(7.25) == pytest.approx(12.5)
     assert hand.forces == [7.25]
-    hand.node.destroy_publisher(latched)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
@@ -189,7 +175,7 @@ def test_what_stays_without_an_answer_is_sent_again(
 ) -> None:
     monkeypatch.setattr(module, "_AGAIN", 0.05)
     hand.ignored = 2
-    assert client.grasp_force(3.0)[0] == pytest.approx(12.5)
+    assert client.grasp_force(3.0) == pytest.approx(12.5)
     assert hand.forces[:3] == [3.0, 3.0, 3.0]
 
 
