@@ -12,8 +12,6 @@ import numpy as np
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import counted
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.run.assumptions import Assumption
-from tactile_hand_ros.run.recording import BagMetrics
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
@@ -28,67 +26,49 @@ def passed(run: RunData) -> bool | None:
 def tiles(run: RunData) -> list[dict[str, Any]]:
     """Return the headline: a few numbers, each with what it is and how it is to be judged."""
     m, bag = run.metrics, run.bag_metrics
-    held = math.isnan(m.dropped_at_s)
-    return [
-        *(_pose_tiles(run) if held else [_dropped(m.dropped_at_s)]),
+    if not math.isnan(m.dropped_at_s):
+        dropped = _tile("object dropped", m.dropped_at_s, "s", "fewer than two fingers touch it")
+        found = [{**dropped, "passed": False}]
+    else:
+        found = [
+            _limited(run, "position error", m.final_position_error_m, "m", "position_error"),
+            _limited(run, "orientation error", m.final_rotation_error_rad, "rad", "rotation_error"),
+        ]
+        settled = _tile("settled after", m.settling_time_s, "s", "both errors inside")
+        found += [] if run.steered else [settled]
+    found += [
         _tile("grasp force k_f", m.final_grasp_force_N, "N", f"peak {_peak_grasp_force(run)}"),
-        *_slip_tiles(run),
-        *([] if bag is None else _recording_tiles(run, bag)),
+        _slips(run),
     ]
+    if bag is not None:
+        speed = _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks")
+        found += [speed, _recorded(bag.messages, run.lost_messages)]
+    return found
 
 
-def _recording_tiles(run: RunData, bag: BagMetrics) -> list[dict[str, Any]]:
-    return [
-        _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks"),
-        _recorded(bag.messages, run.lost_messages),
-    ]
-
-
-def _dropped(time: float) -> dict[str, Any]:
-    return {
-        **_tile("object dropped", time, "s", "fewer than two fingers touch it"),
-        "passed": False,
-    }
-
-
-def _pose_tiles(run: RunData) -> list[dict[str, Any]]:
-    m = run.metrics
-    settled = _tile("settled after", m.settling_time_s, "s", "both errors inside")
-    errors = [
-        _limited("position error", m.final_position_error_m, "m", run),
-        _limited("orientation error", m.final_rotation_error_rad, "rad", run),
-    ]
-    return errors if run.steered else [*errors, settled]
-
-
-def _slip_tiles(run: RunData) -> list[dict[str, Any]]:
+def _slips(run: RunData) -> dict[str, Any]:
     """Return how far a contact slid and how often, where a simulation knows, else the alarms."""
     m = run.metrics
     note = f"{m.slip_alarm_count} detected"
     if m.slip_count is None:
-        return [_tile("slips", m.slip_alarm_count, "", note)]
-    goal = run.scenario.goal.slip_distance if run.scenario else UNLIMITED_SLIP
-    limit = f"goal {1e3 * goal:g} mm, " if goal < UNLIMITED_SLIP and not run.steered else ""
-    slips = "1 slip" if m.slip_count == 1 else f"{m.slip_count} slips"
-    tile = _milli("longest slip", m.max_slip_distance_m, "m", f"{limit}{slips}, {note}")
-    return [{**tile, "passed": m.max_slip_distance_m <= goal} if limit else tile]
+        return _tile("slips", m.slip_alarm_count, "", note)
+    note = f"{counted(m.slip_count, 'slip')}, {note}"
+    return _limited(run, "longest slip", m.max_slip_distance_m, "m", "slip_distance", note)
 
 
-def _limited(label: str, value: float, unit: str, run: RunData) -> dict[str, Any]:
-    """Return a tile of an error that the goal limits."""
-    if run.scenario is None or run.steered:
-        return _milli(label, value, unit, "at the end")
-    goal = run.scenario.goal
-    limit = goal.position_error if unit == "m" else goal.rotation_error
-    tile = _milli(label, value, unit, f"goal {1e3 * limit:g} m{unit}")
-    return {**tile, "passed": value <= limit}
-
-
-def _milli(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
-    shown, space, name = tables.milli(float(f"{value:.3g}"), unit).rpartition(" ")
-    if not space:
-        return _tile(label, math.nan, "", note)
-    return {"label": label, "value": shown, "unit": name, "note": note}
+def _limited(
+    run: RunData, label: str, value: float, unit: str, goal: str, note: str = ""
+) -> dict[str, Any]:
+    """Return a tile of a length or angle that the goal may limit."""
+    number, _, milli = tables.milli(float(f"{value:.3g}"), unit).rpartition(" ")
+    tile = {"label": label, "value": number or milli, "unit": milli if number else ""}
+    limit = UNLIMITED_SLIP
+    if run.scenario is not None and not run.steered:
+        limit = getattr(run.scenario.goal, goal)
+    if limit >= UNLIMITED_SLIP:
+        return {**tile, "note": note or "at the end"}
+    note = ", ".join(filter(None, [f"goal {1e3 * limit:g} m{unit}", note]))
+    return {**tile, "note": note, "passed": value <= limit}
 
 
 def _recorded(messages: int, lost: int | None) -> dict[str, Any]:
@@ -99,9 +79,9 @@ def _recorded(messages: int, lost: int | None) -> dict[str, Any]:
 
 
 def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
-    if math.isnan(value):
-        return {"label": label, "value": "unknown", "unit": "", "note": note}
-    return {"label": label, "value": f"{value:.3g}", "unit": unit, "note": note}
+    is_known = not math.isnan(value)
+    shown, unit = (f"{value:.3g}", unit) if is_known else ("unknown", "")
+    return {"label": label, "value": shown, "unit": unit, "note": note}
 
 
 def _peak_grasp_force(run: RunData) -> str:
@@ -134,20 +114,15 @@ def _recording_rows(run: RunData) -> list[list[str]]:
 
 def assumptions(run: RunData) -> list[dict[str, Any]]:
     """Return the assumptions with their values as text."""
-    return [_line(line) for line in run.assumptions]
-
-
-def _line(line: Assumption) -> dict[str, Any]:
-    row = tables.assumption_rows([line])[0]
-    return {
-        "name": line.name,
-        "meaning": line.meaning,
-        "margin": line.margin,
-        "worst": row[3],
-        "limit": row[4],
-        "held": None if math.isnan(line.held_fraction) else line.held_fraction,
-        "broken": [list(interval) for interval in line.broken],
-    }
+    heads = ("name", "meaning", "margin", "worst", "limit")
+    return [
+        {
+            **dict(zip(heads, tables.assumption_rows([line])[0], strict=False)),
+            "held": None if math.isnan(line.held_fraction) else line.held_fraction,
+            "broken": [list(interval) for interval in line.broken],
+        }
+        for line in run.assumptions
+    ]
 
 
 def notes(run: RunData) -> list[str]:
