@@ -7,6 +7,7 @@ import enum
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.laws import LAWS as CONTROL_LAWS
 from tactile_hand_ros.control.laws import LawInput
 from tactile_hand_ros.hand.hand import Fingertips
-from tactile_hand_ros.reproduce.experiments import ExperimentResult
+from tactile_hand_ros.reproduce.experiments import ExperimentRun
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 
-Outcomes = Mapping[str, ExperimentResult]
+Outcomes = Mapping[str, ExperimentRun]
+"""The experiments of one layout by key."""
 
 
 class ClaimVerdict(enum.Enum):
@@ -49,60 +51,63 @@ class Claim:
     numbers: Mapping[str, float]
 
 
+Judged = tuple[str, ClaimVerdict, Mapping[str, float]]
+"""What was measured in words, the verdict, and the numbers that it rests on."""
+
+_JUDGES: list[tuple[str, str, Callable[[Outcomes], Judged]]] = []
+"""Source, statement and judge of each claim, in the order of the paper, then what we found."""
+
+Judge = TypeVar("Judge", bound=Callable[[Outcomes], Judged])
+
+
+def _claim(source: str, statement: str) -> Callable[[Judge], Judge]:
+    """Register the judge of a claim."""
+
+    def register(judge: Judge) -> Judge:
+        _JUDGES.append((source, statement, judge))
+        return judge
+
+    return register
+
+
 def judge(outcomes: Outcomes) -> list[Claim]:
     """Judge all claims by the experiments of one layout, Theorem 1 (9) among them."""
-    return [claim(outcomes) for claim in CLAIMS]
+    return [Claim(source, statement, *each(outcomes)) for source, statement, each in _JUDGES]
 
 
 def _verdict(holds: bool, partly: bool = False) -> ClaimVerdict:
     return ClaimVerdict.HOLDS if holds else ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
 
 
-def _position(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3b, (15)", "The contact centroid converges to p_d.")
+def _position(outcomes: Outcomes) -> Judged:
     error = outcomes["optimal"].metrics.final_position_error_m
-    return Claim(
-        "Fig. 3b, (15)",
-        "The contact centroid converges to p_d.",
+    return (
         f"{_millimetres(error)} from p_d at the end",
         _verdict(error < 1e-4, error < 1e-2),
         {"final_position_error_m": error},
     )
 
 
-def _orientation(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3c, (15)", "The orientation error r_d converges to zero.")
+def _orientation(outcomes: Outcomes) -> Judged:
     run = outcomes["optimal"]
     error = run.metrics.final_rotation_error_rad
     peak = _largest(np.linalg.norm(derived.rotation_error(run.record), axis=1))
-    return Claim(
-        "Fig. 3c, (15)",
-        "The orientation error r_d converges to zero.",
+    return (
         f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
         _verdict(error < 1e-3, error < 1e-1),
         {"final_rotation_error_rad": error, "peak_rotation_error_rad": peak},
     )
 
 
-def _true_orientation(outcomes: Outcomes) -> Claim:
-    turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
-    moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
-    return Claim(
-        "Sec. II, (7)",
-        "Moving the virtual frame to its target moves the object there.",
-        f"the cube itself turns up to {math.degrees(turned):.1f} deg and shifts up to "
-        f"{_millimetres(moved)} against the virtual frame, because the tips roll on it",
-        _verdict(turned < 0.01 and moved < 1e-3, turned < 0.5),
-        {"max_object_rotation_in_grasp_rad": turned, "max_object_displacement_in_grasp_m": moved},
-    )
-
-
-def _rates(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3a", "The joint rates converge to zero.")
+def _rates(outcomes: Outcomes) -> Judged:
     record = outcomes["optimal"].record
     rates = np.abs(record.rates)
     tick, joint = np.unravel_index(int(np.nanargmax(rates)), rates.shape)
     peak, final = float(rates[tick, joint]), _largest(rates[-1])
-    return Claim(
-        "Fig. 3a",
-        "The joint rates converge to zero.",
+    return (
         f"{final:.1e} rad/s at the end; peak {peak:.3f} rad/s of {record.joint_names[joint]} at "
         f"{record.times[tick]:.2f} s (the text gives no number to compare)",
         _verdict(final < 1e-3, final < 0.1 * peak),
@@ -110,26 +115,24 @@ def _rates(outcomes: Outcomes) -> Claim:
     )
 
 
-def _normal_forces(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3d, (15)", "Every normal force converges to k_f f*_n.")
+def _normal_forces(outcomes: Outcomes) -> Judged:
     m = outcomes["optimal"].metrics
     worst = m.worst_normal_force_relative_error
     pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
     listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
-    return Claim(
-        "Fig. 3d, (15)",
-        "Every normal force converges to k_f f*_n.",
+    return (
         f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %",
         _verdict(worst < 1e-3, worst < 5e-2),
         {"worst_normal_force_relative_error": worst},
     )
 
 
-def _sum(outcomes: Outcomes) -> Claim:
+@_claim("(13c), (15)", "The normal forces sum to k_f.")
+def _sum(outcomes: Outcomes) -> Judged:
     m = outcomes["optimal"].metrics
     error = m.normal_force_sum_relative_error
-    return Claim(
-        "(13c), (15)",
-        "The normal forces sum to k_f.",
+    return (
         f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
         f"{100 * error:.4f} % off",
         _verdict(error < 1e-4, error < 1e-2),
@@ -137,31 +140,32 @@ def _sum(outcomes: Outcomes) -> Claim:
     )
 
 
-def _in_motion(outcomes: Outcomes) -> Claim:
+@_claim("Sec. IV-A", "While the object moves, normal forces deviate from k_f f*_n.")
+def _in_motion(outcomes: Outcomes) -> Judged:
     run = outcomes["optimal"]
     apart = derived.contact_forces(run.record)[:, :, 1] - derived.expected_normal_forces(run.record)
     largest, final = _largest(np.abs(apart[1:])), _largest(np.abs(apart[-1:]))
-    return Claim(
-        "Sec. IV-A",
-        "While the object moves, normal forces deviate from k_f f*_n.",
+    return (
         f"by up to {largest:.3f} N in motion, {final:.1e} N at the end",
         _verdict(largest > 10.0 * final),
         {"largest_deviation_N": largest, "final_deviation_N": final},
     )
 
 
-def _grasp_kept(outcomes: Outcomes) -> Claim:
+@_claim("Sec. IV", "With k_f = 10 and without the relative attitude term, (14) loses no contact.")
+def _grasp_kept(outcomes: Outcomes) -> Judged:
     m = outcomes["optimal"].metrics
-    return Claim(
-        "Sec. IV",
-        "With k_f = 10 and without the relative attitude term, (14) loses no contact.",
+    return (
         f"{m.contacts_lost_ticks} of {m.ticks} ticks without one of the contacts",
         _verdict(m.contacts_lost_ticks == 0),
         {"contacts_lost_ticks": float(m.contacts_lost_ticks)},
     )
 
 
-def _friction(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Fig. 4, Sec. III", "Penalising tangential forces reduces the friction that each contact needs."
+)
+def _friction(outcomes: Outcomes) -> Judged:
     penalised = outcomes["optimal"].metrics.final_required_friction
     nominal = outcomes["nominal"].metrics.final_required_friction
     less = [penalised[name] < nominal[name] for name in penalised]
@@ -170,9 +174,7 @@ def _friction(outcomes: Outcomes) -> Claim:
         f"{name.replace('_', ' ')} {nominal[name]:.3f} -> {penalised[name]:.3f}"
         for name in penalised
     )
-    return Claim(
-        "Fig. 4, Sec. III",
-        "Penalising tangential forces reduces the friction that each contact needs.",
+    return (
         f"beta, nominal -> penalised: {listed}; the grasp as a whole needs "
         f"{worst[1]:.3f} -> {worst[0]:.3f}",
         _verdict(all(less), any(less)),
@@ -181,51 +183,55 @@ def _friction(outcomes: Outcomes) -> Claim:
     )
 
 
-def _internal_force(outcomes: Outcomes) -> Claim:
+@_claim("(13b)", "f* has no effect on the motion: W and k_f change forces only.")
+def _internal_force(outcomes: Outcomes) -> Judged:
     names = {"nominal": "W = I", "firm": "twice k_f", "contact": "(10) for (14)"}
     apart = {key: _apart(outcomes["optimal"], outcomes[key]) for key in names}
     listed = ", ".join(f"{1e6 * apart[key]:.2f} um with {name}" for key, name in names.items())
-    return Claim(
-        "(13b)",
-        "f* has no effect on the motion: W and k_f change forces only.",
+    return (
         f"the centroid's path differs by at most {listed}",
         _verdict(max(apart.values()) < 1e-5, max(apart.values()) < 1e-3),
         {f"largest_distance_{key}_m": value for key, value in apart.items()},
     )
 
 
-def _kawamura(outcomes: Outcomes) -> Claim:
-    m = outcomes["kawamura"].metrics
-    end = _loss(m.first_contact_loss_s)
-    lost = m.contacts_lost_ticks > 0
-    error = m.final_position_error_m
-    there = "" if math.isnan(error) else f", {_millimetres(error)} from p_d at the end"
-    return Claim(
-        "Theorem 1, (9)",
-        "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none).",
-        f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s",
-        _verdict(not lost and error < 1e-3, not lost and error < 1e-2),
-        {"final_position_error_m": error, "first_contact_loss_s": m.first_contact_loss_s},
-    )
-
-
-def _rolling(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Sec. III", "Squeezing through fingertips, (8), induces rolling; through contacts it does not."
+)
+def _rolling(outcomes: Outcomes) -> Judged:
     keys = {"hold_kawamura": "(8)", "hold_contact": "(10)", "hold_optimal": "(14)"}
     rolled = {key: _largest(_until_loss(outcomes[key])) for key in keys}
     listed = ", ".join(f"{name} {_millimetres(rolled[key])}" for key, name in keys.items())
     end = _loss(outcomes["hold_kawamura"].metrics.first_contact_loss_s)
     induced = rolled["hold_kawamura"] > 1e-2
     still = max(rolled["hold_contact"], rolled["hold_optimal"]) < 1e-4
-    return Claim(
-        "Sec. III",
-        "Squeezing through fingertips, (8), induces rolling; through contacts it does not.",
+    return (
         f"held where it is, contacts roll over the object by {listed}; under (8) {end}",
         _verdict(induced and still, induced or still),
         {f"largest_rolling_{key}_m": value for key, value in rolled.items()},
     )
 
 
-def _stiffness(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Theorem 1, (9)", "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none)."
+)
+def _kawamura(outcomes: Outcomes) -> Judged:
+    m = outcomes["kawamura"].metrics
+    end = _loss(m.first_contact_loss_s)
+    lost = m.contacts_lost_ticks > 0
+    error = m.final_position_error_m
+    there = "" if math.isnan(error) else f", {_millimetres(error)} from p_d at the end"
+    return (
+        f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s",
+        _verdict(not lost and error < 1e-3, not lost and error < 1e-2),
+        {"final_position_error_m": error, "first_contact_loss_s": m.first_contact_loss_s},
+    )
+
+
+@_claim(
+    "below (10)", "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14)."
+)
+def _stiffness(outcomes: Outcomes) -> Judged:
     eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
     fingers = len(outcomes["optimal"].record.finger_names)
     gain = fourteen.manipulation_controller.law.k_p
@@ -235,9 +241,7 @@ def _stiffness(outcomes: Outcomes) -> Claim:
     )
     other = np.diag(translational_stiffness(fourteen, "contacts"))
     listed = ", ".join(f"{value:.2f}" for value in np.diag(contacts))
-    return Claim(
-        "below (10)",
-        "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14).",
+    return (
         f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
         f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
         _verdict(bool(np.allclose(np.diag(contacts), gain, rtol=0.01))),
@@ -248,29 +252,23 @@ def _stiffness(outcomes: Outcomes) -> Claim:
     )
 
 
-CLAIMS: tuple[Callable[[Outcomes], Claim], ...] = (
-    _position,
-    _orientation,
-    _rates,
-    _normal_forces,
-    _sum,
-    _in_motion,
-    _grasp_kept,
-    _friction,
-    _internal_force,
-    _rolling,
-    _kawamura,
-    _stiffness,
-    _true_orientation,
-)
-"""The claims in the order of the paper, then what we found on the way."""
+@_claim("Sec. II, (7)", "Moving the virtual frame to its target moves the object there.")
+def _true_orientation(outcomes: Outcomes) -> Judged:
+    turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
+    moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
+    return (
+        f"the cube itself turns up to {math.degrees(turned):.1f} deg and shifts up to "
+        f"{_millimetres(moved)} against the virtual frame, because the tips roll on it",
+        _verdict(turned < 0.01 and moved < 1e-3, turned < 0.5),
+        {"max_object_rotation_in_grasp_rad": turned, "max_object_displacement_in_grasp_m": moved},
+    )
 
 
 LAWS = {"(8)": "kawamura", "(10)": "contact", "(14)": "optimal"}
 """The experiment with each law on the same task."""
 
 
-def law_numbers(run: ExperimentResult) -> dict[str, float]:
+def law_numbers(run: ExperimentRun) -> dict[str, float]:
     """Return what a law does on the paper's task, with units in the names.
 
     NaN stands for errors when the grasp was lost, and for a contact that is never lost. The rolling
@@ -291,14 +289,14 @@ def law_numbers(run: ExperimentResult) -> dict[str, float]:
     }
 
 
-def _until_loss(run: ExperimentResult) -> derived.Array:
+def _until_loss(run: ExperimentRun) -> derived.Array:
     """Return how far contacts rolled over the object, as long as all of them touched."""
     lost = np.flatnonzero(derived.contact_lost(run.record))
     end = int(lost[0]) if len(lost) else len(run.record)
     return derived.rolling(run.record.part(slice(end)))
 
 
-def _apart(one: ExperimentResult, other: ExperimentResult) -> float:
+def _apart(one: ExperimentRun, other: ExperimentRun) -> float:
     """Return the largest distance between the centroids of two runs."""
     between = one.record.auxiliary_position - other.record.auxiliary_position
     return float(np.linalg.norm(between, axis=1).max())

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.run.metrics import Metrics, metrics
+from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 LAYOUTS = ("three_faces", "pinch")
@@ -44,26 +43,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
 }
 
 
-@dataclass(frozen=True)
-class ExperimentResult:
-    """A finished experiment.
+class ExperimentRun(RunData):
+    """A finished experiment."""
 
-    Attributes:
-        key: Which of `EXPERIMENTS`.
-        layout: Layout of the hand's fingers.
-        scenario: What was run.
-        record: What happened.
-        metrics: What was achieved.
-    """
-
-    key: str
-    layout: str
     scenario: Scenario
-    record: Record
-    metrics: Metrics
 
 
-def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentResult:
+def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentRun:
     """Run one experiment in-process.
 
     Args:
@@ -72,8 +58,7 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Expe
         duration: Simulated time in s instead of the scenario's.
     """
     scenario = scenario_of(key, layout, duration)
-    record = ClosedLoop(scenario).run()
-    return ExperimentResult(key, layout, scenario, record, metrics(record, scenario))
+    return ExperimentRun(ClosedLoop(scenario).run(), scenario)
 
 
 def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:

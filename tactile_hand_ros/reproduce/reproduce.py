@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,17 @@ from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
 from tactile_hand_ros.report.tables import markdown, number, plain, rich_table
-from tactile_hand_ros.reproduce.claims import LAWS, Claim, ClaimVerdict, judge, law_numbers
+from tactile_hand_ros.reproduce.claims import (
+    LAWS,
+    Claim,
+    ClaimVerdict,
+    Outcomes,
+    judge,
+    law_numbers,
+)
 from tactile_hand_ros.reproduce.experiments import (
     EXPERIMENTS,
-    ExperimentResult,
+    ExperimentRun,
     run_experiment,
     scenario_of,
 )
@@ -26,8 +33,6 @@ from tactile_hand_ros.sweep.engine import in_parallel
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-Outcomes = Mapping[str, ExperimentResult]
 
 REPORT = "reproduction.md"
 DATA = "reproduction.json"
@@ -67,15 +72,15 @@ def reproduce(
     """
     for layout in layouts:  # before any process starts
         check_scenario(scenario_of("optimal", layout, duration))
-    found: dict[str, dict[str, ExperimentResult]] = {layout: {} for layout in layouts}
+    found: dict[str, dict[str, ExperimentRun]] = {layout: {} for layout in layouts}
     tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
-    for outcome in in_parallel(_run, tasks, ordered=False):
-        found[outcome.layout][outcome.key] = outcome
-        progress(f"{pretty(outcome.layout)}: {EXPERIMENTS[outcome.key].meaning}")
+    for (key, layout, _), run in zip(tasks, in_parallel(_run, tasks), strict=True):
+        found[layout][key] = run
+        progress(f"{pretty(layout)}: {EXPERIMENTS[key].meaning}")
     return [_judged(layout, outcomes) for layout, outcomes in found.items()]
 
 
-def _run(task: tuple[str, str, float | None]) -> ExperimentResult:
+def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
     return run_experiment(*task)
 
 
@@ -95,10 +100,9 @@ def draw(
         formats: Suffixes of the files.
     """
     runs = {key: outcome.record for key, outcome in result.outcomes.items()}
-    optimal = result.outcomes["optimal"]
     figures = {
-        "fig2": grasp_figure(optimal.record, optimal.scenario),
-        "fig3": motion_figure(optimal.record),
+        "fig2": grasp_figure(runs["optimal"], result.outcomes["optimal"].scenario),
+        "fig3": motion_figure(runs["optimal"]),
         "fig4": friction_figure(
             {"tangential forces penalised": runs["optimal"], "nominal, W = I": runs["nominal"]}
         ),

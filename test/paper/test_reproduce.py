@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_hand_ros.reproduce.claims import translational_stiffness
-from tactile_hand_ros.reproduce.experiments import LAYOUTS, ExperimentResult, run_experiment
+from tactile_hand_ros.reproduce.experiments import LAYOUTS, ExperimentRun, run_experiment
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -17,9 +17,7 @@ LAWS = ("optimal", "contact", "kawamura")
 
 
 @cache
-def outcome(
-    key: str, layout: str = "three_faces", duration: float | None = None
-) -> ExperimentResult:
+def outcome(key: str, layout: str = "three_faces", duration: float | None = None) -> ExperimentRun:
     """Run an experiment once for all tests."""
     return run_experiment(key, layout, duration)
 
