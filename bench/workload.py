@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.scenario.scenario import Scenario, changed, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 SCENARIO = "paper"
 
@@ -42,7 +42,7 @@ class Workload:
     @property
     def single(self) -> Scenario:
         """The scenario with one plant step a tick."""
-        return changed(self.scenario, {"plant.rate": 1.0 / self.scenario.plant.time_step})
+        return self.scenario.changed({"plant.rate": 1.0 / self.scenario.plant.time_step})
 
     @property
     def grasps(self) -> list[Contacts]:

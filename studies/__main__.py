@@ -34,8 +34,8 @@ from tactile_hand_ros.cli.output import (
     steps,
 )
 from tactile_hand_ros.command_line import run_command
+from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.report.tables import markdown, rich_table
-from tactile_hand_ros.scenario.scenario import scenario_names
 from tactile_hand_ros.sweep.engine import in_parallel, workers
 from tactile_hand_ros.sweep.table import read_table
 

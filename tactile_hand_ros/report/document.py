@@ -44,7 +44,7 @@ def page_document(
         "ink": style.INK,
         "faint": style.FAINT,
         "axes": [style.axis_color(i) for i in range(3)],
-        "runs": [style.run_color(i) for i in range(len(runs))],
+        "runs": [style.finger_color(i) for i in range(len(runs))],
     }
     return {
         "format": FORMAT,

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLUMN = 3.5
-"""Width of a paper's column, in."""
 PAGE = 7.16
-"""Width of both columns, in."""
+"""Width of a paper's page, in."""
 DPI = 220
 
 INK, FAINT = "#222222", "#8a8a8a"
@@ -61,7 +59,7 @@ _PARAMETERS: dict[str, Any] = {
 
 
 def finger_color(index: int) -> str:
-    """Return the color of a finger by its index."""
+    """Return the color of a finger by its index; of a run or outcome where no finger is shown."""
     return _FINGERS[index % len(_FINGERS)]
 
 
@@ -73,11 +71,6 @@ def axis_color(index: int) -> str:
 def law_color(index: int) -> str:
     """Return the color of the laws (8), (10) and (14), by their order."""
     return _LAWS[index % len(_LAWS)]
-
-
-def run_color(index: int) -> str:
-    """Return the color of a run among several, where no finger is shown."""
-    return _FINGERS[index % len(_FINGERS)]
 
 
 def pretty(name: str) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
-from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
@@ -27,18 +26,6 @@ from tactile_hand_ros.scenario.files import (
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorConfig
-
-__all__ = [
-    "NODES",
-    "GoalConfig",
-    "Scenario",
-    "TargetConfig",
-    "UserForceConfig",
-    "changed",
-    "load_scenario",
-    "resolved",
-    "scenario_names",
-]
 
 Vector = tuple[float, float, float]
 
@@ -183,8 +170,20 @@ class Scenario(Config):
         return self
 
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
-        """Return a validated copy with other values, see the function of this name."""
-        return changed(self, changes)
+        """Return a validated copy with other values, by dotted key (``plant.rate``).
+
+        A law that the changes name is imported; one that only the scenario names is not.
+
+        Raises:
+            ConfigurationError: If a key or value is wrong; says which.
+        """
+        data = parse_yaml(resolved(self), "the scenario")
+        places = put_changes(data, changes)
+        labels = {place: f"the change of {key}" for place, key in places.items()}
+        wanted = validate(Scenario, data, _source("the changed scenario", labels))
+        if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
+            take_law(wanted.manipulation_controller.law)
+        return wanted
 
     @property
     def ticks(self) -> int:
@@ -258,23 +257,6 @@ def plain(scenario: Scenario) -> dict[str, Any]:
 def resolved(scenario: Scenario) -> str:
     """Return a scenario as YAML text that `load_scenario` reads back to the same values."""
     return yaml_text(plain(scenario))
-
-
-def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with other values, by dotted key (``plant.rate``).
-
-    A law that the changes name is imported; one that only the scenario names is not.
-
-    Raises:
-        ConfigurationError: If a key or value is wrong; says which.
-    """
-    data = parse_yaml(resolved(scenario), "the scenario")
-    places = put_changes(data, changes)
-    labels = {place: f"the change of {key}" for place, key in places.items()}
-    wanted = validate(Scenario, data, _source("the changed scenario", labels))
-    if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
-        take_law(wanted.manipulation_controller.law)
-    return wanted
 
 
 def load_scenario(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_hand_ros.report.style import PAGE, look, new_figure, run_color
+from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED
 from tactile_hand_ros.sweep.results import Results
 from tactile_hand_ros.sweep.space import Range
@@ -44,7 +44,7 @@ def _draw(axes: Axes, results: Results, path: str, name: str) -> None:
     x, y, outcomes = results.column(path), results.column(name), results.table["outcome"]
     for number, outcome in enumerate(OUTCOMES):
         came = outcomes == outcome
-        axes.plot(x[came], y[came], ".", color=run_color(number), markersize=2.5, label=outcome)
+        axes.plot(x[came], y[came], ".", color=finger_color(number), markersize=2.5, label=outcome)
     parameter = results.parameters[path]
     if isinstance(parameter, Range) and parameter.is_log:
         axes.set_xscale("log")

@@ -33,7 +33,7 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, GraspError, counted
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.scenario.scenario import Scenario, changed
+from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
     PARAMETERS,
@@ -118,7 +118,7 @@ def recompute(
         TactileHandError: If a change is refused.
     """
     base = scenario_of(run)
-    wanted = changed(base, changes or {})
+    wanted = base.changed(changes or {})
     record = ShadowLoop(read_inputs(run, base).changed(base, wanted), law).run()
     return Recomputation(record, compare(run.record, record), wanted)
 
