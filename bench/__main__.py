@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import enum
 import json
 import os
 import sys
@@ -28,16 +29,28 @@ if TYPE_CHECKING:
     from bench.result import Measurement
     from bench.workload import Workload
 
-SECTIONS = ("blocks", "lockstep", "start", "realtime")
+
+class Section(str, enum.Enum):
+    """What can be measured."""
+
+    BLOCKS = "blocks"
+    LOCKSTEP = "lockstep"
+    START = "start"
+    REALTIME = "realtime"
 
 
 def bench(
     only: Annotated[
-        str, typer.Option(help=f"Some of {', '.join(SECTIONS)}, joined by commas.")
-    ] = ",".join(SECTIONS),
+        list[Section] | None, typer.Option(help="May be repeated; by default all.")
+    ] = None,
     repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 5,
     ticks: Annotated[int | None, typer.Option(help="Shorter runs in lockstep.", min=2)] = None,
-    rates: Annotated[str, typer.Option(help="Rates in real time [Hz].")] = "500,1000",
+    rate: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="In real time [Hz]; may be repeated, by default 500 and 1000.", min=1, max=1e4
+        ),
+    ] = None,
     seconds: Annotated[
         float, typer.Option(help="Length of each run in real time [s].", min=1.0)
     ] = 20.0,
@@ -50,16 +63,16 @@ def bench(
     from bench.result import COLUMNS, to_json
     from bench.workload import Workload
 
-    chosen, hertz = _chosen(only), parse_rates(rates)
+    chosen = only or list(Section)
     if out.is_dir():
         raise ConfigurationError(f"--out: {out} is a folder, expected the name of a file.")
     check_writable(out.parent)
     results: list[Measurement] = []
     with steps("measuring", len(chosen)) as advance:
-        work = Workload.prepare(ticks, repeats, seconds, hertz)
+        work = Workload.prepare(ticks, repeats, seconds, tuple(rate or (500.0, 1000.0)))
         for name in chosen:
             results += _measure(name, work)
-            advance(name)
+            advance(name.value)
     rows = [result.row for result in results]
     if markdown:
         print(as_markdown(COLUMNS, rows))
@@ -69,41 +82,16 @@ def bench(
     print(f"saved in {out}")
 
 
-def _measure(name: str, work: Workload) -> list[Measurement]:
+def _measure(section: Section, work: Workload) -> list[Measurement]:
     from bench import blocks, graph
 
     measurements = {
-        "blocks": (blocks.measure_loop, blocks.measure_blocks),
-        "lockstep": (graph.measure_lockstep,),
-        "start": (graph.measure_short_run,),
-        "realtime": (graph.measure_real_time,),
+        Section.BLOCKS: (blocks.measure_loop, blocks.measure_blocks),
+        Section.LOCKSTEP: (graph.measure_lockstep,),
+        Section.START: (graph.measure_short_run,),
+        Section.REALTIME: (graph.measure_real_time,),
     }
-    return [result for measure in measurements[name] for result in measure(work)]
-
-
-def _chosen(text: str) -> list[str]:
-    chosen = text.split(",")
-    for name in chosen:
-        if name not in SECTIONS:
-            raise ConfigurationError(f"--only is '{text}', expected some of {', '.join(SECTIONS)}.")
-    return chosen
-
-
-def parse_rates(text: str) -> tuple[float, ...]:
-    """Read rates such as ``250,500,1000``, Hz.
-
-    Raises:
-        ConfigurationError: If one is not a number from 1 to 10000.
-    """
-    try:
-        rates = tuple(sorted({float(word) for word in text.split(",")}))
-    except ValueError:
-        rates = (0.0,)
-    if not all(1.0 <= rate <= 10_000.0 for rate in rates):
-        raise ConfigurationError(
-            f"--rates is '{text}', expected ticks per second from 1 to 10000, such as 250,500,1000."
-        )
-    return rates
+    return [result for measure in measurements[section] for result in measure(work)]
 
 
 def main(words: list[str]) -> int:

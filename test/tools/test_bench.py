@@ -29,9 +29,8 @@ def test_the_table_is_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--rates", "abc"], "--rates is 'abc', expected ticks per second"),
-        (["--rates", "500,0"], "--rates is '500,0'"),
-        (["--only", "blocks,speed"], "--only is 'blocks,speed', expected some of blocks"),
+        (["--rate", "500", "--rate", "0"], "Invalid value for '--rate'"),
+        (["--only", "speed"], "Invalid value for '--only'"),
         (["--out", "."], "is a folder, expected the name of a file"),
         (["--seconds", "0"], "--seconds"),
     ],
