@@ -22,7 +22,6 @@ from tactile_hand_ros.cli.output import check_writable, print_table, steps
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_text
-from tactile_hand_ros.report.tables import markdown as as_markdown
 from tactile_hand_ros.report.tables import rich_table
 
 if TYPE_CHECKING:
@@ -55,9 +54,6 @@ def bench(
         float, typer.Option(help="Length of each run in real time [s].", min=1.0)
     ] = 20.0,
     out: Annotated[Path, typer.Option(help="File for the results.")] = Path("runs/bench.json"),
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the table as Markdown, for a page.")
-    ] = False,
 ) -> None:
     """Measure speed, start and missed deadlines, and save the results."""
     from bench.result import COLUMNS, to_json
@@ -73,11 +69,7 @@ def bench(
         for name in chosen:
             results += _measure(name, work)
             advance(name.value)
-    rows = [result.row for result in results]
-    if markdown:
-        print(as_markdown(COLUMNS, rows))
-    else:
-        print_table(rich_table("measurements", COLUMNS, rows))
+    print_table(rich_table("measurements", COLUMNS, [result.row for result in results]))
     replace_text(out, json.dumps(to_json(results), indent=2) + "\n")
     print(f"saved in {out}")
 

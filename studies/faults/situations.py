@@ -43,60 +43,41 @@ class Situation:
 
     Attributes:
         scenario: Name of the scenario.
-        changes: What is different in it.
         time: Simulated time of the fault, s; up to 0.2 s later, by chance.
+        forces: Vertical forces on the object instead of its own: start [s], N, and the time in
+            which each grows [s], 0 for a step; None for those of the scenario.
+        moves: Whether the targets of the scenario count.
     """
 
     scenario: str
-    changes: dict[str, Any]
     time: float
+    forces: tuple[tuple[float, float, float], ...] | None = None
+    moves: bool = True
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is different in the scenario, by dotted key."""
+        changed: dict[str, Any] = {} if self.moves else {"targets": []}
+        if self.forces is not None:
+            changed["plant.disturbances"] = [_push(*force) for force in self.forces]
+        return changed
 
 
-def _vertical(kind: str, start: float, force: float, **more: float) -> dict[str, Any]:
-    return {"kind": kind, "start": start, "force": [0.0, 0.0, force], **more}
+def _push(start: float, force: float, grows: float) -> dict[str, Any]:
+    push = {"kind": "ramp" if grows else "step", "start": start, "force": [0.0, 0.0, force]}
+    return {**push, "duration": grows} if grows else push
 
 
 SITUATIONS = {
-    "at rest": Situation("paper", {"targets": []}, 0.4),
-    "moving": Situation("paper", {}, 0.5),
-    "lifting": Situation(
-        "lift",
-        {
-            "plant.disturbances": [
-                _vertical("step", 0.0, 1.962),
-                _vertical("ramp", 0.4, -1.962, duration=0.5),
-            ]
-        },
-        0.5,
-    ),
-    "pulled": Situation(
-        "pull", {"plant.disturbances": [_vertical("ramp", 0.3, -5.0, duration=0.3)]}, 0.4
-    ),
-    "heavy": Situation(
-        "heavy",
-        {
-            "plant.disturbances": [
-                _vertical("step", 0.0, 9.81),
-                _vertical("ramp", 0.3, -9.81, duration=0.5),
-            ]
-        },
-        0.8,
-    ),
-    "human, at rest": Situation("human_hold", {}, 0.4),
-    "human, turning": Situation("human_turn", {}, 2.05),
-    "human, lifting": Situation(
-        "human_lift",
-        {
-            "plant.disturbances": [
-                _vertical("step", 0.0, 2.943),
-                _vertical("ramp", 0.4, -2.943, duration=0.5),
-            ]
-        },
-        0.5,
-    ),
-    "human, pulled": Situation(
-        "human_pull", {"plant.disturbances": [_vertical("ramp", 0.3, -4.0, duration=0.3)]}, 0.4
-    ),
+    "at rest": Situation("paper", 0.4, moves=False),
+    "moving": Situation("paper", 0.5),
+    "lifting": Situation("lift", 0.5, ((0.0, 1.962, 0.0), (0.4, -1.962, 0.5))),
+    "pulled": Situation("pull", 0.4, ((0.3, -5.0, 0.3),)),
+    "heavy": Situation("heavy", 0.8, ((0.0, 9.81, 0.0), (0.3, -9.81, 0.5))),
+    "human, at rest": Situation("human_hold", 0.4),
+    "human, turning": Situation("human_turn", 2.05),
+    "human, lifting": Situation("human_lift", 0.5, ((0.0, 2.943, 0.0), (0.4, -2.943, 0.5))),
+    "human, pulled": Situation("human_pull", 0.4, ((0.3, -4.0, 0.3),)),
 }
 
 
