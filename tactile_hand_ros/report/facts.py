@@ -143,7 +143,6 @@ def notes(run: RunData) -> list[str]:
 
 
 _NOT_SET = "not set"
-_NAMED = 2  # settings in the label of a run
 _LONGEST = 60  # characters of a value in a table
 _WORDS = ("name", "description")
 _PLACES = ("manipulation_controller.law.folder",)  # where a file lies changes nothing
@@ -159,21 +158,12 @@ def differing(runs: Sequence[RunData]) -> list[list[str]]:
 
 
 def labels(runs: Sequence[RunData]) -> list[str]:
-    """Return what to call each run: its scenario, with settings where another has the same name.
-
-    Runs that do not differ in any setting are named by their folders.
-    """
+    """Return what to call each run: its scenario, with its folder where another has the same."""
     names = [run.name for run in runs]
-    if len(set(names)) == len(names):
-        return names
-    rows = differing(runs)
-    found = []
-    for column, run in enumerate(runs, 1):
-        parts = [f"{row[0].rpartition('.')[2]}={row[column]}" for row in rows[:_NAMED]]
-        more = [f"{len(rows) - _NAMED} more"] if len(rows) > _NAMED else []
-        others = ", ".join([*parts, *more]) or run.path.resolve().name
-        found.append(f"{names[column - 1]} ({others})")
-    return found
+    return [
+        name if names.count(name) == 1 else f"{name} ({run.path.resolve().name})"
+        for name, run in zip(names, runs, strict=True)
+    ]
 
 
 def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

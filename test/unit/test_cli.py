@@ -65,15 +65,6 @@ def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
 
 
-def test_any_character_is_shown_in_any_locale(tmp_path: Path) -> None:
-    (tmp_path / "für.yaml").write_text("extends: paper\ndescription: für alle\n", encoding="utf-8")
-    for python, shown in ((COMMAND[0], "für alle"), (f"{COMMAND[0]} -X utf8=0", r"f\xfcr alle")):
-        command = [*python.split(), *COMMAND[1:], "show", tmp_path / "für.yaml"]
-        environment = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
-        done = subprocess.run(command, capture_output=True, timeout=60, env=environment)
-        assert done.returncode == 0 and shown in done.stdout.decode(), done.stderr.decode()
-
-
 def test_all_scenarios_are_listed_and_one_is_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +123,7 @@ def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'paper'" in refused(capsys, "show", "papr")
     assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
     assert "expected png, svg or pdf" in refused(capsys, "figures", run, "--format", "gif")
+    assert "expected two or more to compare" in refused(capsys, "compare", run)
     out = f"--out={run / 'x'}"
     assert "no layout 'fist'" in refused(capsys, "reproduce", "--layout=fist", out)
     assert "--duration: duration is nan" in refused(capsys, "reproduce", "--duration=nan", out)
