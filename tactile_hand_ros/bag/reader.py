@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,6 @@ from tactile_hand_ros.errors import BagError
 
 _BAGS = (".mcap", ".db3")
 _LARGEST = 2**24  # bytes of metadata.yaml that are read
-_OFTEN = 10_000  # messages between two reports of progress
 
 
 class RecordedMessage(NamedTuple):
@@ -136,28 +135,21 @@ class TopicMessages(NamedTuple):
         return TopicMessages(self.log_times[start:stop], self.data[start:stop])
 
 
-def read_topics(
-    path: Path | str,
-    topics: Collection[str],
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, TopicMessages]:
+def read_topics(path: Path | str, topics: Collection[str]) -> dict[str, TopicMessages]:
     """Read all messages of topics.
 
     Args:
         path: Bag folder or file.
         topics: Full names; absent topics have no messages.
-        progress: Called now and then with the fraction of the bag that is read.
 
     Raises:
         BagError: If the bag cannot be read.
     """
     found = {topic: TopicMessages([], []) for topic in topics}
     with open_bag(path) as reader:
-        for i, (connection, log_time, data) in enumerate(_messages(reader, topics)):
+        for connection, log_time, data in _messages(reader, topics):
             found[connection.topic].log_times.append(log_time)
             found[connection.topic].data.append(bytes(data))
-            if progress is not None and i % _OFTEN == 0:
-                progress((log_time - reader.start_time) / (reader.end_time - reader.start_time))
     return found
 
 

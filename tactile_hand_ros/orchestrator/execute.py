@@ -123,7 +123,9 @@ def _conclude(
         if not options.quiet:
             show(line)
 
-    found = results.read_results(plan, directory, outcome, tell)
+    if plan.record:
+        tell("reading the bag")
+    found = results.read_results(plan, directory, outcome)
     verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.run is not None:

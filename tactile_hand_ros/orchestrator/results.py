@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import datetime
 import json
-import time
 import webbrowser
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,7 +33,6 @@ from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 _CTRL_C = 130  # exit code
-_SILENCE = 3.0  # s between two lines about a bag that is being read
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
 """Rows of the metrics that the table shows with their goals instead."""
 
@@ -57,37 +54,19 @@ class RunResults:
     problems: list[str] = field(default_factory=list)
 
 
-def read_results(
-    plan: Plan,
-    directory: RunDirectory,
-    outcome: RunOutcome,
-    show: Callable[[str], None] = lambda line: None,
-) -> RunResults:
+def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> RunResults:
     """Compute the results from the bag.
 
     Args:
         plan: What was to be run.
         directory: The run.
         outcome: What the orchestrator saw; all ticks of a complete run must be there.
-        show: Called with a line now and then, as long as it takes.
     """
     if not plan.record:
         return RunResults()
-    last = time.monotonic()
-
-    def progress(fraction: float) -> None:
-        nonlocal last
-        if time.monotonic() - last > _SILENCE:
-            last = time.monotonic()
-            show(f"reading the bag: {100.0 * fraction:.0f} %")
-
-    show("reading the bag")
     try:
-        run = Run(
-            directory.path, namespace=plan.namespace, steered=plan.interactive, progress=progress
-        )
+        run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
         recording = run.bag_metrics.to_dict()
-        show("computing the results")
         results = RunResults(run, run.metrics.to_dict(), recording)
     except TactileHandError as error:
         return RunResults(problems=[str(error)])

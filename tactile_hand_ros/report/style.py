@@ -111,14 +111,6 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
-def _shrink(file: Path) -> None:
-    """Store a picture with 256 colors, which no eye can see in a drawing."""
-    image = optional("PIL.Image", "Drawing")
-    with image.open(file) as picture:
-        small = picture.convert("RGB").quantize(256, dither=image.Dither.NONE)
-    small.save(file, optimize=True, dpi=(DPI, DPI))
-
-
 def save(
     figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
@@ -135,6 +127,4 @@ def save(
     with look():
         for file in files:
             figure.savefig(file, dpi=DPI, metadata=_METADATA.get(file.suffix))
-            if file.suffix == ".png":
-                _shrink(file)
     return files

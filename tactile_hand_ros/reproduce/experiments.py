@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -14,33 +13,18 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 LAYOUTS = ("three_faces", "pinch")
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """A scenario with some values changed.
-
-    Attributes:
-        scenario: Name of the scenario.
-        meaning: What it shows.
-        changes: Values to change, by dotted key.
-    """
-
-    scenario: str
-    meaning: str
-    changes: Mapping[str, Any] = field(default_factory=dict)
-
-
-EXPERIMENTS: Mapping[str, Experiment] = {
-    "optimal": Experiment("paper", "law (14), the paper's experiment"),
-    "nominal": Experiment("paper_nominal_weights", "law (14) with W = I"),
-    "firm": Experiment(
-        "paper", "law (14) with twice the grasp force", {"slip_regulator.grasp_force": 20.0}
-    ),
-    "contact": Experiment("contact_law", "law (10) on the same task"),
-    "kawamura": Experiment("kawamura", "law (8) on the same task"),
-    "hold_optimal": Experiment("paper", "law (14), held where it is", {"targets": []}),
-    "hold_contact": Experiment("contact_law", "law (10), held where it is", {"targets": []}),
-    "hold_kawamura": Experiment("kawamura", "law (8), held where it is", {"targets": []}),
+EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "optimal": ("paper", {}),
+    "nominal": ("paper_nominal_weights", {}),
+    "firm": ("paper", {"slip_regulator.grasp_force": 20.0}),
+    "contact": ("contact_law", {}),
+    "kawamura": ("kawamura", {}),
+    "hold_optimal": ("paper", {"targets": []}),
+    "hold_contact": ("contact_law", {"targets": []}),
+    "hold_kawamura": ("kawamura", {"targets": []}),
 }
+"""Scenario and other values by dotted key: the paper's experiment under (14), with W = I, with
+twice the grasp force, under (10) and (8); and each law that holds the object where it is."""
 
 
 class ExperimentRun(RunData):
@@ -67,9 +51,9 @@ def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenari
     Raises:
         ConfigurationError: If a layout or duration cannot be used.
     """
-    experiment = EXPERIMENTS[key]
-    changes = {"layout": layout, **experiment.changes}
+    name, others = EXPERIMENTS[key]
+    changes = {"layout": layout, **others}
     if duration is not None:
         changes["duration"] = duration
     options = {"layout": "--layout", "duration": "--duration"}
-    return load_scenario(experiment.scenario, changes, options)
+    return load_scenario(name, changes, options)

@@ -76,7 +76,7 @@ def reproduce(
     tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
     for (key, layout, _), run in zip(tasks, in_parallel(_run, tasks), strict=True):
         found[layout][key] = run
-        progress(f"{pretty(layout)}: {EXPERIMENTS[key].meaning}")
+        progress(pretty(f"{layout}: {key}"))
     return [_judged(layout, outcomes) for layout, outcomes in found.items()]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tactile_hand_ros import names
@@ -60,7 +60,6 @@ class Run(Result):
         namespace: str | None = None,
         fingers: Sequence[str] | None = None,
         steered: bool | None = None,
-        progress: Callable[[float], None] | None = None,
     ) -> None:
         """Open a run and read all of it.
 
@@ -71,7 +70,6 @@ class Run(Result):
                 that have topics.
             steered: Whether a user steered it and no goal judges it; by default as summary.json
                 next to the bag says.
-            progress: Called with the fraction of the bag that is read, while it is read.
 
         Raises:
             BagError: If there is no such run, or its bag is broken or holds no such hand.
@@ -91,7 +89,7 @@ class Run(Result):
         asked = [*map(names.accepted_requests, _CONTROLLERS), *_REFUSALS]
         wanted = {*self.topics.types, *map(self.topics.full, asked)}
         description = self.topics.full(names.ROBOT_DESCRIPTION)
-        messages = read_topics(self.bag, {*wanted, description}, progress)
+        messages = read_topics(self.bag, {*wanted, description})
         self.description = self._read_description(messages.pop(description))
         states = self.topics.full(names.JOINT_STATES)
         if not messages[states].data:
