@@ -60,9 +60,8 @@ ClusterOption = Annotated[
 class SweepOptions:
     """The options of `tactile-hand sweep`."""
 
-    targets: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENARIO...", help="Scenarios, or the folder of a study."),
+    target: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="Scenario, or the folder of a study.")
     ]
     over: Annotated[
         list[str],
@@ -93,12 +92,12 @@ class SweepOptions:
     @property
     def folder(self) -> Path:
         """Where the results are: the folder of a study where one is given."""
-        return Path(self.targets[0]) if self.is_study else self.out
+        return Path(self.target) if self.is_study else self.out
 
     @property
     def is_study(self) -> bool:
         """Whether the target is the folder of a study that already exists."""
-        return len(self.targets) == 1 and (Path(self.targets[0]) / "study.json").is_file()
+        return (Path(self.target) / "study.json").is_file()
 
     def requested(self) -> Sweep:
         """Return the requested sweep.
@@ -117,7 +116,7 @@ class SweepOptions:
                 )
             return read_sweep(self.folder)
         return make_sweep(
-            self.targets,
+            self.target,
             self.over,
             parse_changes(self.changes),
             self.metric,
@@ -129,7 +128,7 @@ class SweepOptions:
 
 @with_options
 def sweep(options: SweepOptions) -> None:
-    """Run scenarios over ranges of their parameters; table, summary and figures.
+    """Run a scenario over ranges of its parameters; table, summary and figure.
 
     Give the folder of a study alone to continue it.
     """
@@ -143,7 +142,7 @@ def sweep(options: SweepOptions) -> None:
 def _run(wanted: Sweep, out: Path, jobs: int, cluster: str) -> None:
     from tactile_hand_ros.sweep.engine import workers
 
-    with workers(jobs, cluster), progress(", ".join(wanted.scenarios)) as watch:
+    with workers(jobs, cluster), progress(wanted.base.name) as watch:
         try:
             tally = wanted.carry_out(out, watch)
         except KeyboardInterrupt:
@@ -164,19 +163,17 @@ def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.sweep import results as tables
     from tactile_hand_ros.sweep.figures import figure
+    from tactile_hand_ros.sweep.table import read_table
 
-    results = tables.read_results(wanted, out)
-    pictures = []
-    for each in results:
-        if (drawn := figure(each)) is not None:
-            name = "_".join(filter(None, ("metrics", each.scenario)))
-            pictures.append(save(drawn, out, name, formats)[0])
+    results = tables.Results(wanted, read_table(out))
+    drawn = figure(results)
+    pictures = [] if drawn is None else save(drawn, out, "metrics", formats)[:1]
     page = tables.write_summary(results, out, pictures)
     print_table(rich_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results)))
     print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
     if rows := tables.effect_rows(results):
         print_table(rich_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10]))
-    print(f"{page}, runs.parquet, runs.csv and {len(pictures)} figures")
+    print(f"{page}, runs.parquet and runs.csv")
 
 
 def reproduce(

@@ -137,15 +137,18 @@ def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, s
 
 
 def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    """Set a value by its path."""
+    """Set a value by its path, in which a number counts the items of a list from 0."""
     place: Any = data
     for index, key in enumerate(keys):
-        if not isinstance(place, dict):
+        is_known = isinstance(place, dict)
+        if isinstance(place, list) and key.isdigit() and int(key) < len(place):
+            is_known, key = True, int(key)  # type: ignore[assignment]
+        if not is_known:
             raise ConfigurationError(
-                f"'{'.'.join(keys)}' cannot be set: '{'.'.join(keys[:index])}' has no keys in it; "
-                "set it as a whole"
+                f"'{'.'.join(keys)}' cannot be set: '{'.'.join(keys[:index])}' has no '{key}' in "
+                "it; set it as a whole"
             )
         if index == len(keys) - 1:
             place[key] = value
         else:
-            place = place.setdefault(key, {})
+            place = place.setdefault(key, {}) if isinstance(place, dict) else place[key]

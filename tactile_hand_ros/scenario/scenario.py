@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
 from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
-from tactile_hand_ros.config.plain_yaml import find_file, parse_yaml, yaml_text
+from tactile_hand_ros.config.plain_yaml import find_file, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
@@ -177,7 +177,7 @@ class Scenario(Config):
         Raises:
             ConfigurationError: If a key or value is wrong; says which.
         """
-        data = parse_yaml(resolved(self), "the scenario")
+        data = plain(self)
         places = put_changes(data, changes)
         labels = {place: f"the change of {key}" for place, key in places.items()}
         wanted = validate(Scenario, data, _source("the changed scenario", labels))
@@ -302,7 +302,7 @@ def _source(file: str, labels: Mapping[str, str]) -> Callable[[str], str]:
 
 def _overlap(place: str, key: str) -> bool:
     """Return whether one of two places is part of the other."""
-    at, of = f"{place}.".replace("[", ".["), f"{key}."
+    at, of = place.replace("[", ".").replace("]", "") + ".", f"{key}."
     return bool(place) and (at.startswith(of) or of.startswith(at))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps: scenarios over any of their parameters."""
+"""Sweeps: a scenario over any of its parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    scenarios: str | Sequence[str],
+    scenario: str,
     over: Sequence[str],
     changes: Mapping[str, Any] | None = None,
     *,
@@ -23,10 +23,10 @@ def run(
     seed: int = 0,
     jobs: int = -1,
 ) -> Results:
-    """Run scenarios over ranges of their parameters, on all cores.
+    """Run a scenario over ranges of its parameters, on all cores.
 
     Args:
-        scenarios: Names or files.
+        scenario: Name or file.
         over: Parameters as on the command line, such as ``plant.object.mass=0.05..0.5``.
         changes: Values that stay the same, by dotted key.
         folder: Of the results; an unfinished sweep in it is continued.
@@ -47,8 +47,9 @@ def run(
     from tactile_hand_ros.sweep.sweep import make_sweep
     from tactile_hand_ros.sweep.table import read_table
 
-    names = [scenarios] if isinstance(scenarios, str) else scenarios
-    asked = make_sweep(names, over, changes or {}, metrics, sampler=sampler, runs=runs, seed=seed)
+    asked = make_sweep(
+        scenario, over, changes or {}, metrics, sampler=sampler, runs=runs, seed=seed
+    )
     with workers(jobs):
         asked.carry_out(Path(folder))
     return Results(asked, read_table(Path(folder)))

@@ -21,7 +21,7 @@ _MOST_PARAMETERS = 4  # that fit next to each other
 
 
 def figure(results: Results) -> Figure | None:
-    """Draw the runs of one scenario, colored by outcome; None without a parameter of numbers."""
+    """Draw all runs, colored by outcome; None without a parameter of numbers."""
     paths = list(results.parameters)[:_MOST_PARAMETERS]
     if not paths or not len(results.table["outcome"]):
         return None

@@ -19,8 +19,8 @@ from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED
 from tactile_hand_ros.sweep.metrics import measures
 from tactile_hand_ros.sweep.space import Choice, Space
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
-from tactile_hand_ros.sweep.sweep import SCENARIO, Sweep
-from tactile_hand_ros.sweep.table import Table, read_table
+from tactile_hand_ros.sweep.sweep import Sweep
+from tactile_hand_ros.sweep.table import Table
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
@@ -28,19 +28,16 @@ Interval = tuple[float, float, float]
 
 
 class Results:
-    """The finished runs of one scenario of a sweep, or of all.
+    """The finished runs of a sweep.
 
     Attributes:
         sweep: What was asked.
-        scenario: Name of the scenario, empty for all.
         table: All columns.
     """
 
-    def __init__(self, sweep: Sweep, table: Table, scenario: str = "") -> None:
-        """Choose the rows of a scenario."""
-        self.sweep, self.scenario = sweep, scenario
-        chosen = table[SCENARIO] == scenario if scenario else slice(None)
-        self.table = {name: column[chosen] for name, column in table.items()}
+    def __init__(self, sweep: Sweep, table: Table) -> None:
+        """Take a sweep and its table."""
+        self.sweep, self.table = sweep, table
 
     def column(self, name: str) -> Any:
         """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
@@ -94,50 +91,37 @@ def _correlation(x: Array, y: Array) -> float:
     return float(optional("scipy.stats", "A rank correlation").spearmanr(x[known], y[known])[0])
 
 
-def read_results(sweep: Sweep, folder: Path) -> list[Results]:
-    """Return the results of each scenario."""
-    names, table = tuple(sweep.scenarios), read_table(folder)
-    return [Results(sweep, table, name if len(names) > 1 else "") for name in names]
-
-
 SUMMARY = "summary.md"
-FRACTION_COLUMNS = ("scenario", "outcome", "runs", "fraction", "95 % interval")
-EFFECT_COLUMNS = ("scenario", "parameter", "metric", "rank correlation")
-METRIC_COLUMNS = ("scenario", "metric", "runs", "median", "95 % interval")
+FRACTION_COLUMNS = ("outcome", "runs", "fraction", "95 % interval")
+EFFECT_COLUMNS = ("parameter", "metric", "rank correlation")
+METRIC_COLUMNS = ("metric", "runs", "median", "95 % interval")
 
 
-def fraction_rows(results: Sequence[Results]) -> list[list[str]]:
+def fraction_rows(results: Results) -> list[list[str]]:
     """Return outcomes as text, columns as in `FRACTION_COLUMNS`."""
     return [
-        [_name(each), outcome, f"{count} of {runs}", *_texts(fraction, _percent)]
-        for each in results
-        for outcome, count, runs, fraction in each.fractions()
+        [outcome, f"{count} of {runs}", *_texts(fraction, _percent)]
+        for outcome, count, runs, fraction in results.fractions()
     ]
 
 
-def metric_rows(results: Sequence[Results]) -> list[list[str]]:
+def metric_rows(results: Results) -> list[list[str]]:
     """Return metrics as text, columns as in `METRIC_COLUMNS`."""
     return [
-        [_name(each), metric, str(count), *_texts(median, _number)]
-        for each in results
-        for metric, count, median in each.medians()
+        [name, str(count), *_texts(median, _number)] for name, count, median in results.medians()
     ]
 
 
-def effect_rows(results: Sequence[Results]) -> list[list[str]]:
+def effect_rows(results: Results) -> list[list[str]]:
     """Return rank correlations as text, columns as in `EFFECT_COLUMNS`."""
-    return [
-        [_name(each), parameter, metric, _number(value)]
-        for each in results
-        for parameter, metric, value in each.effects()
-    ]
+    return [[parameter, name, _number(value)] for parameter, name, value in results.effects()]
 
 
-def write_summary(results: Sequence[Results], folder: Path, pictures: Sequence[Path]) -> Path:
+def write_summary(results: Results, folder: Path, pictures: Sequence[Path]) -> Path:
     """Write the summary of a sweep with its figures; return the file."""
-    sweep = results[0].sweep
+    sweep = results.sweep
     text = [
-        f"# {', '.join(sweep.scenarios)} over {', '.join(sweep.space)}\n",
+        f"# {sweep.base.name} over {', '.join(sweep.space)}\n",
         f"{sweep.runs} runs asked for, sampler {sweep.sampler}, seed {sweep.seed}. Each row of "
         "`runs.parquet` and `runs.csv` is a run.\n",
         tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
@@ -147,10 +131,6 @@ def write_summary(results: Sequence[Results], folder: Path, pictures: Sequence[P
     ]
     files.replace_text(folder / SUMMARY, "\n".join(text))
     return folder / SUMMARY
-
-
-def _name(results: Results) -> str:
-    return results.scenario or next(iter(results.sweep.scenarios))
 
 
 def _number(value: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,12 +70,12 @@ Space = Mapping[str, Parameter]
 """The parameters of a study by name, in a fixed order."""
 
 
-def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Parameter]:
+def parse_parameter(text: str, whole: Collection[str] = ()) -> tuple[str, Parameter]:
     """Read ``PATH=LOW..HIGH``, ``PATH=LOW..HIGH/LEVELS``, ``PATH=LOW..HIGH:log`` or ``PATH=A,B,C``.
 
     Args:
         text: As on the command line.
-        is_whole: Whether a range means whole numbers.
+        whole: Paths whose ranges mean whole numbers.
 
     Raises:
         ConfigurationError: If it is none of these, or the range or list is empty.
@@ -84,7 +84,7 @@ def parse_parameter(text: str, *, is_whole: bool = False) -> tuple[str, Paramete
     if not path or not values:
         raise ConfigurationError(f"--over got '{text}', expected PATH= and {_FORMS}.")
     if ".." in values:
-        return path, _range(f"--over {path} got '{values}', expected", values, is_whole)
+        return path, _range(f"--over {path} got '{values}', expected", values, path in whole)
     inner = values if values.startswith("[") else f"[{values}]"
     found = parse_yaml(inner, f"--over {path}")
     if not isinstance(found, list) or not found:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep as a study: scenarios over ranges of their parameters, measured run by run."""
+"""A sweep as a study: a scenario over ranges of its parameters, measured run by run."""
 
 from __future__ import annotations
 
-import copy
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -20,10 +19,8 @@ from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.sweep.engine import Point, Study, StudyError
 from tactile_hand_ros.sweep.metrics import METRICS, measures, outcome
-from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Parameter, Range, Space, parse_parameter
+from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Range, Space, parse_parameter
 from tactile_hand_ros.sweep.table import Tally, keep, read_description
-
-SCENARIO, SEED = "scenario", "seed"
 
 
 def measured(scenario: Scenario, asked: Sequence[str]) -> dict[str, Any]:
@@ -47,7 +44,7 @@ class Sweep:
         seed: Of the sampler and of all runs.
         over: Parameters as on the command line.
         metrics: What is asked of each run, see `measures`.
-        scenarios: Plain data of each scenario by name, with what stays fixed.
+        scenario: Plain data of the scenario, with what stays fixed.
     """
 
     sampler: str
@@ -55,19 +52,18 @@ class Sweep:
     seed: int
     over: Sequence[str]
     metrics: Sequence[str]
-    scenarios: Mapping[str, Mapping[str, Any]]
+    scenario: Mapping[str, Any]
+
+    @functools.cached_property
+    def base(self) -> Scenario:
+        """The scenario, before anything is varied."""
+        return validate(Scenario, self.scenario, "the scenario of the sweep")
 
     @functools.cached_property
     def space(self) -> Space:
-        """What is varied; several scenarios are a choice as well."""
-        names = tuple(self.scenarios)
-        found: dict[str, Parameter] = {SCENARIO: Choice(names)} if len(names) > 1 else {}
-        for text in self.over:
-            path, is_given, _ = text.partition("=")
-            present = _find(self.scenarios[names[0]], path)[2] if is_given else None
-            is_whole = isinstance(present, int) and not isinstance(present, bool)
-            path, found[path] = parse_parameter(text, is_whole=is_whole)
-        return found
+        """What is varied."""
+        whole = {path for path, field in leaves(Scenario).items() if field.annotation is int}
+        return dict(parse_parameter(each, whole) for each in self.over)
 
     @property
     def study(self) -> Study:
@@ -77,29 +73,20 @@ class Sweep:
     def __call__(self, point: Point) -> dict[str, Any]:
         """Make a run and return what was asked of it."""
         _compile_once()
-        scenario = self.scenario(point)
+        scenario = self.scenario_of(point)
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         return measured(scenario, self.metrics)
 
-    def scenario(self, point: Point) -> Scenario:
+    def scenario_of(self, point: Point) -> Scenario:
         """Return the scenario of a run.
 
         Raises:
             ConfigurationError: If a value is refused.
         """
-        values = {SEED: point.seed, **point.values}
-        name = values.pop(SCENARIO, next(iter(self.scenarios)))
-        return self._changed(name, values, f"run {point.index}")
-
-    def _changed(self, name: str, values: Mapping[str, Any], source: str) -> Scenario:
-        data = copy.deepcopy(self.scenarios[name])
-        for path, value in values.items():
-            container, key, _ = _find(data, path)
-            container[key] = value
-        return validate(Scenario, data, source)
+        return self.base.changed({"seed": point.seed, **point.values})
 
     def check(self) -> None:
-        """Try both ends of every parameter in every scenario, before anything is run.
+        """Try both ends of every parameter, before anything is run.
 
         Raises:
             ConfigurationError: If a path is unknown, a range empty or a value refused.
@@ -111,11 +98,7 @@ class Sweep:
         for path, parameter in self.space.items():
             ends = map(parameter.value, (0.0, 1.0))
             for value in parameter.values if isinstance(parameter, Choice) else ends:
-                for name in self.scenarios if path != SCENARIO else ():
-                    try:
-                        self._changed(name, {path: value}, f"--over {path}")
-                    except ConfigurationError as error:  # once for each node that has the value
-                        raise ConfigurationError(str(error).splitlines()[0]) from None
+                self.base.changed({path: value})
 
     def carry_out(self, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
         """Make all runs that are not done yet and write the table of all that are.
@@ -131,7 +114,7 @@ class Sweep:
 
 
 def make_sweep(
-    scenarios: Sequence[str],
+    scenario: str,
     over: Sequence[str],
     fixed: Mapping[str, Any],
     metrics: Sequence[str],
@@ -143,7 +126,7 @@ def make_sweep(
     """Return a sweep, checked.
 
     Args:
-        scenarios: Names or files.
+        scenario: Name or file.
         over: Parameters, see `parse_parameter`.
         fixed: Values that stay the same, by path.
         metrics: What is asked; everything that has a name by default.
@@ -155,11 +138,8 @@ def make_sweep(
     Raises:
         ConfigurationError: If a name, path, range or value cannot be used.
     """
-    loaded = [load_scenario(name, fixed) for name in scenarios]
-    data = {scenario.name: plain(scenario) for scenario in loaded}
-    if len(data) < len(scenarios):
-        raise ConfigurationError(f"two of {', '.join(scenarios)} have the same name, rename one.")
-    if not over and len(data) < 2:
+    data = plain(load_scenario(scenario, fixed))
+    if not over:
         raise ConfigurationError(
             "nothing is varied; give --over such as --over plant.object.mass=0.05..0.5."
         )
@@ -181,21 +161,3 @@ def read_sweep(folder: Path) -> Sweep:
         return Sweep(**{field.name: found[field.name] for field in fields(Sweep)})
     except KeyError:
         raise StudyError(f"{folder} holds another kind of study, expected a sweep.") from None
-
-
-def _find(data: Any, path: str) -> tuple[Any, Any, Any]:
-    """Return container, key and value at a path; a number in it counts the items of a list from 0.
-
-    Raises:
-        ConfigurationError: If there is none.
-    """
-    container: Any = None
-    key: Any = None
-    try:
-        for key in path.split("."):
-            container, key = data, int(key) if isinstance(data, list) and key.isdigit() else key
-            data = container[key]
-    except (LookupError, TypeError, ValueError):
-        hint = did_you_mean(path, leaves(Scenario))
-        raise ConfigurationError(f"--over names the unknown parameter '{path}'{hint}") from None
-    return container, key, data

@@ -61,5 +61,5 @@ def test_changes_are_put_where_their_keys_say():
     assert data["layout"] == "three_faces"
     put_changes(data, {"hand": "paper"})
     assert "layout" not in data
-    with pytest.raises(ConfigurationError, match="'seed.a.b' cannot be set: 'seed' has no keys"):
+    with pytest.raises(ConfigurationError, match="'seed.a.b' cannot be set: 'seed' has no 'a'"):
         put_changes(data, {"seed.a.b": 1})

@@ -178,8 +178,11 @@ def test_changes_go_over_the_file():
     assert scenario.plant.object.mass == 0.2 and scenario.plant.duration == 1.0
     with pytest.raises(ConfigurationError, match="unknown key 'wight'"):
         load_scenario("paper", {"plant.object.wight": 0.2})
-    with pytest.raises(ConfigurationError, match="'targets.0.time' cannot be set"):
-        load_scenario("paper", {"targets.0.time": 0.2})
+    assert load_scenario("paper", {"targets.0.time": 0.2}).targets[0].time == 0.2
+    with pytest.raises(ConfigurationError, match="'targets.1.time' cannot be set"):
+        load_scenario("paper", {"targets.1.time": 0.2})
+    with pytest.raises(ConfigurationError, match="^--set t: targets.0..time is -1"):
+        load_scenario("paper", {"targets.0.time": -1}, {"targets.0.time": "--set t"})
     with pytest.raises(ConfigurationError, match="'duration.x' cannot be set"):
         load_scenario("paper", {"duration.x": 0.2})
 
