@@ -22,7 +22,6 @@ from tactile_hand_ros.cli.output import check_writable, print_table, steps
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.files import replace_text
-from tactile_hand_ros.report.tables import rich_table
 
 if TYPE_CHECKING:
     from bench.result import Measurement
@@ -69,7 +68,7 @@ def bench(
         for name in chosen:
             results += _measure(name, work)
             advance(name.value)
-    print_table(rich_table("measurements", COLUMNS, [result.row for result in results]))
+    print_table("measurements", COLUMNS, [result.row for result in results])
     replace_text(out, json.dumps(to_json(results), indent=2) + "\n")
     print(f"saved in {out}")
 

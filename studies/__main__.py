@@ -35,7 +35,7 @@ from tactile_hand_ros.cli.output import (
 )
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.report.tables import markdown, rich_table
+from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.sweep.engine import in_parallel, workers
 from tactile_hand_ros.sweep.table import read_table
 
@@ -48,7 +48,7 @@ def _finish(out: Path, files: list[Path], *tables: Table) -> None:
     text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
     out.joinpath("summary.md").write_text(text, encoding="utf-8")
     for table in tables:
-        print_table(rich_table(*table))
+        print_table(*table)
     print_files([*files, out / "summary.md"], out)
 
 
@@ -205,7 +205,7 @@ def robustness(
         tally = r.run_map(names, out, seed, watch)
     table = read_table(out)
     files = save(r.figure(table), out, "robustness", kinds)
-    print_table(rich_table("scenarios that survive", r.COLUMNS, r.rows_of(table)))
+    print_table("scenarios that survive", r.COLUMNS, r.rows_of(table))
     print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
 
 

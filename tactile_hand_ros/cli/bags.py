@@ -79,7 +79,6 @@ def replay(request: ReplayRequest) -> None:
 def _recompute(request: ReplayRequest) -> None:
     """Ask the controllers again, and compare their answers with those in the bag."""
     from tactile_hand_ros.config.plain_yaml import parse_changes
-    from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
@@ -91,7 +90,7 @@ def _recompute(request: ReplayRequest) -> None:
         recorded = r.scenario_of(run).manipulation_controller.law.name
         is_as_recorded = is_as_recorded and request.law == recorded
     result = r.recompute(run, values)
-    print_table(rich_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons)))
+    print_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons))
     if is_as_recorded and not result.same:
         print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)

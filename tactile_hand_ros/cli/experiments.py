@@ -15,6 +15,7 @@ from tactile_hand_ros.cli.output import (
     JobsOption,
     SeedOption,
     check_writable,
+    console,
     figure_formats,
     folder_for_results,
     print_files,
@@ -32,14 +33,13 @@ if TYPE_CHECKING:
 def scenarios() -> None:
     """List the scenarios of the package."""
     from tactile_hand_ros.config.paths import scenario_names
-    from tactile_hand_ros.report import tables
     from tactile_hand_ros.scenario.scenario import load_scenario
 
     rows = []
     for name in scenario_names():
         scenario = load_scenario(name)
         rows.append([name, f"{scenario.duration:g} s", scenario.description])
-    print_table(tables.rich_table("scenarios", ("name", "duration", "description"), rows))
+    print_table("scenarios", ("name", "duration", "description"), rows)
 
 
 def show(
@@ -160,7 +160,6 @@ def _again(out: Path) -> str:
 
 def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.sweep import results as tables
     from tactile_hand_ros.sweep.figures import figure
     from tactile_hand_ros.sweep.table import read_table
@@ -169,10 +168,10 @@ def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
     drawn = figure(results)
     pictures = [] if drawn is None else save(drawn, out, "metrics", formats)[:1]
     page = tables.write_summary(results, out, pictures)
-    print_table(rich_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results)))
-    print_table(rich_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results)))
+    print_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results))
+    print_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results))
     if rows := tables.effect_rows(results):
-        print_table(rich_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10]))
+        print_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10])
     print(f"{page}, runs.parquet and runs.csv")
 
 
@@ -190,7 +189,6 @@ def reproduce(
     formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims next to what was measured."""
-    from tactile_hand_ros.report.tables import rich_table
     from tactile_hand_ros.reproduce import reproduce as r
     from tactile_hand_ros.reproduce.experiments import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.sweep.engine import workers
@@ -206,9 +204,9 @@ def reproduce(
             advance(result.layout)
     files += r.write(results, out, kinds[0])
     for result in results:
-        print_table(r.claim_table(result))
+        console().print(r.claim_table(result))
         title = f"what the laws do, layout {result.layout}"
-        print_table(rich_table(title, r.LAW_COLUMNS, r.law_rows(result)))
+        print_table(title, r.LAW_COLUMNS, r.law_rows(result))
     print_files(files, out)
 
 

@@ -100,9 +100,11 @@ def console(stderr: bool = False) -> Console:
     return made
 
 
-def print_table(table: object) -> None:
-    """Print a table of rich."""
-    console().print(table)
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table."""
+    from tactile_hand_ros.report.tables import rich_table
+
+    console().print(rich_table(title, columns, rows))
 
 
 def print_files(files: Sequence[Path], folder: Path) -> None:

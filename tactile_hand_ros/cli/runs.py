@@ -87,10 +87,10 @@ def compare(
     file = write_comparison(opened, out / COMPARISON)
     names = [f"{number}: {label}" for number, label in enumerate(labels(opened), 1)]
     if settings := differing(opened):
-        print_table(tables.rich_table("settings that differ", ("", *names), settings))
+        print_table("settings that differ", ("", *names), settings)
     rows = [["", *(each.headline for each in opened)]]
     rows += tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
-    print_table(tables.rich_table("runs", ("", *names), rows))
+    print_table("runs", ("", *names), rows)
     _print_page(file)
 
 
@@ -116,10 +116,10 @@ def summary(
     name = opened.scenario.name if opened.scenario else "unknown scenario"
     columns = ("", "")
     rows = tables.metrics_rows(opened.metrics) + tables.recovery_rows(opened.recoveries)
-    print_table(tables.rich_table(f"{name}, {opened.path}", columns, rows))
+    print_table(f"{name}, {opened.path}", columns, rows)
     if lines := tables.assumption_rows(opened.assumptions):
-        print_table(tables.rich_table("assumptions", tables.ASSUMPTION_COLUMNS, lines))
-    print_table(tables.rich_table("recording", columns, tables.bag_rows(opened.bag_metrics)))
+        print_table("assumptions", tables.ASSUMPTION_COLUMNS, lines)
+    print_table("recording", columns, tables.bag_rows(opened.bag_metrics))
 
 
 def _open(path: Path, namespace: str | None) -> Run:
