@@ -25,7 +25,6 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.report.tables import milli
 from tactile_hand_ros.run.metrics import metrics
-from tactile_hand_ros.run.verdict import headline, judged
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_scenario, resolved
 
 DOCS = Path(__file__).resolve().parent
@@ -96,14 +95,14 @@ def _run(words: str, watch: Watch) -> list[str]:
     scenario = load_scenario(given.scenario, parse_changes(given.set))
     record = ClosedLoop(scenario).run()
     watch(words, scenario, record)
-    found = metrics(record, scenario).to_dict()
+    found = metrics(record, scenario)
     rows = [
         f"{each.name:<22}{_milli(each.value, each.unit):>14}   < {1e3 * each.limit:g} m{each.unit}"
         f"   {'pass' if each.passed else 'fail'}"
-        for each in judged(found, scenario.goal)
-        if each.value is not None and each.limit < UNLIMITED_SLIP
+        for each in found.judged(scenario.goal)
+        if each.limit < UNLIMITED_SLIP
     ]
-    return [*rows, headline(found)]
+    return [*rows, found.headline()]
 
 
 def _milli(value: float, unit: str) -> str:

@@ -18,16 +18,15 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.page import REPORT, write_report
-from tactile_hand_ros.run.metrics import json_ready
-from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.run.verdict import (
+from tactile_hand_ros.run.metrics import (
     DROPPED,
     NOT_REACHED,
     REACHED,
     STEERED,
-    headline,
-    judged,
+    Metrics,
+    json_ready,
 )
+from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
 EXIT_DROPPED = 3
@@ -43,13 +42,13 @@ class RunResults:
 
     Attributes:
         run: The run as it was read, None without a bag or a tick.
-        metrics: `Run.metrics` as plain data, empty without a bag or a tick.
+        metrics: What was achieved, None without a bag or a tick.
         recording: Message counts against ticks, empty without a bag or a tick.
         problems: A sentence for each thing that is wrong with the bag.
     """
 
     run: Run | None = None
-    metrics: dict[str, Any] = field(default_factory=dict)
+    metrics: Metrics | None = None
     recording: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
@@ -67,10 +66,10 @@ def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> Ru
     try:
         run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
         recording = run.bag_metrics.to_dict()
-        results = RunResults(run, run.metrics.to_dict(), recording)
+        results = RunResults(run, run.metrics, recording)
     except TactileHandError as error:
         return RunResults(problems=[str(error)])
-    ticks, lost = results.metrics["ticks"], run.lost_messages or 0
+    ticks, lost = run.metrics.ticks, run.lost_messages or 0
     # In real time a late plant skips ticks.
     expected = plan.scenario.ticks if outcome.is_complete and _is_lockstep(plan) else None
     recording |= {"expected_ticks": expected, LOST_KEY: lost}
@@ -140,23 +139,23 @@ def judge(plan: Plan, outcome: RunOutcome, results: RunResults, signal_code: int
         signal_code: Exit code if a signal ended it.
     """
     # A run that was interrupted before its first tick lacks nothing that it should have.
-    expected = results.metrics or not outcome.interrupted
+    metrics = results.metrics
+    expected = metrics is not None or not outcome.interrupted
     troubles = [*(results.problems if expected else []), *outcome.complaints]
     if outcome.failure:
         return RunVerdict("failed", [outcome.failure, *troubles], 1)
     ended = outcome.interrupted and plan.interactive and signal_code == _CTRL_C
     if outcome.interrupted and not ended:
         return RunVerdict("interrupted", troubles, signal_code)
-    dropped = results.metrics.get("dropped_at_s")
-    if dropped is not None:
-        reason = f"the object was dropped at t = {dropped:.3f} s"
+    if metrics is not None and metrics.is_dropped:
+        reason = f"the object was dropped at t = {metrics.dropped_at_s:.3f} s"
         return RunVerdict(DROPPED, [reason, *troubles], EXIT_DROPPED)
     if ended or not plan.record:
         return RunVerdict(STEERED, troubles, 1 if troubles else 0)
     missed = [
-        f"the {each.name} is {'unknown' if each.value is None else f'{each.value:.4g}'} "
-        f"{each.unit}, the goal is {each.limit:g} {each.unit}"
-        for each in (judged(results.metrics, plan.scenario.goal) if results.metrics else ())
+        f"the {each.name} is {tables.number(each.value, each.unit)}, the goal is {each.limit:g} "
+        f"{each.unit}"
+        for each in ([] if metrics is None else metrics.judged(plan.scenario.goal))
         if not each.passed
     ]
     if missed:
@@ -166,7 +165,9 @@ def judge(plan: Plan, outcome: RunOutcome, results: RunResults, signal_code: int
 
 def in_words(verdict: RunVerdict, results: RunResults) -> str:
     """Return what became of a run in a few words, with the time where the object was dropped."""
-    return headline(results.metrics) if verdict.outcome == DROPPED else verdict.outcome
+    if verdict.outcome == DROPPED and results.metrics is not None:
+        return results.metrics.headline()
+    return verdict.outcome
 
 
 def write_summary(
@@ -188,7 +189,7 @@ def write_summary(
             "rotation_error_rad": scenario.goal.rotation_error,
             "slip_distance_m": scenario.goal.slip_distance,
         },
-        "metrics": results.metrics,
+        "metrics": {} if results.metrics is None else results.metrics.to_dict(),
         "assumptions": [] if run is None else [line.to_dict() for line in run.assumptions],
         "recoveries": [] if run is None else [each.to_dict() for each in run.recoveries],
         "recording": results.recording,
@@ -214,8 +215,8 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
         return out
     if run.earlier:
         out.add_row("all numbers", "since the last reset")
-    has_goal = not plan.interactive and results.metrics["dropped_at_s"] is None
-    for each in judged(results.metrics, plan.scenario.goal) if has_goal else ():
+    has_goal = not plan.interactive and not run.metrics.is_dropped
+    for each in run.metrics.judged(plan.scenario.goal) if has_goal else ():
         goal = (f"< {1e3 * each.limit:g} m{each.unit}", "pass" if each.passed else "fail")
         is_limited = each.limit < UNLIMITED_SLIP
         out.add_row(each.name, tables.milli(each.value, each.unit), *(goal if is_limited else ()))

@@ -20,13 +20,13 @@ _VERSION = "version_"
 
 def passed(run: RunData) -> bool | None:
     """Return whether a run is good: held, and its goal reached; None where nothing judges it."""
-    return False if not math.isnan(run.metrics.dropped_at_s) else run.metrics.goal_reached
+    return False if run.metrics.is_dropped else run.metrics.goal_reached
 
 
 def tiles(run: RunData) -> list[dict[str, Any]]:
     """Return the headline: a few numbers, each with what it is and how it is to be judged."""
     m, bag = run.metrics, run.bag_metrics
-    if not math.isnan(m.dropped_at_s):
+    if m.is_dropped:
         dropped = _tile("object dropped", m.dropped_at_s, "s", "fewer than two fingers touch it")
         found = [{**dropped, "passed": False}]
     else:

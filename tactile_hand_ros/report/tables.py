@@ -38,7 +38,7 @@ def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
 
 def metrics_rows(m: Metrics) -> list[list[str]]:
     """Return the metrics of a run as text: name and value."""
-    held = math.isnan(m.dropped_at_s)
+    held = not m.is_dropped
     return [
         ["simulated time", f"{m.simulated_time_s:g} s in {m.ticks} ticks"],
         *([] if held else [["object", f"dropped at {m.dropped_at_s:.3f} s"]]),
@@ -172,9 +172,9 @@ def number(value: float, unit: str = "") -> str:
     return f"{value:.4g} {unit}".rstrip()
 
 
-def milli(value: float | None, unit: str) -> str:
+def milli(value: float, unit: str) -> str:
     """Return a length [m] or angle [rad] in thousandths, without digits that do not matter."""
-    if value is None or math.isnan(value):
+    if math.isnan(value):
         return "unknown"
     if abs(value) < _NOTHING:
         return f"0 m{unit}"

@@ -16,8 +16,13 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.events import alarm_count, slip_count
-from tactile_hand_ros.run.verdict import reached
 from tactile_hand_ros.scenario.scenario import GoalConfig, Scenario
+
+DROPPED = "object dropped"
+REACHED = "goal reached"
+NOT_REACHED = "goal not reached"
+STEERED = "finished"
+"""Of a run that a user steered and ended: no goal says where it should have come to."""
 
 BACK = 0.001
 """Position error below which an object counts as back [m]."""
@@ -97,6 +102,28 @@ START_S = 0.02
 
 
 @dataclass(frozen=True)
+class Judged:
+    """One number that the goal of a scenario limits.
+
+    Attributes:
+        name: What it is.
+        value: How large it is, NaN where it is not known.
+        limit: The largest that is good.
+        unit: Of both.
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is known and inside its limit."""
+        return self.value <= self.limit
+
+
+@dataclass(frozen=True)
 class Metrics(Plain):
     """Results of a run; NaN where the record does not show them, mappings go by finger.
 
@@ -157,6 +184,39 @@ class Metrics(Plain):
     dropped_at_s: float
     goal_reached: bool | None
 
+    @property
+    def is_dropped(self) -> bool:
+        """Whether the object was dropped."""
+        return not math.isnan(self.dropped_at_s)
+
+    def judged(self, goal: GoalConfig) -> list[Judged]:
+        """Return what a goal limits; slip only where it is known, which it is not for a real hand.
+
+        Args:
+            goal: The scenario's goal.
+        """
+        found = [
+            Judged("final position error", self.final_position_error_m, goal.position_error, "m"),
+            Judged(
+                "final rotation error", self.final_rotation_error_rad, goal.rotation_error, "rad"
+            ),
+        ]
+        if not math.isnan(self.max_slip_distance_m):
+            found.append(Judged("longest slip", self.max_slip_distance_m, goal.slip_distance, "m"))
+        return found
+
+    def headline(self, *, steered: bool = False) -> str:
+        """Return what became of a run in a few words, empty where nothing judges it.
+
+        Args:
+            steered: Whether a user steered it.
+        """
+        if self.is_dropped:
+            return f"{DROPPED} at {self.dropped_at_s:.3f} s"
+        if steered or self.goal_reached is None:
+            return STEERED if steered else ""
+        return REACHED if self.goal_reached else NOT_REACHED
+
 
 def metrics(
     record: Record, scenario: Scenario | None = None, *, releases: Sequence[float] = ()
@@ -194,7 +254,10 @@ def metrics(
         dropped_at_s=dropped,
         goal_reached=None,
     )
-    return found if scenario is None else replace(found, goal_reached=reached(vars(found), goal))
+    if scenario is None:
+        return found
+    is_good = not found.is_dropped and all(each.passed for each in found.judged(goal))
+    return replace(found, goal_reached=is_good)
 
 
 def _force_metrics(record: Record) -> dict[str, Any]:

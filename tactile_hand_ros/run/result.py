@@ -21,7 +21,6 @@ from tactile_hand_ros.run.assumptions import Assumption, assumptions
 from tactile_hand_ros.run.events import Asked, Event, asked_events, events, releases
 from tactile_hand_ros.run.metrics import Metrics, Settling, metrics, recoveries
 from tactile_hand_ros.run.recording import BagMetrics
-from tactile_hand_ros.run.verdict import headline
 from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
@@ -85,7 +84,7 @@ class RunData:
     @property
     def headline(self) -> str:
         """What became of the run, in a few words; empty where nothing judges it."""
-        return headline(self.metrics.to_dict(), steered=self.steered)
+        return self.metrics.headline(steered=self.steered)
 
     @property
     def assumptions(self) -> list[Assumption]:

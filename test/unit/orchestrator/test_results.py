@@ -7,6 +7,7 @@ import io
 import json
 import math
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rich.console import Console
 from support.recorded import random_record, write_record
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.orchestrator.results import (
     RunResults,
     RunVerdict,
@@ -29,6 +31,7 @@ from tactile_hand_ros.orchestrator.results import (
 )
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
+from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -37,7 +40,11 @@ PLAN = Plan(load_scenario("paper", {"duration": 0.1, "targets": []}))
 STEERED = Plan(PLAN.scenario, interactive=True)
 REAL_TIME = Plan(load_scenario("paper", {"plant.pacing": "realtime", "duration": 0.1}))
 DONE = RunOutcome()
-GOOD = {"final_position_error_m": 1e-5, "final_rotation_error_rad": 1e-5}
+GOOD = replace(
+    metrics(Record.empty(1, ["a"], ["j"])),
+    final_position_error_m=1e-5,
+    final_rotation_error_rad=1e-5,
+)
 
 
 @pytest.fixture
@@ -51,7 +58,7 @@ def directory(tmp_path: Path) -> RunDirectory:
 
 def results(*problems: str, **changes: Any) -> RunResults:
     """Return good results with some values changed."""
-    return RunResults(metrics={**GOOD, **changes}, problems=list(problems))
+    return RunResults(metrics=replace(GOOD, **changes), problems=list(problems))
 
 
 @pytest.mark.parametrize(
@@ -64,9 +71,9 @@ def results(*problems: str, **changes: Any) -> RunResults:
             "the final position error is 0.0002 m, the goal is 0.0001 m",
         ),
         (
-            results(final_rotation_error_rad=None),
+            results(final_rotation_error_rad=math.nan),
             "goal not reached",
-            "the final rotation error is unknown rad, the goal is 0.001 rad",
+            "the final rotation error is unknown, the goal is 0.001 rad",
         ),
         (results("3 messages lost"), "incomplete", "3 messages lost"),
     ],
@@ -137,7 +144,7 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
     longer = load_scenario("paper", {"duration": 0.102, "targets": []})
     found = read_results(PLAN, directory, DONE)
     assert found.run is not None and found.problems == []
-    assert found.recording["expected_ticks"] == found.metrics["ticks"] == TICKS
+    assert found.recording["expected_ticks"] == found.run.metrics.ticks == TICKS
     short = f"the bag holds {TICKS} ticks, expected {TICKS + 1}"
     assert short in read_results(Plan(longer), directory, DONE).problems
     assert short not in read_results(Plan(longer), directory, RunOutcome(interrupted=True)).problems

@@ -44,7 +44,6 @@ METRICS = Metrics(
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (None, "unknown"),
         (math.nan, "unknown"),
         (0.0, "0 mm"),
         (-0.99e-9, "0 mm"),
@@ -54,7 +53,7 @@ METRICS = Metrics(
         (-0.0123456, "-12.35 mm"),
     ],
 )
-def test_lengths_are_in_thousandths(value: float | None, text: str) -> None:
+def test_lengths_are_in_thousandths(value: float, text: str) -> None:
     assert tables.milli(value, "m") == text
 
 

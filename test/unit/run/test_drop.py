@@ -13,7 +13,6 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.derived import dropped_at, pose_errors
 from tactile_hand_ros.run.events import events
 from tactile_hand_ros.run.metrics import metrics
-from tactile_hand_ros.run.verdict import headline
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 
@@ -86,7 +85,7 @@ def test_the_pull_without_slip_prevention_is_called_a_drop(
     assert 2.0 < m.dropped_at_s < 2.5
     assert m.goal_reached is False
     assert m.slip_count and m.max_slip_distance_m > 0.001
-    assert headline(m.to_dict()) == f"object dropped at {m.dropped_at_s:.3f} s"
+    assert m.headline() == f"object dropped at {m.dropped_at_s:.3f} s"
     found = [each for each in events(*dropped, dropped=m.dropped_at_s) if each.kind == "dropped"]
     assert [each.time for each in found] == [m.dropped_at_s]
 

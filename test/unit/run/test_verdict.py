@@ -3,28 +3,32 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.events import Asked, releases
-from tactile_hand_ros.run.verdict import Judged, headline, judged
+from tactile_hand_ros.run.metrics import Judged, metrics
 from tactile_hand_ros.scenario.scenario import GoalConfig
 
 GOAL = GoalConfig(position_error=0.01, rotation_error=0.1, slip_distance=0.002)
-METRICS = {"final_position_error_m": 0.02, "final_rotation_error_rad": 0.05}
+UNKNOWN = metrics(Record.empty(1, ["a"], ["j"]))
 
 
 def test_each_number_is_judged_by_its_own_limit() -> None:
-    assert judged(METRICS, GOAL) == [
+    known = replace(UNKNOWN, final_position_error_m=0.02, final_rotation_error_rad=0.05)
+    assert known.judged(GOAL) == [
         Judged("final position error", 0.02, 0.01, "m"),
         Judged("final rotation error", 0.05, 0.1, "rad"),
     ]
-    slid = judged(METRICS | {"max_slip_distance_m": 0.0}, GOAL)[2]
+    slid = replace(known, max_slip_distance_m=0.0).judged(GOAL)[2]
     assert slid == Judged("longest slip", 0.0, 0.002, "m")
-    assert len(judged(METRICS | {"max_slip_distance_m": None}, GOAL)) == 2
 
 
-@pytest.mark.parametrize(("value", "passed"), [(0.1, True), (0.1001, False), (None, False)])
-def test_a_number_passes_up_to_its_limit(value: float | None, passed: bool) -> None:
+@pytest.mark.parametrize(("value", "passed"), [(0.1, True), (0.1001, False), (math.nan, False)])
+def test_a_number_passes_up_to_its_limit(value: float, passed: bool) -> None:
     assert Judged("x", value, 0.1, "m").passed is passed
 
 
@@ -33,18 +37,17 @@ def test_a_number_passes_up_to_its_limit(value: float | None, passed: bool) -> N
     [
         (1.25, True, True, "object dropped at 1.250 s"),
         (0.0, False, False, "object dropped at 0.000 s"),
-        (None, True, False, "finished"),
-        (None, False, True, "goal reached"),
-        (None, False, False, "goal not reached"),
-        (None, False, None, ""),
+        (math.nan, True, False, "finished"),
+        (math.nan, False, True, "goal reached"),
+        (math.nan, False, False, "goal not reached"),
+        (math.nan, False, None, ""),
     ],
 )
 def test_what_became_of_a_run(
-    dropped: float | None, steered: bool, reached: bool | None, words: str
+    dropped: float, steered: bool, reached: bool | None, words: str
 ) -> None:
-    found = {"dropped_at_s": dropped, "goal_reached": reached}
-    assert headline(found, steered=steered) == words
-    assert headline({}) == ""
+    found = replace(UNKNOWN, dropped_at_s=dropped, goal_reached=reached)
+    assert found.headline(steered=steered) == words
 
 
 def test_the_hand_is_open_from_the_last_time_it_was_asked_to_until_it_grasps() -> None:
