@@ -150,8 +150,7 @@ def _run(wanted: Sweep, out: Path, jobs: int, cluster: str) -> None:
             raise
         except TactileHandError as error:
             raise TactileHandError(f"{error} {_again(out)}") from None
-    failed = tally.outcomes["failed"]
-    print(f"{tally.done} of {tally.total} runs, {failed} failed, {tally.rate:.3g} runs/s")
+    print(tally)
 
 
 def _again(out: Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -124,12 +123,13 @@ def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]
         A function that updates the bar; see `rich.progress.Progress.update`. Its field ``text`` is
         shown behind the bar.
     """
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     output = console(stderr=True)
     shown = Progress(
         TextColumn("{task.description}"),
         BarColumn(20),
+        TimeRemainingColumn(),
         TextColumn("{task.fields[text]}"),
         console=output,
         transient=True,
@@ -153,8 +153,6 @@ def progress(title: str) -> Iterator[Callable[[Tally], None]]:
     with bar(title) as update:
 
         def watch(tally: Tally) -> None:
-            left = f"{tally.left:.0f} s left, " if tally.left < math.inf else ""
-            text = f"{tally.done} of {tally.total}, {left}{tally}"
-            update(completed=tally.done, total=tally.total, text=text)
+            update(completed=tally.done, total=tally.total, text=str(tally))
 
         yield watch

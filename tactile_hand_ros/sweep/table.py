@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,9 +22,9 @@ from numpy.typing import NDArray
 import tactile_hand_ros
 from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
+from tactile_hand_ros.errors import counted
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.sweep.engine import FAILED, REACHED, Point, Study, StudyError
-from tactile_hand_ros.sweep.statistics import fraction_of
+from tactile_hand_ros.sweep.engine import Point, Study, StudyError
 
 DESCRIPTION, ROWS, TABLE, TEXT = "study.json", "runs.jsonl", "runs.parquet", "runs.csv"
 INDEX = "run"
@@ -43,37 +42,21 @@ class Tally:
         total: Number of runs.
         before: Runs that were done before it began.
         outcomes: How often each outcome came since.
-        began: When, on the clock of `time.monotonic`, s.
     """
 
     total: int
     before: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
-    began: float = field(default_factory=time.monotonic)
 
     @property
     def done(self) -> int:
         """Number of finished runs."""
         return self.before + self.outcomes.total()
 
-    @property
-    def rate(self) -> float:
-        """Runs per second since the beginning."""
-        return self.outcomes.total() / max(time.monotonic() - self.began, 1e-9)
-
-    @property
-    def left(self) -> float:
-        """Time left, s."""
-        return (self.total - self.done) / self.rate if self.rate > 0.0 else math.inf
-
     def __str__(self) -> str:
-        """Return how many failed, how fast it goes, and an early look at the result."""
-        fraction, low, high = fraction_of(self.outcomes[REACHED], self.outcomes.total())
-        speed = f"{self.rate:.3g} runs/s"
-        if math.isnan(fraction):
-            return speed
-        reached = f"{100 * fraction:.0f} % ({100 * low:.0f} to {100 * high:.0f}) reach the goal"
-        return f"{self.outcomes[FAILED]} failed, {speed}, {reached}"
+        """Return how many are done, and what came of those that were made now."""
+        came = "".join(f", {count} {outcome}" for outcome, count in self.outcomes.items())
+        return f"{self.done} of {counted(self.total, 'run')}{came}"
 
 
 def keep(
