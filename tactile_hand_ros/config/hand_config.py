@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from pydantic import Field, field_validator, model_validator
@@ -12,27 +11,17 @@ from tactile_hand_ros.config.model import Config, check_radians, load_yaml, para
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import HandModelError
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,59}")
+_NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"
+"""What ROS takes as part of the name of a topic."""
 _MOST_FINGERS = 32
 
 
 class FingerConfig(Config):
     """One finger: the link whose origin is the centre of its hemispherical tip."""
 
-    name: str = param(..., "name of the finger in topics and frames")
+    name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
     tip: str = param(..., "link at the centre of the fingertip", min_length=1)
     radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
-
-    @field_validator("name")
-    @classmethod
-    def _fits_into_a_topic(cls, name: str) -> str:
-        """Refuse what ROS does not take as part of a topic's name."""
-        if not _NAME.fullmatch(name):
-            raise ValueError(
-                f"{name[:60]!r} is not a finger's name, expected at most 60 letters, digits and "
-                "underscores that do not begin with a digit"
-            )
-        return name
 
 
 class MountConfig(Config):

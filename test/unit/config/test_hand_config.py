@@ -49,7 +49,7 @@ def test_fingers_of_another_form_or_number_are_refused_in_one_sentence(
 
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "é", "a" * 61, "a\n"])
 def test_a_name_that_is_no_part_of_a_topic_is_refused(name: str) -> None:
-    with pytest.raises(ConfigurationError, match="is not a finger's name"):
+    with pytest.raises(ConfigurationError, match="is .*, but should match pattern"):
         hand([name, "b", "c"])
     hand(["a" * 60, "b", "c"])
 
