@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from tactile_hand_ros.config.model import Config, check_radians, load_yaml, param
+from tactile_hand_ros.config.model import Config, load_yaml, param
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import HandModelError
 
@@ -29,12 +29,6 @@ class MountConfig(Config):
 
     xyz: tuple[float, float, float] = param((0.0, 0.0, 0.0), "origin", unit="m")
     rpy: tuple[float, float, float] = param((0.0, 0.0, 0.0), "fixed-axis angles", unit="rad")
-
-    @field_validator("rpy")
-    @classmethod
-    def _in_radians(cls, rpy: tuple[float, float, float]) -> tuple[float, float, float]:
-        check_radians(rpy)
-        return rpy
 
 
 class HandConfig(Config):

@@ -19,6 +19,7 @@ from tactile_hand_ros.config.explanation import (
     did_you_mean,
     element_type,
     explain,
+    unit_of,
 )
 from tactile_hand_ros.config.plain_yaml import read_yaml
 from tactile_hand_ros.errors import ConfigurationError
@@ -68,6 +69,14 @@ class Config(BaseModel):
             items = value if isinstance(value, SEQUENCES) else (value,)
             if any(isinstance(item, bool) for item in items):
                 raise ValueError("true or false is not a number")
+        return value
+
+    @field_validator("*")
+    @classmethod
+    def _refuse_degrees(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse angles that can only be meant in degrees."""
+        if unit_of(cls.model_fields[str(info.field_name)]) == "rad" and value is not None:
+            _check_radians(value if isinstance(value, SEQUENCES) else [value])
         return value
 
     def changed(self: C, changes: Mapping[str, Any]) -> C:
@@ -155,26 +164,20 @@ def load_yaml(path: str | Path, model: type[C]) -> C:
     return validate(model, read_yaml(path), str(path))
 
 
-HALF_TURN = math.pi
-FULL_TURN = 2.0 * math.pi
-_ROUNDING = 1e-3  # rad; a half turn may be written with few digits
+_FULL_TURN = 2.0 * math.pi + 1e-3  # rad; it may be written with few digits
 
 
-def check_radians(angles: Sequence[float], maximum: float = FULL_TURN) -> None:
-    """Refuse angles of which no user means as many radians.
+def _check_radians(angles: Sequence[float]) -> None:
+    """Refuse angles of which no user means as many radians; say what they are as degrees.
 
     Args:
         angles: Angles, or a rotation vector, in rad.
-        maximum: Largest sensible angle, rad.
-
-    Raises:
-        ValueError: With the same values read as degrees.
     """
-    if max((abs(angle) for angle in angles), default=0.0) <= maximum + _ROUNDING:
-        return
-    given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
-    turn = "half a turn" if maximum == HALF_TURN else "a full turn"
-    raise ValueError(f"{given} goes beyond {turn}; angles are in rad: {meant} if these are degrees")
+    if any(abs(angle) > _FULL_TURN for angle in angles):
+        given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
+        raise ValueError(
+            f"{given} goes beyond a full turn; angles are in rad: {meant} if these are degrees"
+        )
 
 
 def _listed(values: Sequence[float]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
-from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param, validate
+from tactile_hand_ros.config.model import Config, param, validate
 from tactile_hand_ros.config.plain_yaml import find_file, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
@@ -55,12 +55,6 @@ class TargetConfig(Config):
     @field_serializer("position", "rotation")
     def _kept(self, value: Vector | None) -> Vector | str:
         return "keep" if value is None else value
-
-    @field_validator("rotation")
-    @classmethod
-    def _in_radians(cls, rotation: Vector | None) -> Vector | None:
-        check_radians(rotation or (), HALF_TURN)
-        return rotation
 
     @property
     def stamp(self) -> int:

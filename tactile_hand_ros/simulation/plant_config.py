@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
-from tactile_hand_ros.config.model import HALF_TURN, Config, check_radians, param
+from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig
@@ -44,12 +44,6 @@ class ObjectConfig(Config):
     rotation: Vector = param(
         (0.0, 0.0, 0.0), "rotation vector at the start, palm frame", unit="rad"
     )
-
-    @field_validator("rotation")
-    @classmethod
-    def _in_radians(cls, rotation: Vector) -> Vector:
-        check_radians(rotation, HALF_TURN)
-        return rotation
 
     @model_validator(mode="after")
     def _is_a_body(self) -> ObjectConfig:
@@ -206,12 +200,6 @@ class PlantConfig(Config):
     def tick(self) -> int:
         """Length of a tick in ns."""
         return round(1e9 / self.rate)
-
-    @field_validator("initial_joints")
-    @classmethod
-    def _in_radians(cls, angles: list[float]) -> list[float]:
-        check_radians(angles)
-        return angles
 
     @model_validator(mode="after")
     def _a_tick_is_whole_steps(self) -> PlantConfig:

@@ -9,10 +9,7 @@ import pytest
 from pydantic import Field, ValidationError, model_validator
 
 from tactile_hand_ros.config.model import (
-    FULL_TURN,
-    HALF_TURN,
     Config,
-    check_radians,
     flatten,
     from_flat,
     leaves,
@@ -189,12 +186,15 @@ def test_a_key_below_a_value_is_unknown():
         assert str(caught.value).startswith("there: ")
 
 
-@pytest.mark.parametrize(
-    ("most", "words"), [(HALF_TURN, "half a turn"), (FULL_TURN, "a full turn")]
-)
-def test_a_thousandth_beyond_a_turn_is_rounding_and_more_is_refused(most, words):
-    assert most in (math.pi, 2.0 * math.pi)
+class Turned(Config):
+    turn: tuple[float, ...] = param((), "Turn", unit="rad")
+    angle: float | None = param(None, "Angle", unit="rad")
+
+
+def test_a_thousandth_beyond_a_turn_is_rounding_and_more_is_refused():
     for sign in (1.0, -1.0):
-        check_radians([0.0, sign * (most + 0.9999e-3), 1.0], most)
-        with pytest.raises(ValueError, match=f"goes beyond {words}; angles are in rad"):
-            check_radians([0.0, sign * (most + 1.0001e-3), 1.0], most)
+        Turned(turn=(0.0, sign * (2.0 * math.pi + 0.9999e-3), 1.0))
+        with pytest.raises(ConfigurationError, match="beyond a full turn; angles are in rad"):
+            validate(Turned, {"turn": [0.0, sign * (2.0 * math.pi + 1.0001e-3), 1.0]})
+    with pytest.raises(ConfigurationError, match=r"angles are in rad: \[0.7854\] if these"):
+        validate(Turned, {"angle": 45.0})

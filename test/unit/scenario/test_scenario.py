@@ -126,7 +126,7 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
             r"\[0, 0, 0.7854\] if .*degrees",
         ),
         ("targets: [{position: [0, 0, 0], rotation: held}]", r"'held' is neither .* nor keep"),
-        ("plant: {object: {rotation: [0, 0, 30]}}", r"half a turn; angles are in rad"),
+        ("plant: {object: {rotation: [0, 0, 30]}}", r"a full turn; angles are in rad"),
         ("targets: [{time: 1.0}]", r"targets\[0\].position is missing"),
         ("targets: [{position: [1, 2]}]", r"targets\[0\].position"),
         ("targets: [{position: [1, 2, x]}]", r"targets\[0\].position.*'x'.*not a number|'x'"),
