@@ -286,12 +286,19 @@ def _pose(cursor: _Cursor) -> None:
     cursor.doubles("pose", 7)
 
 
+def _imu(cursor: _Cursor) -> None:
+    cursor.header()
+    for name, count in (("orientation", 4), ("unknown", 33)):
+        cursor.doubles(name, count)
+
+
 def _wrench(cursor: _Cursor) -> None:
     cursor.header()
     cursor.doubles("wrench", 6)
 
 
 PARSERS: dict[str, Callable[[_Cursor], None]] = {
+    "sensor_msgs/msg/Imu": _imu,
     "sensor_msgs/msg/JointState": _joint_state,
     "geometry_msgs/msg/PoseArray": _pose_array,
     "geometry_msgs/msg/PoseStamped": _pose,

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
+IMU = "imu"
 JOINT_HOLD = "joint_hold"
 TOUCH_REJECTED = "touch_rejected"
 CONTACTS = "tactile/contacts"

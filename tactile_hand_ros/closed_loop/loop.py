@@ -120,6 +120,8 @@ class SensingChain(Chain):
             sliding: Their sliding speeds, shape (k,), m/s.
         """
         joints = state.joints
+        if state.palm is not None:
+            self.controller.turn_palm(state.palm)
         touch = self.sensor.step(stamp, true, sliding, joints.theta)
         answer = self.answer(stamp, *joints, touch.contacts, touch.forces)
         return touch, answer
@@ -248,6 +250,8 @@ class ClosedLoop:
         state = self.state
         grasp_force, optimal, command = answer
         record.stamps[row] = self.stamp
+        if state.palm is not None:
+            record.palm[row] = state.palm
         record.theta[row], record.rates[row], record.torque[row] = state.joints
         record.command[row] = command.torque
         record.contact_positions[row] = touch.positions

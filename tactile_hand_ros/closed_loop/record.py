@@ -28,6 +28,7 @@ class Record:
     finger_names: list[str]
     joint_names: list[str]
     stamps: NDArray[np.int64] = field(metadata={"shape": "", "meaning": "tick, ns"})
+    palm: Array = _ticks("4", "orientation of the palm in the world by an IMU")
     theta: Array = _ticks("m", "joint angles, rad")
     rates: Array = _ticks("m", "joint rates, rad/s")
     torque: Array = _ticks("m", "torque that acted until the tick, N m")

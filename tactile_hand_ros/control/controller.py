@@ -33,6 +33,7 @@ from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
@@ -61,8 +62,11 @@ class ControllerConfig(Config):
     law: LawConfig = LawConfig()
     gravity_compensation: bool = param(False, "carry the links' weight by feed-forward", live=True)
     gravity: tuple[float, float, float] = param(
-        (0.0, 0.0, -9.81), "acceleration of gravity in the palm frame", unit="m/s^2"
+        (0.0, 0.0, -9.81),
+        "acceleration of gravity in the palm frame, with an imu in the world",
+        unit="m/s^2",
     )
+    imu: bool = param(False, "take how the palm lies from the topic imu, and wait for it")
     midpoint_hold: bool = param(
         False,
         "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
@@ -253,6 +257,10 @@ class Controller:
     def _nothing(self) -> Held:
         """What an open or disabled hand holds."""
         return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+
+    def turn_palm(self, orientation: Array) -> None:
+        """Let gravity act as the palm lies, a quaternion (x, y, z, w) in the world, shape (4,)."""
+        self.hand.gravity = rotation_from_quaternion(orientation).T @ np.array(self.config.gravity)
 
     @property
     def target(self) -> Target | None:

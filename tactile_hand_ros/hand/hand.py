@@ -134,7 +134,8 @@ class Hand:
         # Views of what Pinocchio writes.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
         self._centres = [self._data.oMf[frame].translation for frame in self._tips]
-        self._model.gravity.linear = np.zeros(3) if gravity is None else np.asarray(gravity)
+        self._turned: pin.Model | None = None  # with a palm that moves
+        self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.fingers = len(self._tips)
         self.joints = int(self._model.nv)
         self.finger_names = config.finger_names
@@ -164,6 +165,15 @@ class Hand:
     ) -> Hand:
         """Load a hand by name (``paper``) or by the path of its YAML file."""
         return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of gravity in the palm frame, shape (3,), m/s^2."""
+        return np.array(self._model.gravity.linear)
+
+    @gravity.setter
+    def gravity(self, gravity: Array) -> None:
+        self._model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
         """Return tip centres and Jacobians, equation (1).
@@ -217,6 +227,27 @@ class Hand:
         pin.nonLinearEffects(model, data, theta, rates)
         centres = self._read_centres()
         return RawDynamics(centres, self._spatial, self._support, self._inertia, self._bias)
+
+    def turning_torque(self, theta: Array, rates: Array, spin: Array, gain: Array) -> Array:
+        """Return the torques that a turning palm takes of the joints, shape (m,), N m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
+            gain: Its angular acceleration, shape (3,), rad/s^2.
+        """
+        if self._turned is None:
+            self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
+            self._turned.gravity.linear = np.zeros(3)
+            self._turned_data = self._turned.createData()
+        at = np.concatenate([np.zeros(6), [1.0], theta])
+        still, none = np.concatenate([np.zeros(6), rates]), np.zeros(self.joints)
+        turns = np.concatenate([np.zeros(3), spin, rates])
+        gains = np.concatenate([np.zeros(3), gain, none])
+        model, data = self._turned, self._turned_data
+        moved = np.array(pin.rnea(model, data, at, turns, gains))
+        return np.asarray((moved - pin.rnea(model, data, at, still, np.zeros(len(still))))[6:])
 
     def gravity_torque(self, theta: Array) -> Array:
         """Return the torques that hold the links against gravity, shape (m,), N m."""

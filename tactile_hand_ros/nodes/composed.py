@@ -117,12 +117,17 @@ class TouchedHand:
             streams.joints(hand.joint_names),
             streams.contacts(hand.fingers),
             streams.forces(hand.finger_names),
+            streams.imu(wanted=controller.config.imu),
         )
         silence = controller.config.input_timeout
         self._inputs = TickInputs(controller, declared, self, silence=silence)
 
-    def on_tick(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
+    def on_tick(
+        self, stamp: int, joints: Joints, contacts: Contacts, forces: Array, palm: Array | None
+    ) -> None:
         """Answer a tick for which everything has arrived."""
+        if palm is not None:
+            self._controller.turn_palm(palm)
         self._chain.answer(stamp, *joints, contacts, forces)
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:

@@ -189,6 +189,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             streams.grasp_force(),
             streams.optimal_forces(hand.finger_names),
             streams.forces(hand.finger_names, wanted=self._takes_forces),
+            streams.imu(wanted=self.config.imu),
         )
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
 
@@ -211,6 +212,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def touch_rejected(self) -> bool:
         """Whether joints and touch contradict each other."""
         return self._controller.touch_rejected
+
+    def turn_palm(self, orientation: Array) -> None:
+        """Let gravity act as the palm lies; see `Controller.turn_palm`."""
+        self._controller.turn_palm(orientation)
 
     @property
     def joints_held(self) -> bool:
@@ -292,8 +297,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         grasp_force: float,
         optimal_forces: Array,
         forces: Array | None,
+        palm: Array | None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
+        if palm is not None:
+            self.turn_palm(palm)
         theta, rates, applied = joints
         self.step(stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied)
 

@@ -442,6 +442,39 @@ class PoseCodec:
         return content.stamp, pose
 
 
+class ImuCodec:
+    """sensor_msgs/Imu, of which only the orientation of the palm in the world counts."""
+
+    def __init__(self) -> None:
+        """Prepare the constant bytes: no angular velocity and no acceleration, both unknown."""
+        self._template = CdrTemplate().text(PALM_FRAME).doubles(37).finish()
+        self._row = self._template.view(0)
+        self._row[:] = 0.0
+        self._row[[16, 28]] = -1.0  # first covariances of what is not measured
+
+    def encode(self, orientation: Array, stamp_ns: int) -> bytes:
+        """Return the message for a quaternion (x, y, z, w).
+
+        Raises:
+            UnsafeOutputError: If a number is not finite.
+        """
+        self._row[:4] = orientation
+        check_output(self._row)
+        return self._template.stamped(stamp_ns)
+
+    @staticmethod
+    def decode(data: bytes) -> tuple[int, Array]:
+        """Return stamp [ns] and quaternion, shape (4,).
+
+        Raises:
+            MessageError: For bytes of another type, or a quaternion not of unit length.
+        """
+        content = read_content("sensor_msgs/msg/Imu", data)
+        orientation = content.doubles["orientation"]
+        _checked_quaternion(orientation.tolist(), "the orientation")
+        return content.stamp, orientation
+
+
 def feedback_message(intensities: Sequence[float]) -> JoyFeedbackArray:
     """Return rumble intensities as a message, cut to the range 0 to 1."""
     rumbles = [

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, ImuCodec, JointCodec, WrenchCodec
 
 Array = NDArray[np.float64]
 Decode = Callable[[bytes], tuple[int, Any]]
@@ -43,6 +43,11 @@ def joints(joint_names: Sequence[str]) -> Stream:
     """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
     codec = JointCodec(joint_names, wanted=("position", "velocity"), others=True)
     return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
+
+
+def imu(*, wanted: bool) -> Stream:
+    """Declare how the palm lies in the world; values are quaternions (x, y, z, w), shape (4,)."""
+    return Stream(Imu, {names.IMU: ImuCodec.decode}, from_driver=True, wanted=wanted)
 
 
 def contacts(fingers: int) -> Stream:

@@ -25,6 +25,7 @@ from tactile_hand_ros.errors import BagError
 
 _TYPES = {
     names.JOINT_STATES: "sensor_msgs/msg/JointState",
+    names.IMU: "sensor_msgs/msg/Imu",
     names.JOINT_COMMAND: "sensor_msgs/msg/JointState",
     names.CONTACTS: "geometry_msgs/msg/PoseArray",
     names.GRASP_FORCE: "geometry_msgs/msg/WrenchStamped",
@@ -273,6 +274,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     for array, topic in _FORCES.items():
         for i, finger in enumerate(fingers):
             getattr(record, array)[:, i] = of(topic(finger), Series.rows, "wrench", 6)[:, :3]
+    record.palm[:] = of(names.IMU, Series.rows, "orientation", 4)
     record.grasp_force[:] = of(names.GRASP_FORCE, Series.rows, "wrench", 6)[:, 1]
     for array, name in _CONTACTS.items():
         k = len(fingers)

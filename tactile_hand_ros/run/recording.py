@@ -16,7 +16,7 @@ from tactile_hand_ros.run.reading import HandTopics, Series, first_ticks
 Times = NDArray[np.int64]
 
 # Users may send commands at any time; a hand that holds does not publish where the object is.
-_NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_POSE)
+_NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_POSE, names.IMU)
 
 
 @dataclass(frozen=True)

@@ -216,6 +216,7 @@ def _derive_holds(data: dict[str, Any]) -> None:
         derived, posture = {**derived, **seen}, {**seen, **posture}
     data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
     follows = {"grasp_force_limit": limit, "touch_latency": _touch_latency(data)}
+    follows["imu"] = bool(plant.get("palm_motion"))
     data["manipulation_controller"] = {**follows, **controller, "hold": posture}
 
 
@@ -241,6 +242,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
         (controller["hold"], "resolution", encoder.resolution),
         (controller, "grasp_force_limit", limit),
         (controller, "touch_latency", _touch_latency(data)),
+        (controller, "imu", bool(scenario.plant.palm_motion)),
     )
     for section, name, value in derived:  # what follows from other values anyway
         if section[name] == value:

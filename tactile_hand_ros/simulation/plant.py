@@ -19,7 +19,11 @@ from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.rotations import quaternions_of_rows, rotation_from_vector
+from tactile_hand_ros.rotations import (
+    quaternion_from_rotation,
+    quaternions_of_rows,
+    rotation_from_vector,
+)
 from tactile_hand_ros.simulation.contact_step import (
     Body,
     HandTerms,
@@ -31,6 +35,7 @@ from tactile_hand_ros.simulation.contact_step import (
 )
 from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
 from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
+from tactile_hand_ros.simulation.palm_motion import Turning, apparent_wrench, palm_turning
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
 
@@ -58,6 +63,7 @@ class PlantState(NamedTuple):
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
         slid: Distance that each contact has slid since the start, shape (k,), m.
         gaps: Distances of the fingertips from the object, shape (k,), m.
+        palm: Palm in the world, a quaternion (x, y, z, w); None where it never turns.
     """
 
     theta: Array
@@ -73,6 +79,7 @@ class PlantState(NamedTuple):
     sliding: Array
     slid: Array
     gaps: Array
+    palm: Array | None = None
 
 
 class Plant:
@@ -148,6 +155,7 @@ class Plant:
         self.friction = np.full(k, c.friction)
         self._torque = np.zeros(self.hand.joints)
         self._past = no_past(k, self._v)
+        self._turn_palm(0.0)
         self.contact_residual = 0.0
         self.relaxed_steps = self.unsolved_steps = 0
         self._sliding = np.zeros((k, 2))
@@ -206,9 +214,15 @@ class Plant:
             self.friction[:] = self._changes.pop(0).friction
         m, v = self.hand.joints, self._v
         theta, ahead = half_step(h, self._theta, v, self._past.velocities)
+        wrench, turning = self._weight, self._turn_palm(self.time + 0.5 * h)
         terms = self.hand.raw_dynamics(theta, ahead[:m])
+        if turning is not None:
+            turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
+            terms = terms._replace(bias=terms.bias + turns)
+            body_motion = self._position, ahead[m : m + 3], ahead[m + 3 :]
+            inertia = self._rotation @ self._inertia @ self._rotation.T
+            wrench = self._weight + apparent_wrench(turning, (self._mass, inertia), body_motion)
         hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
-        wrench = self._weight
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + wrench
         body = Body(
@@ -223,6 +237,22 @@ class Plant:
         self.unsolved_steps += after.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
+
+    def _turn_palm(self, time: float) -> Turning | None:
+        """Let gravity act as the palm lies at a time, s; return how it turns, if it ever does."""
+        if not self.config.palm_motion:
+            return None
+        turning = palm_turning(self.config.palm_motion, time)
+        gravity = turning.rotation.T @ self._gravity
+        self.known.gravity = turning.rotation.T @ np.array(self.config.gravity)
+        self.hand.gravity = gravity
+        self._weight = np.concatenate([self._mass * gravity, np.zeros(3)])
+        return turning
+
+    @property
+    def _palm(self) -> Array | None:
+        turns = self.config.palm_motion
+        return quaternion_from_rotation(palm_turning(turns, self.time).rotation) if turns else None
 
     @property
     def state(self) -> PlantState:
@@ -251,6 +281,7 @@ class Plant:
             self._sliding,
             self._past.slid,
             gaps,
+            self._palm,
         )
 
     @property

@@ -13,6 +13,7 @@ from pydantic import model_validator
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
+from tactile_hand_ros.simulation.palm_motion import PalmTurn
 from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
@@ -162,6 +163,9 @@ class PlantConfig(Config):
     seed: int = param(1, "seed of everything random", ge=0)
     friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
+    palm_motion: list[PalmTurn] = param(
+        [], "orientations of the palm in the world over time; with any, `imu` is published"
+    )
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)
     rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)
     pacing: Literal["lockstep", "realtime"] = param(
@@ -200,6 +204,13 @@ class PlantConfig(Config):
     def tick(self) -> int:
         """Length of a tick in ns."""
         return round(1e9 / self.rate)
+
+    @model_validator(mode="after")
+    def _turns_follow_each_other(self) -> PlantConfig:
+        times = [turn.time for turn in self.palm_motion]
+        if times != sorted(set(times)):
+            raise ValueError(f"palm_motion has the times {times}, expected each after the last")
+        return self
 
     @model_validator(mode="after")
     def _a_tick_is_whole_steps(self) -> PlantConfig:

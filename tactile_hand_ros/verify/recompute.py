@@ -238,6 +238,8 @@ class ShadowLoop(Chain):
         stamp = int(r.stamps[row])
         for node in CONTROLLERS:
             self._change(node, stamp)
+        if np.isfinite(r.palm[row]).all():
+            self._blocks[names.CONTROLLER].turn_palm(r.palm[row])
         grasp_force, optimal, command = self.answer(
             stamp, r.theta[row], r.rates[row], r.torque[row], contacts, r.forces[row]
         )

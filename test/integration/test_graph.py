@@ -185,6 +185,14 @@ def test_what_slips_is_held_as_in_process(tmp_path: Path) -> None:
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
+def test_a_palm_that_turns_is_known_by_its_imu_as_in_process(tmp_path: Path) -> None:
+    turns = [{"time": 0.5, "rotation": [0.2, 0.0, 0.1]}]
+    scenario = short("forearm", **{"plant.palm_motion": turns})
+    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+        recorded = Run(record(graph, tmp_path / "bag")).record
+    assert_same(recorded, ClosedLoop(scenario).run())
+
+
 def test_a_skin_that_is_too_late_to_be_believed_costs_no_tick(tmp_path: Path) -> None:
     """For 20 ms nothing is felt although the motors press; time waits for the controller's hold."""
     late = {"tactile_sensor.latency": 0.02, "targets": [], "duration": 0.1}

@@ -21,7 +21,9 @@ NO_RESERVE = {
     for place in ("slip_regulator.reflex.need", "force_optimizer")
     for name in ("floor", "share")
 }
-SCENARIOS = "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity".split()
+SCENARIOS = (
+    "hold lift slippery pull shake heavy crush_limit lost_contact user_grip gravity forearm".split()
+)
 LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
 OF_HUMAN_SIZE = "human_hold human_lift human_pull human_turn".split()
 SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}

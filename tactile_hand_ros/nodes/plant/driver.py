@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, String
 
 from tactile_hand_ros import names
@@ -26,7 +26,7 @@ from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
 from tactile_hand_ros.nodes.plant.real_time import Pace
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages import JointCodec, PoseCodec
+from tactile_hand_ros.ros.messages import ImuCodec, JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 from tactile_hand_ros.rotations import quaternion_from_rotation
@@ -67,8 +67,8 @@ _ANNOUNCE_PERIOD = 0.1
 class PlantTopics:
     """Publishes the state of a plant, and once and for all the URDF of its hand."""
 
-    def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
-        """Create the publishers and describe the hand."""
+    def __init__(self, node: TactileNode[Any], hand: Hand, *, turns: bool) -> None:
+        """Create the publishers, with an IMU where the palm turns, and describe the hand."""
         self._truth = ReadingPublisher(
             node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
         )
@@ -77,6 +77,8 @@ class PlantTopics:
         fields = ("position", "velocity", "effort")
         self._encode_joints = JointCodec(hand.joint_names, fields).encode
         self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES)
+        self._encode_imu = ImuCodec().encode
+        self._imu_publisher = node.tick_publisher(Imu, names.IMU) if turns else None
         self._encode_pose = PoseCodec().encode
         self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE)
         self._clock_publisher = node.tick_publisher(Clock, names.CLOCK)
@@ -99,6 +101,8 @@ class PlantTopics:
         """
         self._slip_publisher.publish(self._encode_slip, stamp_ns, state.slid, sliding)
         self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
+        if self._imu_publisher is not None:
+            self._imu_publisher.publish(self._encode_imu, state.palm, stamp_ns)
         self._joints_publisher.publish(self._encode_joints, stamp_ns, *state.joints)
         pose = state.position, state.rotation
         self._pose_publisher.publish(self._encoded_pose, *pose, stamp_ns)
@@ -117,6 +121,8 @@ class PlantTopics:
         """Publish what others wait for once more."""
         self._slip_publisher.repeat()
         self._truth.repeat()
+        if self._imu_publisher is not None:
+            self._imu_publisher.repeat()
         self._joints_publisher.repeat()
 
 
@@ -153,7 +159,7 @@ class PlantDriver:
         self._senders = SenderCheck()
         self._announced, self._announced_at = "", -math.inf
         self._modes = ModeLog(node.get_logger().info)
-        self._topics = PlantTopics(node, run.plant.hand)
+        self._topics = PlantTopics(node, run.plant.hand, turns=bool(c.palm_motion))
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)

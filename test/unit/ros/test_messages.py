@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
 from support.messages import contacts_message, force_message, joint_message, pose_message
 
@@ -22,6 +22,7 @@ from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.ros import messages
 from tactile_hand_ros.ros.messages import (
     ContactsCodec,
+    ImuCodec,
     JointCodec,
     PoseCodec,
     WrenchCodec,
@@ -111,6 +112,22 @@ def test_joints_are_read_by_ros_and_by_us(stamp, joints, chosen, data):
         assert found == stamp
         for read, value in zip(arrays_read, values, strict=True):
             same_bits(read, value)
+
+
+@given(stamps)
+def test_an_imu_is_read_by_ros_and_by_us_and_knows_only_its_orientation(stamp):
+    (quaternion,) = unit_quaternions(1)
+    data = ImuCodec().encode(quaternion, stamp)
+    theirs = deserialize_message(data, Imu)
+    o = theirs.orientation
+    assert theirs.header.frame_id == "palm" and [o.x, o.y, o.z, o.w] == quaternion.tolist()
+    assert theirs.angular_velocity_covariance[0] == theirs.linear_acceleration_covariance[0] == -1.0
+    assert not theirs.orientation_covariance.any() and theirs.linear_acceleration.x == 0.0
+    for received in (data, serialize_message(theirs)):
+        found, orientation = ImuCodec.decode(received)
+        assert found == stamp and orientation.tolist() == quaternion.tolist()
+    with pytest.raises(MessageError, match="orientation"):
+        ImuCodec.decode(ImuCodec().encode(2.0 * quaternion, stamp))
 
 
 @given(stamps, vectors(3))

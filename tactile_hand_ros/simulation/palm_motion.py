@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the palm turns in the world, as the forearm of its user does, about the palm's origin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.rotations import Vector, rotation_from_vector, vector_from_rotation
+
+Array = NDArray[np.float64]
+
+
+class PalmTurn(Config):
+    """An orientation of the palm in the world, and when it is reached."""
+
+    time: float = param(..., "when it is reached", unit="s", ge=0.0)
+    rotation: Vector = param(..., "rotation vector of the palm in the world", unit="rad")
+
+
+class Turning(NamedTuple):
+    """How the palm lies and turns at one instant.
+
+    Attributes:
+        rotation: Palm in the world, shape (3, 3).
+        rate: Angular velocity, palm axes, shape (3,), rad/s.
+        acceleration: Its derivative, shape (3,), rad/s^2.
+    """
+
+    rotation: Array
+    rate: Array
+    acceleration: Array
+
+
+def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
+    """Return how the palm lies and turns at a time, s.
+
+    It starts unturned. Between two orientations it turns about one axis, with the least jerk, from
+    rest to rest (Flash and Hogan 1985): s = 10 x^3 - 15 x^4 + 6 x^5 of the way after x of the time.
+    """
+    at, start = np.eye(3), 0.0
+    for turn in turns:
+        goal = rotation_from_vector(turn.rotation)
+        way, lasts = vector_from_rotation(at.T @ goal), turn.time - start
+        if time < turn.time:
+            x = max(0.0, (time - start) / lasts)
+            s = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+            rate = 30.0 * x * x * (1.0 - x) ** 2 / lasts
+            gain = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / lasts**2
+            return Turning(at @ rotation_from_vector(s * way), rate * way, gain * way)
+        at, start = goal, turn.time
+    return Turning(at, np.zeros(3), np.zeros(3))
+
+
+def apparent_wrench(turning: Turning, body: tuple[float, Array], motion: Sequence[Array]) -> Array:
+    """Return what a turning palm adds to the forces on a body, shape (6,), N and N m.
+
+    In the axes of the palm, with its angular velocity W and acceleration A, and the velocity v and
+    angular velocity w of a body at r against the palm,
+
+        f = -m (A x r + W x (W x r) + 2 W x v),
+        t = -(W x I (W + w) + w x I W - I (w x W) + I A).
+
+    Args:
+        turning: Of the palm.
+        body: Mass, kg, and inertia about its center of mass in palm axes, shape (3, 3), kg m^2.
+        motion: r, v and w, each of shape (3,).
+    """
+    (_, spin, gain), (mass, inertia), (place, velocity, own) = turning, body, motion
+    force = np.cross(gain, place) + np.cross(spin, np.cross(spin, place) + 2.0 * velocity)
+    torque = np.cross(spin, inertia @ (spin + own)) + np.cross(own, inertia @ spin)
+    torque += inertia @ (gain - np.cross(own, spin))
+    return np.concatenate([-mass * force, -torque])

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A palm that turns: its way, and what a body and the fingers feel of it, computed twice."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.palm_motion import (
+    PalmTurn,
+    Turning,
+    apparent_wrench,
+    palm_turning,
+)
+
+TURNS = [
+    PalmTurn(time=0.5, rotation=(0.4, -1.0, 0.3)),
+    PalmTurn(time=1.5, rotation=(0.4, -1.0, 0.3)),
+    PalmTurn(time=2.5, rotation=(3.0, 0.2, -0.5)),
+]
+
+
+def test_the_palm_is_where_it_should_be_and_rests_there():
+    for time, goal in ((0.0, np.zeros(3)), (0.5, TURNS[0].rotation), (9.0, TURNS[2].rotation)):
+        rotation, rate, gain = palm_turning(TURNS, time)
+        assert_allclose(rotation, rotation_from_vector(goal), atol=1e-12)
+        assert_allclose([rate, gain], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("time", [0.1, 0.37, 1.0, 1.9, 2.4])
+def test_rate_and_acceleration_are_the_derivatives_of_the_way(time):
+    h = 1e-5
+    before, at, after = (palm_turning(TURNS, time + sign * h) for sign in (-1.0, 0.0, 1.0))
+    spin = at.rotation.T @ (after.rotation - before.rotation) / (2.0 * h)
+    assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], at.rate, atol=1e-7)
+    assert_allclose((after.rate - before.rate) / (2.0 * h), at.acceleration, atol=1e-6)
+
+
+def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world():
+    mass, own = 0.3, np.diag([1e-3, 2e-3, 2.5e-3])
+    place, velocity = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.1, -0.3])
+    frame, spin = rotation_from_vector([0.3, 0.2, -0.4]), np.array([1.0, -2.0, 0.5])
+
+    def momentum(time):
+        palm = palm_turning(TURNS, time)
+        inertia = frame @ own @ frame.T
+        turned = palm.rotation @ inertia @ (palm.rate + spin)
+        moved = palm.rotation @ (velocity + np.cross(palm.rate, place))
+        return palm.rotation @ place, moved, turned
+
+    at, speed, angular = momentum(0.0)
+    h, steps = 1e-5, 40_000
+    for i in range(steps):  # midpoints, so that errors are of second order
+        turning = palm_turning(TURNS, (i + 0.5) * h)
+        middle = place + 0.5 * h * velocity
+        half = frame @ own @ frame.T
+        wrench = apparent_wrench(turning, (mass, half), (middle, velocity, spin))
+        torque = wrench[3:] - np.cross(spin, half @ spin)
+        faster = velocity + h * wrench[:3] / mass
+        place = place + 0.5 * h * (velocity + faster)
+        velocity, spin = faster, spin + h * np.linalg.solve(half, torque)
+        frame = rotation_from_vector(h * spin) @ frame
+    there, still, kept = momentum(h * steps)
+    assert_allclose(there, at + h * steps * speed, atol=2e-5)
+    assert_allclose(still, speed, atol=1e-4)
+    assert_allclose(kept, angular, atol=1e-6)
+
+
+def test_fingers_at_rest_feel_the_slope_of_the_centrifugal_potential():
+    hand, spin = Hand.load("human"), np.array([2.0, -1.0, 3.0])
+    theta, rest = np.array([0.5, 0.1, 0.8, 0.7, -0.2, 0.6, 0.3, 0.2, 1.0]), np.zeros(9)
+    model = pin.buildModelFromXML(hand.description, pin.JointModelFreeFlyer())
+    data, turns = model.createData(), np.concatenate([np.zeros(3), spin, rest])
+
+    def energy(angles):
+        at = np.concatenate([np.zeros(6), [1.0], angles])
+        return pin.computeKineticEnergy(model, data, at, turns)
+
+    h = 1e-6
+    slope = [(energy(theta + h * e) - energy(theta - h * e)) / (2.0 * h) for e in np.eye(9)]
+    assert_allclose(hand.turning_torque(theta, rest, spin, rest[:3]), -np.array(slope), atol=1e-8)
+    assert_allclose(hand.turning_torque(theta, rest, rest[:3], rest[:3]), 0.0, atol=1e-15)
+
+
+def test_a_palm_that_rests_in_another_orientation_feels_gravity_from_there():
+    turned = {"plant.palm_motion": [{"time": 0.0, "rotation": [1.2, 0.3, 0.0]}], "duration": 0.1}
+    found = ClosedLoop(load_scenario("hold", turned)).run()
+    down = rotation_from_vector([1.2, 0.3, 0.0]).T @ [0.0, 0.0, -9.81]
+    same = ClosedLoop(load_scenario("hold", {"gravity": down.tolist(), "duration": 0.1})).run()
+    assert_allclose(found.theta, same.theta, atol=1e-9)
+    assert_allclose(found.command, same.command, atol=1e-6)
+
+
+def test_without_its_imu_the_hand_carries_its_links_the_wrong_way():
+    motion = {"plant.palm_motion": [{"time": 0.0, "rotation": [2.0, 0.0, 0.0]}], "duration": 0.3}
+    knows = ClosedLoop(load_scenario("hold", motion)).run()
+    loop = ClosedLoop(load_scenario("hold", motion))
+    loop.controller.turn_palm = lambda orientation: None
+    moved = np.linalg.norm(np.diff(knows.object_position[[0, -1]], axis=0))
+    assert np.linalg.norm(np.diff(loop.run().object_position[[0, -1]], axis=0)) > 2.0 * moved
+
+
+def test_turns_in_no_order_are_refused():
+    motion = [{"time": 1.0, "rotation": [0.0, 0.0, 1.0]}] * 2
+    with pytest.raises(ConfigurationError, match="expected each after the last"):
+        load_scenario("hold", {"plant.palm_motion": motion})
+
+
+def test_a_palm_that_rests_adds_nothing():
+    still = Turning(np.eye(3), np.zeros(3), np.zeros(3))
+    body, motion = (0.2, np.diag([1.0, 2.0, 3.0])), (np.ones(3), np.ones(3), np.ones(3))
+    assert_allclose(apparent_wrench(still, body, motion), 0.0)
