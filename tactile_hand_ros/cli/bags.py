@@ -27,7 +27,6 @@ class ReplayRequest:
     start_offset: Annotated[
         float, typer.Option(min=0.0, help="Where to start [s after the first message].")
     ] = 0.0
-    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False
     topics: Annotated[
         list[str],
         typer.Option(help="Only topics whose whole name matches; may be repeated."),
@@ -99,20 +98,19 @@ def _recompute(request: ReplayRequest) -> None:
 def _publish(bag: Path, request: ReplayRequest) -> None:
     try:
         from tactile_hand_ros.nodes.replay import replaying
+        from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
             "install its wheels."
         ) from None
 
-    namespace = request.namespace.strip("/")
     options = {
         "rate": request.rate,
         "start_offset": request.start_offset,
-        "loop": request.loop,
         "topics": request.topics or [".*"],
         "exclude": request.exclude,
-        "namespace": f"/{namespace}" if namespace else "",
+        "namespace": full_namespace(request.namespace).rstrip("/"),
         "paused": request.paused,
     }
     with replaying(bag, **options) as player, bar("replay", player.duration) as update:

@@ -3,22 +3,18 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from std_srvs.srv import SetBool
 
@@ -26,10 +22,10 @@ from tactile_hand_ros.bag.reader import iterate, open_bag
 from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.ros.endpoints import message_class
-from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.middleware import graph_node, ros_context
 
 _DEPTH = 1000  # messages that a publisher keeps for slow subscribers
-_LOOK = 0.1  # s between two calls of `watch`; also the shortest round of a loop
+_LOOK = 0.1  # s between two calls of `watch`
 _LAST_CALL = Duration(seconds=1)  # longest wait for subscribers to take the last messages
 
 
@@ -40,11 +36,10 @@ class Replay:
     Service: ``~/pause`` (std_srvs/SetBool): true pauses, false continues.
 
     Attributes:
-        node: Node that owns publishers and service; it must be spun elsewhere.
+        node: Node that owns publishers and service; its executor serves it while `run` waits.
         reader: An open bag.
         rate: Seconds of the bag per second of wall time.
         start_offset: Where to start, s after the first message.
-        loop: Start again at the end; a round takes at least 0.1 s.
         topics: Regular expressions, one of which matches the whole name of a chosen topic.
         exclude: Regular expressions, none of which matches it.
         namespace: Put before all names of topics.
@@ -58,7 +53,6 @@ class Replay:
     reader: AnyReader
     rate: float = 1.0
     start_offset: float = 0.0
-    loop: bool = False
     topics: Sequence[str] = (".*",)
     exclude: Sequence[str] = ()
     namespace: str = ""
@@ -73,7 +67,6 @@ class Replay:
         Raises:
             BagError: If no topic is left to publish, or the bag does not reach to the start offset.
         """
-        self._changed = threading.Condition()
         self.duration = 1e-9 * (self.reader.end_time - self.reader.start_time)
         if self.reader.message_count and not 0.0 <= self.start_offset <= self.duration:
             raise BagError(
@@ -86,29 +79,21 @@ class Replay:
         self.node.create_service(SetBool, "~/pause", self._on_pause)
 
     def run(self, watch: Callable[[Replay], None] = lambda _: None) -> None:
-        """Publish until the end, or forever; `watch` is called ten times a second."""
-        while True:
-            self._publish_latched()
-            self.position, self._wall = self.start_offset, time.monotonic()
-            began = self._wall
-            for topic, log_time, data in self._messages(self.start_offset):
-                self._wait(1e-9 * (log_time - self.reader.start_time), watch)
-                self.publishers[topic].publish(data)
-                self.messages += 1
-            if not self.loop:
-                break
-            with self._changed:  # a round that takes no time must not be repeated without a pause
-                self._changed.wait(max(0.0, began + _LOOK - time.monotonic()))
+        """Publish until the end; `watch` is called ten times a second."""
+        self._publish_latched()
+        self.position, self._wall = self.start_offset, time.monotonic()
+        for topic, log_time, data in self._messages(self.start_offset):
+            self._wait(1e-9 * (log_time - self.reader.start_time), watch)
+            self.publishers[topic].publish(data)
+            self.messages += 1
         for publisher in self.publishers.values():
             publisher.wait_for_all_acked(_LAST_CALL)
         watch(self)
 
     def pause(self, paused: bool) -> None:
-        """Pause or continue; may be called from any thread."""
-        with self._changed:
-            self._move()
-            self.paused = paused
-            self._changed.notify_all()
+        """Pause or continue."""
+        self._move()
+        self.paused = paused
 
     def _create_publishers(self) -> None:
         selection = TopicSelection(self.topics, self.exclude)
@@ -124,11 +109,6 @@ class Replay:
                 self.publishers[topic] = self.node.create_publisher(kind, name, profile)
             except BagError as error:
                 self.skipped[topic] = str(error)
-            except InvalidTopicNameException:
-                raise BagError(
-                    f"'{self.namespace}' is not a namespace, expected letters, digits and "
-                    "underscores that do not begin with a digit, as /left."
-                ) from None
         if not self.publishers or not self.reader.message_count:
             why = "; ".join(self.skipped.values()) or "--topics and --exclude leave none"
             why = why if self.reader.message_count else "it has no message"
@@ -155,25 +135,24 @@ class Replay:
                     publisher.publish(data)
 
     def _wait(self, due: float, watch: Callable[[Replay], None]) -> None:
-        """Wait for a time in the bag [s]."""
+        """Serve the node until a time in the bag [s]."""
         while True:
             now = self._move()
             if now >= self._next_look:
                 self._next_look = now + _LOOK
+                self.node.executor.spin_once(0.0)
                 watch(self)
-            with self._changed:
-                ahead = _LOOK if self.paused else (due - self.position) / self.rate
-                if ahead <= 0.0:
-                    return
-                self._changed.wait(max(0.0, min(ahead, self._next_look - now)))
+            ahead = _LOOK if self.paused else (due - self.position) / self.rate
+            if ahead <= 0.0:
+                return
+            self.node.executor.spin_once(max(0.0, min(ahead, self._next_look - now)))
 
     def _move(self) -> float:
         """Let the time in the bag follow the time on the wall, which is returned."""
-        with self._changed:
-            now = time.monotonic()
-            if not self.paused:
-                self.position = min(self.position + self.rate * (now - self._wall), self.duration)
-            self._wall = now
+        now = time.monotonic()
+        if not self.paused:
+            self.position = min(self.position + self.rate * (now - self._wall), self.duration)
+        self._wall = now
         return now
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -208,24 +187,14 @@ def replaying(bag: Path, **options: Any) -> Iterator[Replay]:
     Raises:
         BagError: If the bag cannot be replayed.
     """
-    use_sockets()
-    context = rclpy.Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("replay", context=context, start_parameter_services=False, enable_rosout=False)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-
-    def spin() -> None:
-        with suppress(ExternalShutdownException, ShutdownException):
-            executor.spin()
-
-    thread = threading.Thread(target=spin, daemon=True)
-    thread.start()
-    try:
-        with open_bag(bag) as reader:
+    with (
+        open_bag(bag) as reader,
+        ros_context() as context,
+        graph_node(context, "replay", "") as node,
+    ):
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        try:
             yield Replay(node, reader, **options)
-    finally:
-        executor.shutdown()
-        thread.join()
-        node.destroy_node()
-        context.try_shutdown()
+        finally:
+            executor.shutdown()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -13,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -27,7 +27,6 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.processes import wait_until
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
@@ -74,6 +73,8 @@ def play(bag: Path) -> Iterator[Callable[..., Player]]:
     with isolated_domain() as domain, private_context(domain) as context, ExitStack() as stack:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
 
         def _play(path: Path = bag, **options: Any) -> Player:
             return Player(Replay(node, stack.enter_context(open_bag(path)), **options))
@@ -129,7 +130,6 @@ def test_topics_are_chosen_and_renamed(
     [
         ({"topics": ("/none",)}, "can be published: --topics and --exclude leave none"),
         ({"topics": ("/gone",)}, "can be published: The message type"),
-        ({"namespace": "/1st"}, "'/1st' is not a namespace"),
         ({"start_offset": -1e-9}, "expected 0 to 0.04 s"),
         ({"start_offset": 0.0400001}, "expected 0 to 0.04 s"),
     ],
@@ -150,25 +150,6 @@ def test_a_bag_without_messages_cannot_be_replayed(
         play(tmp_path / "empty")
 
 
-class EnoughError(Exception):
-    """Ends a replay."""
-
-
-def test_a_loop_starts_again_after_a_tenth_of_a_second(play: Callable[..., Player]) -> None:
-    """Also where a round takes no time."""
-    player = play(loop=True, topics=("/number",), rate=100.0)
-
-    def watch(replay: Replay) -> None:
-        if replay.messages >= 10:
-            raise EnoughError
-
-    began = time.monotonic()
-    with pytest.raises(EnoughError):
-        player.replay.run(watch)
-    assert player.values("/number")[:10] == [0, 1, 2, 3, 4] * 2
-    assert player.sent[5][2] - began >= 0.099
-
-
 def test_time_stands_still_in_a_pause(play: Callable[..., Player]) -> None:
     player, began = play(paused=True, rate=100.0), time.monotonic()
 
@@ -181,26 +162,20 @@ def test_time_stands_still_in_a_pause(play: Callable[..., Player]) -> None:
     assert player.sent[0][2] - began >= 0.12 and len(player.sent) == 8
 
 
-def test_the_service_pauses_a_replay_with_a_node_of_its_own(bag: Path) -> None:
-    before = threading.active_count()
+def test_the_service_continues_a_replay_whose_node_then_ends(bag: Path) -> None:
     with isolated_domain() as domain, private_context(domain) as context:
         user = Node("user", context=context, start_parameter_services=False)
         client = user.create_client(SetBool, "/replay/pause")
+
+        def watch(replay: Replay) -> None:
+            if replay.paused and client.service_is_ready():
+                client.call_async(SetBool.Request(data=False))
+
         with replaying(bag, paused=True) as player:
-            wait_until(client.service_is_ready)
-            client.call_async(SetBool.Request(data=False))
-            wait_until(lambda: not player.paused)
-            assert player.node.context.ok() and player.node.get_name() == "replay"
+            player.run(watch)
+            assert player.messages == 8 and player.node.get_name() == "replay"
         assert not player.node.context.ok()
         user.destroy_node()
-    wait_until(lambda: threading.active_count() <= before)
-
-
-def test_a_bag_that_cannot_be_replayed_leaves_nothing_behind(tmp_path: Path) -> None:
-    before = threading.active_count()
-    with isolated_domain(), pytest.raises(BagError), replaying(tmp_path / "none"):
-        pass
-    wait_until(lambda: threading.active_count() <= before)
 
 
 @pytest.mark.parametrize(
