@@ -76,8 +76,8 @@ class ReadingPublisher:
             contacts_topic: Topic of the contact frames.
             wrench_topic: Gives the topic of a finger's force.
         """
-        self._encode = ContactsCodec(len(fingers)).encode
-        self._contacts = node.tick_publisher(PoseArray, contacts_topic)
+        encode = ContactsCodec(len(fingers)).encode
+        self._contacts = node.tick_publisher(PoseArray, contacts_topic, encode)
         self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
 
     def publish(self, stamp_ns: int, positions: Array, quaternions: Array, forces: Array) -> None:
@@ -89,13 +89,8 @@ class ReadingPublisher:
             quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
             forces: Forces on the object in the contact frames [N]. Shape (k, 3).
         """
-        self._contacts.publish(self._encode, positions, quaternions, stamp_ns)
+        self._contacts.publish(positions, quaternions, stamp_ns)
         self._wrenches.publish(stamp_ns, forces)
-
-    def repeat(self) -> None:
-        """Publish the last tick again."""
-        self._contacts.repeat()
-        self._wrenches.repeat()
 
 
 class WrenchPublishers:
@@ -117,20 +112,12 @@ class WrenchPublishers:
             topic: Gives the topic of a finger.
             nan_allowed: Whether NaN is an answer.
         """
-        self._fingers = [
-            (
-                WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).encode,
-                node.tick_publisher(WrenchStamped, topic(name)),
-            )
-            for name in fingers
-        ]
+        self._publishers = []
+        for name in fingers:
+            codec = WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed)
+            self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
 
     def publish(self, stamp_ns: int, forces: Array) -> None:
         """Publish the vectors of a tick [ns], shape (k, 3)."""
-        for (encode, publisher), force in zip(self._fingers, forces.tolist(), strict=True):
-            publisher.publish(encode, force, stamp_ns)
-
-    def repeat(self) -> None:
-        """Publish the last tick again."""
-        for _, publisher in self._fingers:
-            publisher.repeat()
+        for publisher, force in zip(self._publishers, forces.tolist(), strict=True):
+            publisher.publish(force, stamp_ns)

@@ -113,17 +113,23 @@ class TouchedHand:
         self._controller = controller
         self._chain = Chain(*cast(Any, self._nodes))
         hand = controller.hand
-        declared = (
+        declared = [
             streams.joints(hand.joint_names),
             streams.contacts(hand.fingers),
             streams.forces(hand.finger_names),
-            streams.imu(wanted=controller.config.imu),
-        )
+        ]
+        if controller.config.imu:
+            declared.append(streams.imu())
         silence = controller.config.input_timeout
         self._inputs = TickInputs(controller, declared, self, silence=silence)
 
     def on_tick(
-        self, stamp: int, joints: Joints, contacts: Contacts, forces: Array, palm: Array | None
+        self,
+        stamp: int,
+        joints: Joints,
+        contacts: Contacts,
+        forces: Array,
+        palm: Array | None = None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
         if palm is not None:

@@ -133,14 +133,11 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._rehearse()
         if composed:
             return
+        declared = [streams.contacts(self._fingers)]
         if self._shapes:
-            latched = qos.latched_qos(qos.user_qos().depth)
+            latched = qos.latched_qos(qos.USER_DEPTH)
             self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
-        declared = (
-            streams.contacts(self._fingers),
-            streams.learned_friction(fingers, wanted=self._shapes),
-            streams.forces(fingers, wanted=self._shapes),
-        )
+            declared += [streams.learned_friction(fingers), streams.forces(fingers)]
         self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self) -> None:
@@ -179,26 +176,22 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             self._optimizer.reject_touch(rejected)
             self._changes.request(names.TOUCH_REJECTED, rejected)
 
-    def on_tick(
-        self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
-    ) -> None:
-        """Answer a tick for which everything has arrived."""
-        self.step(stamp, contacts, friction, forces)
-
     def step(
-        self, stamp: int, contacts: Contacts, friction: Array | None, forces: Array | None
+        self,
+        stamp: int,
+        contacts: Contacts,
+        friction: Array | None = None,
+        forces: Array | None = None,
     ) -> OptimalForces:
         """Publish and return f*; see `ForceOptimizer.step`."""
-        with self.answering:
+        with self.answering():
             optimal = self._optimizer.step(stamp, contacts, friction, forces)
             self._publisher.publish(stamp, optimal.forces)
             self._changes.take_effect(stamp)
             self._report.note(optimal)
         return optimal
 
-    def on_repeat(self) -> None:
-        """Publish the last answer again."""
-        self._publisher.repeat()
+    on_tick = step
 
 
 def main(args: Sequence[str] | None = None) -> int:

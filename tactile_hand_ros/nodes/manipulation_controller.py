@@ -163,16 +163,20 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._begin()
         hand = self._controller.hand
         self._limits = hand.effort_limits
-        self._encode = JointCodec(hand.joint_names, ("effort",)).encode
-        self._command_publisher = self.tick_publisher(JointState, names.JOINT_COMMAND)
-        self._encode_pose = PoseCodec().encode
-        self._pose_publisher = self.tick_publisher(PoseStamped, names.AUXILIARY_POSE)
+        torques, self._encode_pose = JointCodec(hand.joint_names, ("effort",)), PoseCodec().encode
+        self._command_publisher = self.tick_publisher(
+            JointState, names.JOINT_COMMAND, torques.encode
+        )
+        self._pose_publisher = self.tick_publisher(
+            PoseStamped, names.AUXILIARY_POSE, self._encoded_pose
+        )
         # First, so that of a pose and a tick that wait together the pose is handled first.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
         self._rejection.publish(Bool(data=False))
         self._was_rejected = False
-        self._takes_forces = composed or self.config.law.observer.time > 0.0
+        c = self.config  # with an imu, so that the inputs keep their order
+        self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.ENABLE, self._on_enable)
         self.create_service(SetBool, names.GRASP, self._on_grasp)
@@ -181,16 +185,18 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _receive(self) -> None:
         hand = self._controller.hand
-        held = qos.latched_qos(qos.user_qos().depth)
+        held = qos.latched_qos(qos.USER_DEPTH)
         self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
-        declared = (
+        declared = [
             streams.joints(hand.joint_names),
             streams.contacts(hand.fingers),
             streams.grasp_force(),
             streams.optimal_forces(hand.finger_names),
-            streams.forces(hand.finger_names, wanted=self._takes_forces),
-            streams.imu(wanted=self.config.imu),
-        )
+        ]
+        if self._takes_forces:
+            declared.append(streams.forces(hand.finger_names))
+        if self.config.imu:
+            declared.append(streams.imu())
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
 
     def _rehearse(self) -> None:
@@ -296,8 +302,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         contacts: Contacts,
         grasp_force: float,
         optimal_forces: Array,
-        forces: Array | None,
-        palm: Array | None,
+        forces: Array | None = None,
+        palm: Array | None = None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
         if palm is not None:
@@ -323,7 +329,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """
         self._unanswered, self._answer = (stamp, Joints(theta, rates, applied)), None
         try:
-            with self.answering:
+            with self.answering():
                 if self._desired.fresh:
                     self._desired.before(stamp)
                 self._tick = stamp
@@ -375,7 +381,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._time_waits = self._is_unsent
         if self._answer is not None:
             stamp, command = self._answer
-            self._command_publisher.publish(self._encode, stamp, command.torque)
+            self._command_publisher.publish(stamp, command.torque)
 
     def on_restart(self) -> None:
         """Start over with the ticks; poses that came together with the first one are for it."""
@@ -412,10 +418,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if self._is_unsent:
             return command
         self._unanswered = None
-        self._command_publisher.publish(self._encode, stamp, torque)
+        self._command_publisher.publish(stamp, torque)
         self._changes.take_effect(stamp)
         if command.pose is not None:
-            self._pose_publisher.publish(self._encoded_pose, command.pose, stamp)
+            self._pose_publisher.publish(command.pose, stamp)
         return command
 
     def _encoded_pose(self, pose: AuxiliaryPose, stamp: int) -> bytes:

@@ -197,10 +197,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
         self._rehearse(len(fingers))
-        self._encode_grips = JointCodec(fingers).encode
-        self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE)
+        grips = JointCodec(fingers).encode
+        self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
         self._encode = WrenchCodec(names.PALM_FRAME).encode
-        self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE)
+        self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
             JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
         )
@@ -213,7 +213,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         )
         self.create_service(Trigger, names.RESET, self._on_reset)
         if not composed:
-            latched = qos.latched_qos(qos.user_qos().depth)
+            latched = qos.latched_qos(qos.USER_DEPTH)
             self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
             declared = (streams.contacts(len(fingers)), streams.forces(fingers))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
@@ -273,25 +273,23 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def on_tick(self, stamp: int, contacts: Contacts, forces: Array) -> None:
-        """Answer a tick for which everything has arrived."""
-        self.step(stamp, contacts, forces)
-
     def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
         """Publish grip and k_f and return k_f; see `SlipRegulator.step`."""
-        with self.answering:
+        with self.answering():
             regulator = self._regulator
             grasp_force = self._checked(regulator.step(stamp, contacts, forces))
             state = GripState(
                 regulator.learned_friction, regulator.slip_likelihood, regulator.state
             )
-            self._grip_publisher.publish(self._encode_grips, stamp, *state)
-            self._publisher.publish(self._encode, (0.0, grasp_force, 0.0), stamp)
+            self._grip_publisher.publish(stamp, *state)
+            self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)
             level = grasp_force / self.config.maximum
             self._publish_haptics(stamp, level, float(state.evidence.max()))
         return grasp_force
+
+    on_tick = step
 
     def observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
         """Use a tick that is too late to be answered: a slip shows in the samples in a row."""
@@ -310,11 +308,6 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
                 "published; call ~/reset"
             )
         return grasp_force
-
-    def on_repeat(self) -> None:
-        """Publish the last answer again."""
-        self._grip_publisher.repeat()
-        self._publisher.repeat()
 
     def _publish_haptics(self, stamp: int, grip: float, slip: float) -> None:
         self._strongest = max(self._strongest, slip)

@@ -95,10 +95,6 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         """Start over with the ticks: noise repeats from its seed."""
         self._sensor.reset()
 
-    def on_repeat(self) -> None:
-        """Publish the last reading again."""
-        self._publisher.repeat()
-
     def on_tick(
         self,
         stamp: int,
@@ -115,7 +111,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self, stamp: int, true: TactileReading, sliding: Array, theta: Array | None = None
     ) -> TactileReading:
         """Publish and return what touch reports; see `TactileSensor.step`."""
-        with self.answering:
+        with self.answering():
             touch = self._sensor.step(stamp, true, sliding, theta)
             self._publisher.publish(stamp, touch.positions, touch.quaternions, touch.forces)
         return touch

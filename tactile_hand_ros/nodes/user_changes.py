@@ -60,7 +60,7 @@ class AppliedChanges:
         self._name, self._full_name = name, node.get_fully_qualified_name()
         self._waiting: list[tuple[Publisher, MessageAt]] = []
         self._parameters = node.create_publisher(
-            ParameterEvent, names.accepted_parameters(name), qos.configuration_qos()
+            ParameterEvent, names.accepted_parameters(name), qos.latched_qos(qos.USER_DEPTH)
         )
         if requests:
             self._requests = node.create_publisher(

@@ -1,10 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base of all nodes: configuration from parameters, guarded subscriptions, diagnostics."""
+"""Base of all nodes: configuration from parameters, guarded callbacks, diagnostics.
+
+No callback stops a node. A message or request that is rejected (`TactileHandError`) costs only
+itself. Anything else, and a result that must not be published (`UnsafeOutputError`), was not
+foreseen: it is reported with the line of this package that failed, and the node goes to its safe
+state.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,10 +30,10 @@ from rclpy.timer import Timer
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError, shortened
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.endpoints import Answering, CallbackGuard, TickPublisher
+from tactile_hand_ros.ros.endpoints import TickFailedError, TickPublisher, described, refusal
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
@@ -44,15 +53,13 @@ SUBSCRIPTIONS = "subscriptions"
 class TactileNode(Node, Generic[C]):
     """A node whose parameters are one configuration and that survives every callback.
 
-    What a callback of a subscription, service or timer throws is counted and reported; see
-    `CallbackGuard`.
+    What a callback of a subscription, service or timer throws is counted and reported.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
     come or gone: that both ends of a topic exist does not mean that they are matched yet.
 
     Attributes:
         diagnostics: Counters and facts to report.
-        answering: Put around the answer to a tick, see `Answering`.
         tick_publishers: Its publishers of what carries a tick.
         fatal: Errors after which the node has nothing left to do: they stop it.
     """
@@ -70,7 +77,7 @@ class TactileNode(Node, Generic[C]):
         Raises:
             ConfigurationError: If a parameter that was given is unknown or rejected.
         """
-        self._guard = CallbackGuard(self)  # first: rclpy creates services of its own
+        self._is_making_safe = False
         super().__init__(name, **kwargs)
         try:
             self._config_parameters = ConfigParameters(
@@ -80,16 +87,13 @@ class TactileNode(Node, Generic[C]):
             self.destroy_node()
             raise
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
-        self.answering = Answering(self._guard, self.diagnostics)
         self.tick_publishers: list[TickPublisher] = []
         self._diagnostics_publisher = self.create_publisher(
             DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
         )
-        # Health must be reported also while simulated time stands still.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics, clock=steady)
+        self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics)
         self._peers: dict[str, int] = {}
-        self.create_timer(PEERS_PERIOD, self._look_for_peers, clock=steady)
+        self.create_timer(PEERS_PERIOD, self._look_for_peers)
 
     @property
     def config(self) -> C:
@@ -124,6 +128,11 @@ class TactileNode(Node, Generic[C]):
             reason: Why, in one line.
         """
 
+    def on_repeat(self) -> None:
+        """Publish the last answer to a tick again."""
+        for publisher in self.tick_publishers:
+            publisher.repeat()
+
     def on_report(self) -> None:
         """Add what should be in the next diagnostics; override it to report once a second."""
 
@@ -146,13 +155,51 @@ class TactileNode(Node, Generic[C]):
         else:
             self.diagnostics.clear("configuration")
 
-    def guarded(self, source: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback whose errors the node survives; see `CallbackGuard.wrap`."""
-        return self._guard.wrap(source, callback)
+    def guarded(
+        self,
+        source: str,
+        callback: Callable[..., Any],
+        refuse: Callable[..., Any] = lambda *_: None,
+    ) -> Callable[..., Any]:
+        """Return a callback whose errors the node survives.
 
-    def tick_publisher(self, message_type: Any, topic: str) -> TickPublisher:
+        Args:
+            source: Topic, service or timer that is named when the callback fails.
+            callback: A plain function.
+            refuse: Returns what a callback that fails returns; takes its arguments and the reason.
+        """
+
+        @functools.wraps(callback)  # rclpy looks at the signature
+        def call(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.survive(source, error)
+                return refuse(*arguments, described(error))
+
+        return call
+
+    @contextmanager
+    def answering(self) -> Iterator[None]:
+        """Count and time the answer to a tick.
+
+        Raises:
+            TickFailedError: After an error, which is the node's own and has been reported.
+        """
+        began = time.perf_counter()
+        try:
+            yield
+        except Exception as error:
+            self.survive("ticks", error)
+            raise TickFailedError(shortened(error)) from error
+        self.diagnostics.tick()
+        self.diagnostics.latency(time.perf_counter() - began)
+
+    def tick_publisher(
+        self, message_type: Any, topic: str, encode: Callable[..., bytes]
+    ) -> TickPublisher:
         """Create a publisher for something that carries a tick."""
-        self.tick_publishers.append(TickPublisher(self, message_type, topic))
+        self.tick_publishers.append(TickPublisher(self, message_type, topic, encode))
         return self.tick_publishers[-1]
 
     def subscribe(
@@ -193,14 +240,15 @@ class TactileNode(Node, Generic[C]):
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Subscription:
         """Subscribe as rclpy does, with a guarded callback."""
-        guarded = self._guard.wrap(topic, callback)
+        guarded = self.guarded(topic, callback)
         return super().create_subscription(msg_type, topic, guarded, *args, **kwargs)
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
     ) -> Timer:
-        """Create a timer as rclpy does, with a guarded callback."""
-        guarded = self._guard.wrap(f"timer {_name_of(callback)}", callback)
+        """Create a timer with a guarded callback, by default of a clock that never stands still."""
+        guarded = self.guarded(f"timer {_name_of(callback)}", callback)
+        kwargs.setdefault("clock", Clock(clock_type=ClockType.STEADY_TIME))
         return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
     def create_service(
@@ -210,7 +258,7 @@ class TactileNode(Node, Generic[C]):
         checked = callback
         if srv_type in (SetParameters, SetParametersAtomically):
             checked = with_known_types(callback)
-        guarded = self._guard.wrap_service(srv_name, checked)
+        guarded = self.guarded(srv_name, checked, refusal)
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def reject(self, topic: str, error: TactileHandError | str) -> None:
@@ -223,7 +271,28 @@ class TactileNode(Node, Generic[C]):
         Raises:
             Exception: The error itself if it is `fatal`, or if the context is being shut down.
         """
-        self._guard.caught(source, error)
+        if isinstance(error, self.fatal) or not self.context.ok():
+            raise error
+        if isinstance(error, TactileHandError) and not isinstance(error, UnsafeOutputError):
+            if self.diagnostics.reject(source, error):
+                self.get_logger().warning(f"rejected a message on '{source}': {shortened(error)}")
+            self.on_rejected(source, shortened(error))
+            return
+        reason = described(error)
+        if self.diagnostics.error(source, reason):
+            self.get_logger().error(f"error in '{source}': {reason}")
+        self._make_safe(reason)
+
+    def _make_safe(self, reason: str) -> None:
+        if self._is_making_safe:  # the safe state itself has failed
+            return
+        self._is_making_safe = True
+        try:
+            self.to_safe_state(reason)
+        except Exception as error:
+            self.survive("safe state", error)
+        finally:
+            self._is_making_safe = False
 
     def _look_for_peers(self) -> None:
         """Report immediately when a peer has come or gone."""

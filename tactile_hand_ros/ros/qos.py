@@ -6,13 +6,13 @@ What is not said is rclpy's default: keep the last `depth` messages, reliable, v
 
 from __future__ import annotations
 
-from rclpy.qos import (
-    QoSDurabilityPolicy,
-    QoSProfile,
-)
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 TICK_DEPTH = 100
 """Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag behind."""
+
+USER_DEPTH = 100
+"""Messages kept of what users send, and of what they must not miss."""
 
 PUBLISHED_DEPTH = 3000
 """Messages that a publisher keeps of a tick topic: 6 s at 500 Hz, for a recorder that fell behind.
@@ -29,23 +29,14 @@ def tick_qos() -> QoSProfile:
 
 def tick_publisher_qos() -> QoSProfile:
     """Return the profile with which ticks are published: as `tick_qos`, with a longer memory."""
-    profile = tick_qos()
-    profile.depth = PUBLISHED_DEPTH
-    return profile
+    return QoSProfile(depth=PUBLISHED_DEPTH)
 
 
 def latched_qos(depth: int = 1) -> QoSProfile:
-    """Return the profile of values that late subscribers must get: transient local, depth 1."""
+    """Return the profile of values that late subscribers must get: reliable, transient local."""
     return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-
-
-def configuration_qos() -> QoSProfile:
-    """Return the profile of configurations in force: as `user_qos`, kept for late subscribers."""
-    profile = user_qos()
-    profile.durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
-    return profile
 
 
 def user_qos() -> QoSProfile:
     """Return the profile of what a user or tool sends and watches: reliable, depth 100."""
-    return QoSProfile(depth=100)
+    return QoSProfile(depth=USER_DEPTH)

@@ -29,14 +29,12 @@ class Stream:
         decoders: How to read each topic, by its relative name.
         per_finger: Whether the values of the topics form one array, a row per finger.
         from_driver: Whether a driver may publish it, so that users may override its QoS.
-        wanted: Whether a tick needs it; if not, nothing is subscribed and the value is None.
     """
 
     message_type: type
     decoders: dict[str, Decode]
     per_finger: bool = False
     from_driver: bool = False
-    wanted: bool = True
 
 
 def joints(joint_names: Sequence[str]) -> Stream:
@@ -45,9 +43,9 @@ def joints(joint_names: Sequence[str]) -> Stream:
     return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
 
 
-def imu(*, wanted: bool) -> Stream:
+def imu() -> Stream:
     """Declare how the palm lies in the world; values are quaternions (x, y, z, w), shape (4,)."""
-    return Stream(Imu, {names.IMU: ImuCodec.decode}, from_driver=True, wanted=wanted)
+    return Stream(Imu, {names.IMU: ImuCodec.decode}, from_driver=True)
 
 
 def contacts(fingers: int) -> Stream:
@@ -56,9 +54,9 @@ def contacts(fingers: int) -> Stream:
     return Stream(PoseArray, {names.CONTACTS: decode}, from_driver=True)
 
 
-def forces(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
+def forces(finger_names: Sequence[str]) -> Stream:
     """Declare the measured forces; values in contact frames, shape (k, 3), N."""
-    return _wrenches(names.wrench, finger_names, from_driver=True, wanted=wanted)
+    return _wrenches(names.wrench, finger_names, from_driver=True)
 
 
 def optimal_forces(finger_names: Sequence[str]) -> Stream:
@@ -72,7 +70,7 @@ def grasp_force() -> Stream:
     return Stream(WrenchStamped, {names.GRASP_FORCE: codec.decode_normal})
 
 
-def learned_friction(finger_names: Sequence[str], *, wanted: bool = True) -> Stream:
+def learned_friction(finger_names: Sequence[str]) -> Stream:
     """Declare the friction that the regulator has learned; values of shape (k,)."""
     codec = JointCodec(finger_names)
 
@@ -80,7 +78,7 @@ def learned_friction(finger_names: Sequence[str], *, wanted: bool = True) -> Str
         stamp, (friction, _, _) = codec.decode(data)
         return stamp, friction
 
-    return Stream(JointState, {names.GRIP_STATE: decode}, wanted=wanted)
+    return Stream(JointState, {names.GRIP_STATE: decode})
 
 
 def true_contacts(fingers: int) -> Stream:
@@ -110,10 +108,9 @@ def _wrenches(
     *,
     nan_allowed: bool = False,
     from_driver: bool = False,
-    wanted: bool = True,
 ) -> Stream:
     decoders: dict[str, Decode] = {
         topic(name): WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).decode
         for name in finger_names
     }
-    return Stream(WrenchStamped, decoders, True, from_driver, wanted)
+    return Stream(WrenchStamped, decoders, True, from_driver)

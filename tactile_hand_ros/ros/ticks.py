@@ -209,7 +209,7 @@ class TickListener(Protocol):
     """
 
     @property
-    def on_tick(self) -> Callable[..., None]:
+    def on_tick(self) -> Callable[..., Any]:
         """Answer a tick: takes its stamp [ns] and a value per stream, in their order."""
 
     def on_repeat(self) -> None:
@@ -357,7 +357,7 @@ class TickInputs:
         self._observe = observe
         self._listener: Any = listener
         self._streams = streams
-        topics = [topic for stream in streams if stream.wanted for topic in stream.decoders]
+        topics = [topic for stream in streams for topic in stream.decoders]
         self._trigger = topics[0]
         self._answer = node.guarded("ticks", self._answer_waiting)
         self._senders = SenderCheck()
@@ -368,7 +368,7 @@ class TickInputs:
         self._answered_blindly = -1
         self._leaps = Leaps()
         for stream in streams:
-            for topic, decode in stream.decoders.items() if stream.wanted else ():
+            for topic, decode in stream.decoders.items():
                 take: Any = partial(self._take, topic, decode)
                 if topic == self._trigger:
                     take = partial(self._take_trigger, decode)
@@ -459,9 +459,7 @@ class TickInputs:
         values: list[Any] = []
         at = 0
         for stream in self._streams:
-            if not stream.wanted:
-                values.append(None)
-            elif stream.per_finger:
+            if stream.per_finger:
                 count = len(stream.decoders)
                 values.append(np.array(matched[at : at + count]))
                 at += count

@@ -12,8 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
-from rclpy.clock import Clock as RosClock
-from rclpy.clock_type import ClockType
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, String
@@ -72,16 +70,18 @@ class PlantTopics:
         self._truth = ReadingPublisher(
             node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
         )
-        self._encode_slip = JointCodec(hand.finger_names, ("position", "velocity")).encode
-        self._slip_publisher = node.tick_publisher(JointState, names.TRUE_SLIP)
-        fields = ("position", "velocity", "effort")
-        self._encode_joints = JointCodec(hand.joint_names, fields).encode
-        self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES)
-        self._encode_imu = ImuCodec().encode
-        self._imu_publisher = node.tick_publisher(Imu, names.IMU) if turns else None
+        slip = JointCodec(hand.finger_names, ("position", "velocity")).encode
+        self._slip_publisher = node.tick_publisher(JointState, names.TRUE_SLIP, slip)
+        joints = JointCodec(hand.joint_names, ("position", "velocity", "effort")).encode
+        self._joints_publisher = node.tick_publisher(JointState, names.JOINT_STATES, joints)
+        imu = ImuCodec().encode
+        self._imu_publisher = node.tick_publisher(Imu, names.IMU, imu) if turns else None
+        self._awaited = tuple(node.tick_publishers)
         self._encode_pose = PoseCodec().encode
-        self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE)
-        self._clock_publisher = node.tick_publisher(Clock, names.CLOCK)
+        self._pose_publisher = node.tick_publisher(
+            PoseStamped, names.OBJECT_POSE, self._encoded_pose
+        )
+        self._clock_publisher = node.tick_publisher(Clock, names.CLOCK, clock_bytes)
         latched = qos.latched_qos()
         self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
         self._description.publish(String(data=hand.description))
@@ -99,14 +99,13 @@ class PlantTopics:
             true: Their contacts.
             sliding: The sliding speeds of these, shape (k,), m/s.
         """
-        self._slip_publisher.publish(self._encode_slip, stamp_ns, state.slid, sliding)
+        self._slip_publisher.publish(stamp_ns, state.slid, sliding)
         self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
         if self._imu_publisher is not None:
-            self._imu_publisher.publish(self._encode_imu, state.palm, stamp_ns)
-        self._joints_publisher.publish(self._encode_joints, stamp_ns, *state.joints)
-        pose = state.position, state.rotation
-        self._pose_publisher.publish(self._encoded_pose, *pose, stamp_ns)
-        self._clock_publisher.publish(clock_bytes, stamp_ns)
+            self._imu_publisher.publish(state.palm, stamp_ns)
+        self._joints_publisher.publish(stamp_ns, *state.joints)
+        self._pose_publisher.publish(state.position, state.rotation, stamp_ns)
+        self._clock_publisher.publish(stamp_ns)
 
     def _encoded_pose(self, position: Array, rotation: Array, stamp_ns: int) -> bytes:
         return self._encode_pose(position, quaternion_from_rotation(rotation), stamp_ns)
@@ -119,11 +118,8 @@ class PlantTopics:
 
     def repeat(self) -> None:
         """Publish what others wait for once more."""
-        self._slip_publisher.repeat()
-        self._truth.repeat()
-        if self._imu_publisher is not None:
-            self._imu_publisher.repeat()
-        self._joints_publisher.repeat()
+        for publisher in self._awaited:
+            publisher.repeat()
 
 
 class PlantDriver:
@@ -161,11 +157,10 @@ class PlantDriver:
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand, turns=bool(c.palm_motion))
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace, clock=steady)
+        self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace)
         self._pacer.timer_period_ns = c.tick
         watch = 0.25 * min(c.resend_after, c.command_timeout)
-        self._watcher = node.create_timer(watch, self._on_watch, clock=steady)
+        self._watcher = node.create_timer(watch, self._on_watch)
 
     def connect(self, hand: InProcessHand) -> None:
         """Let a hand in this process answer the ticks."""

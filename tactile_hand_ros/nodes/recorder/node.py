@@ -6,9 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
@@ -48,8 +45,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._shares_process = bool(local_publishers)
         self._failure: BagError | None = None
         self._recording = Recording(self, self.config, local_publishers)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may be paused
-        self._visits = self.create_timer(self.config.drain_period, self._on_visit, clock=steady)
+        self._visits = self.create_timer(self.config.drain_period, self._on_visit)
 
     def close(self) -> None:
         """Write what is still on its way, then index and metadata.

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -105,8 +103,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         }
         self._markers = self.create_publisher(MarkerArray, MARKERS, qos.user_qos())
         self._tf = self._publish_static()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0 / self.config.rate, self.show, clock=steady)
+        self.create_timer(1.0 / self.config.rate, self.show)
 
     def _listen(self, kind: Any, topic: str) -> Subscription:
         """Subscribe to publishers of any reliability, unless the user overrides it."""

@@ -126,7 +126,7 @@ def test_a_changed_parameter_is_published_with_the_first_tick_that_it_changes(
 ) -> None:
     node = here.make(kind)
     topic = names.accepted_parameters(key)
-    here.receive(ParameterEvent, topic, qos.configuration_qos())
+    here.receive(ParameterEvent, topic, qos.latched_qos(qos.USER_DEPTH))
     for stamp in range(4):
         if stamp == 2:
             assert node.set_parameters([Parameter(name, value=value)])[0].successful

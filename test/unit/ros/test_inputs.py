@@ -41,7 +41,7 @@ class Ear:
     bad = -1
     """Stamp of a tick that cannot be answered [ns]."""
 
-    def __init__(self, *, feels: bool = True, observes: bool = False) -> None:
+    def __init__(self, *, observes: bool = False) -> None:
         self.now = self.number = 0
         self.diagnostics = Diagnostics("ear")
         self.callbacks: dict[str, Callable[..., None]] = {}
@@ -52,7 +52,7 @@ class Ear:
             streams.contacts(3),
             streams.grasp_force(),
             streams.optimal_forces(FINGERS),
-            streams.forces(FINGERS, wanted=feels),
+            streams.forces(FINGERS),
         )
         observe = self.on_skipped_tick if observes else None
         self.inputs = TickInputs(self, declared, self, silence=0.5, observe=observe)  # type: ignore[arg-type]
@@ -159,10 +159,9 @@ def ear(monkeypatch: pytest.MonkeyPatch) -> Ear:
     return made[0]
 
 
-@pytest.mark.parametrize("feels", [True, False])
 @pytest.mark.parametrize("joints_first", [True, False])
-def test_a_tick_has_everything_in_its_place(feels: bool, joints_first: bool) -> None:
-    ear = Ear(feels=feels)
+def test_a_tick_has_everything_in_its_place(joints_first: bool) -> None:
+    ear = Ear()
     for part in (ear.joints, ear.others) if joints_first else (ear.others, ear.joints):
         assert ear.heard == []
         part(4)
@@ -174,10 +173,7 @@ def test_a_tick_has_everything_in_its_place(feels: bool, joints_first: bool) -> 
     np.testing.assert_allclose(contacts.rotations, rotation_from_quaternion(TURNS))
     assert grasp_force == 14.0
     np.testing.assert_array_equal(optimal, [[0.1, 0.2, 0.3], [0.1, 1.2, 0.3], [0.1, 2.2, 0.3]])
-    if feels:
-        np.testing.assert_array_equal(forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
-    else:
-        assert forces is None and names.wrench(FINGERS[0]) not in ear.callbacks
+    np.testing.assert_array_equal(forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
 
 
 def test_only_what_drivers_publish_may_have_another_qos() -> None:

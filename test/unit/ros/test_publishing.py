@@ -38,8 +38,9 @@ class Encoder:
 
 
 def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
-    publisher, encode = TickPublisher(node, Float64, "number"), Encoder()
-    publisher.publish(encode, 1.0)
+    encode = Encoder()
+    publisher = TickPublisher(node, Float64, "number", encode)
+    publisher.publish(1.0)
     publisher.repeat()
     assert not publisher.wanted and encode.encoded == []
     facts = publisher.topic, publisher.kind, publisher.node, publisher.qos_profile.depth
@@ -47,24 +48,25 @@ def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
 
 
 def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> None:
-    publisher, encode, tapped, received = TickPublisher(node, Float64, "number"), Encoder(), [], []
+    encode, tapped, received = Encoder(), [], []
+    publisher = TickPublisher(node, Float64, "number", encode)
     publisher.add_tap(tapped.append)
     publisher.add_tap(tapped.append)
-    publisher.publish(encode, 1.0)
+    publisher.publish(1.0)
     assert publisher.wanted and encode.encoded == [1.0]
     assert tapped == 2 * [serialize_message(Float64(data=1.0))]
     node.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
     wait_until(lambda: publisher.get_subscription_count() == 1)
     with spinning(node):
-        publisher.publish(encode, 2.0)
+        publisher.publish(2.0)
         wait_until(lambda: received == [2.0])
     assert encode.encoded == [1.0, 2.0] and len(tapped) == 4
 
 
 def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node: Node) -> None:
-    publisher, received = TickPublisher(node, Float64, "number"), list[Any]()
+    publisher, received = TickPublisher(node, Float64, "number", Encoder()), list[Any]()
     publisher.repeat()
-    publisher.publish(Encoder(), 3.0)
+    publisher.publish(3.0)
     node.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
     wait_until(lambda: publisher.get_subscription_count() == 1)
     with spinning(node):

@@ -210,18 +210,18 @@ def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> Non
 
 def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: Stage) -> None:
     """From the first message on, and without a subscription; other topics are subscribed."""
-    inside = TickPublisher(stage.hand, Int64, "x")
-    outside = TickPublisher(stage.hand, Int64, "/right/x")
+    inside = TickPublisher(stage.hand, Int64, "x", number)
+    outside = TickPublisher(stage.hand, Int64, "/right/x", number)
     stage.record(inside, outside)
     for value in range(3):
         for publisher in (inside, outside):
-            publisher.publish(number, value)
+            publisher.publish(value)
     stage.meet("/left/y")
     stage.publish("/left/y", 7)
     stage.spin_until(lambda: stage.report()["messages"] == "4")
     assert inside.get_subscription_count() == 0
     assert stage.recorder.peers()["subscriptions /left/x"] == 1
-    inside.publish(number, 3)  # since the last visit
+    inside.publish(3)  # since the last visit
     stage.context.try_shutdown()
     stage.recorder.close()
     assert stage.recorded() == {"/left/x": [0, 1, 2, 3], "/left/y": [7]}
@@ -241,12 +241,12 @@ def end_writer() -> None:
 def test_next_to_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(
     stage: Stage,
 ) -> None:
-    inside = TickPublisher(stage.hand, Int64, "x")
+    inside = TickPublisher(stage.hand, Int64, "x", number)
     stage.record(inside)
     end_writer()
-    inside.publish(number, 1)
+    inside.publish(1)
     stage.spin_until(lambda: stage.recorder.diagnostics.status().level == ERROR)
-    inside.publish(number, 2)
+    inside.publish(2)
     assert "tactile-hand recover" in stage.report()["fault recording"]
     assert stage.context.ok()
     with pytest.raises(BagError, match="tactile-hand recover"):
