@@ -147,7 +147,7 @@ def test_killed_at_any_moment_it_loses_the_last_moment_at_most(
     for run, life in enumerate((0.0, 0.3, BOUND + 0.5)):
         publisher = node.create_publisher(Float64, f"number_{run}", DEEP)
         bag, sent = tmp_path / str(run), list[float]()
-        with start(bag, "chunk_size:=16777216") as recorder:
+        with start(bag) as recorder:
             wait_for_recorder(publisher)
             writers = psutil.Process(recorder.pid).children()
             while not sent or time.monotonic() < sent[0] + life:

@@ -29,9 +29,6 @@ class RecorderConfig(Config):
         [], "regular expressions; a topic is not recorded if one matches its whole name"
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
-    chunk_size: int = param(
-        2**20, "size at which a chunk is closed and written", unit="B", ge=1024, le=2**26
-    )
     flush_period: float = param(
         0.05,
         "longest time a message waits in memory before it is written",
@@ -39,25 +36,8 @@ class RecorderConfig(Config):
         ge=0.01,
         le=60,
     )
-    drain_period: float = param(
-        0.01,
-        "time between two visits to the subscriptions' queues while messages come",
-        unit="s",
-        ge=0.001,
-        le=0.1,
-    )
-    discovery_period: float = param(
-        0.02,
-        "time between two looks at the graph for new topics, ten times that when it is calm",
-        unit="s",
-        ge=0.001,
-        le=1,
-    )
     scenario: str = param(
         "", "scenario of the run as YAML text, stored in the bag with the versions in use"
-    )
-    queue_depth: int = param(
-        5000, "messages a topic's queue holds between two visits", ge=1, le=1_000_000
     )
 
     @field_validator("topics", "exclude")

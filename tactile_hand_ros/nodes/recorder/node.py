@@ -15,6 +15,8 @@ from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
+_VISIT_PERIOD = 0.01  # s between two visits to the queues of the subscriptions
+
 
 class RecorderNode(TactileNode[RecorderConfig]):
     """Records the chosen topics as a rosbag2 folder until it is stopped.
@@ -45,7 +47,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._shares_process = bool(local_publishers)
         self._failure: BagError | None = None
         self._recording = Recording(self, self.config, local_publishers)
-        self._visits = self.create_timer(self.config.drain_period, self._on_visit)
+        self._visits = self.create_timer(_VISIT_PERIOD, self._on_visit)
 
     def close(self) -> None:
         """Write what is still on its way, then index and metadata.

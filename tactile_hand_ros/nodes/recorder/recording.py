@@ -20,7 +20,9 @@ from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.endpoints import TickPublisher
 
-_CALM_FACTOR = 10.0  # factor on the period for a graph that does not change
+_QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
+_DISCOVERY_PERIOD = 0.02  # s between two looks at the graph for new topics
+_CALM_PERIOD = 0.2  # s, for a graph that does not change
 _CALM_AFTER = 1.0  # s
 _QUIET = 0.05  # s without a message after which nothing more is on its way
 _LAST_CALL = 0.5  # s, longest wait for that while publishers continue
@@ -65,7 +67,6 @@ class Recording:
         self.writer = WriterProcess(
             Path(config.output),
             compression=config.compression,
-            chunk_size=config.chunk_size,
             custom_data=origin,
         )
         # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
@@ -96,8 +97,7 @@ class Recording:
             if self._discover():
                 self._changed_at = now
             is_calm = now - self._changed_at >= _CALM_AFTER
-            rarer = _CALM_FACTOR if is_calm else 1.0
-            self._next_discovery = now + rarer * self._config.discovery_period
+            self._next_discovery = now + (_CALM_PERIOD if is_calm else _DISCOVERY_PERIOD)
         count = self._drain()
         if now >= self._next_flush:
             self._next_flush = now + self._config.flush_period
@@ -170,7 +170,7 @@ class Recording:
             return False
         try:
             message_definition(type_name)
-            topic = RawTopic(self._node, name, type_name, self._config.queue_depth)
+            topic = RawTopic(self._node, name, type_name, _QUEUE_DEPTH)
         except BagError as error:
             self.refused.add(name)
             self._node.get_logger().error(f"{name} is not recorded: {error}")

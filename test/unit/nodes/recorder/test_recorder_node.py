@@ -25,6 +25,7 @@ from std_msgs.msg import Int64
 import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.nodes.recorder import recording
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.endpoints import TickPublisher
@@ -172,8 +173,11 @@ def test_the_desired_pose_of_any_robot_is_recorded_unless_excluded(stage: Stage)
     assert stage.recorded() == {"/left/desired_pose": [1]}
 
 
-def test_what_is_missing_is_a_warning_and_in_the_bag(stage: Stage) -> None:
-    stage.record(queue_depth=10, drain_period=0.1)
+def test_what_is_missing_is_a_warning_and_in_the_bag(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "_QUEUE_DEPTH", 10)
+    stage.record()
     stage.meet("/left/a")
     stage.publish("/left/a", 0)
     stage.spin_until(lambda: stage.report()["messages"] == "1")
@@ -194,7 +198,7 @@ def test_what_is_missing_is_a_warning_and_in_the_bag(stage: Stage) -> None:
 def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
     """With what had arrived, also of a topic that had no publisher at the last look."""
     stage.hand.create_subscription(Int64, "late", print, 1)
-    stage.record(discovery_period=1.0)
+    stage.record()
     stage.meet("/left/a")
     stage.spin_until(lambda: stage.talker.count_subscribers("/left/late") == 2)
     for topic in ("/left/late", "/left/a"):
