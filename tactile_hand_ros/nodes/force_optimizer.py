@@ -127,7 +127,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._fingers = len(fingers)
         self._optimizer = ForceOptimizer(self.config, self._fingers)
         self._report = OptimizerReport(self.diagnostics)
-        self._shapes, self._is_rejected = self.config.cones, False
+        self._shapes = self.config.cones
         self._changes = AppliedChanges(self, names.OPTIMIZER, requests=self._shapes)
         self._publisher = WrenchPublishers(self, fingers, names.optimal_force, nan_allowed=True)
         self._rehearse()
@@ -136,7 +136,9 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         declared = [streams.contacts(self._fingers)]
         if self._shapes:
             latched = qos.latched_qos(qos.USER_DEPTH)
-            self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
+            self.subscribe(
+                Bool, names.TOUCH_REJECTED, lambda m: self.reject_touch(m.data), profile=latched
+            )
             declared += [streams.learned_friction(fingers), streams.forces(fingers)]
         self._inputs = TickInputs(self, declared, self)
 
@@ -163,18 +165,11 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         """Start over with the ticks."""
         self._optimizer.reset()
         self._changes.begin(self.config)
-        if self._is_rejected:
-            self._changes.request(names.TOUCH_REJECTED, True)
-
-    def _on_rejection(self, message: Bool) -> None:
-        self.reject_touch(message.data)
 
     def reject_touch(self, rejected: bool) -> None:
         """Note whether the controller rejects touch; the load is not learned from it then."""
-        if self._shapes and rejected != self._is_rejected:
-            self._is_rejected = rejected
+        if self._shapes and self._changes.state(names.TOUCH_REJECTED, rejected):
             self._optimizer.reject_touch(rejected)
-            self._changes.request(names.TOUCH_REJECTED, rejected)
 
     def step(
         self,

@@ -160,7 +160,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._unanswered: tuple[int, Joints] | None = None
         self._answer: tuple[int, Command] | None = None
         self._changes = AppliedChanges(self, names.CONTROLLER, requests=True, commands=True)
-        self._begin()
+        self._changes.begin(self.config)
+        self._changes.state("enable", True)
         hand = self._controller.hand
         self._limits = hand.effort_limits
         torques, self._encode_pose = JointCodec(hand.joint_names, ("effort",)), PoseCodec().encode
@@ -230,9 +231,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     @joints_held.setter
     def joints_held(self, held: bool) -> None:
-        if held != self._controller.joints_held:
-            self._controller.joints_held = held
-            self._changes.request(names.JOINT_HOLD, held)
+        self._controller.joints_held = held
+        self._changes.state(names.JOINT_HOLD, held)
 
     def check_config(self, config: ControllerConfig) -> None:
         """Reject observing a load without forces."""
@@ -257,10 +257,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if hasattr(self, "_inputs"):
             self._inputs.report()
         self._report.report(self._controller.target)
-        if self._controller.warning:
-            self.diagnostics.fault("stiffness", self._controller.warning, WARN)
-        else:
-            self.diagnostics.clear("stiffness")
+        warning = self._controller.warning
+        self.diagnostics.judge("stiffness", bool(warning), warning, WARN)
 
     def _on_joint_hold(self, message: Bool) -> None:
         self.joints_held = message.data
@@ -275,7 +273,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._controller.enabled = request.data
-        self._changes.request("enable", request.data)
+        self._changes.state("enable", request.data)
         response.success, response.message = True, "enabled" if request.data else "damping only"
         return response
 
@@ -390,15 +388,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _start_over(self) -> None:
         self._report.reset()
-        self._begin()
-        self._desired.command_again()
-
-    def _begin(self) -> None:
-        """Publish at the next tick what stays in force when the stamps start over."""
         self._changes.begin(self.config)
-        self._changes.request("enable", self._controller.enabled)
-        if self._controller.joints_held:
-            self._changes.request(names.JOINT_HOLD, True)
+        self._desired.command_again()
 
     def _send(self, stamp: int, command: Command) -> Command:
         """Publish an answer inside the limits of the joints, unless it is better not sent.

@@ -192,7 +192,6 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
         self._changes = AppliedChanges(self, names.REGULATOR, requests=True, commands=True)
-        self._is_rejected = False
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
@@ -214,7 +213,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.create_service(Trigger, names.RESET, self._on_reset)
         if not composed:
             latched = qos.latched_qos(qos.USER_DEPTH)
-            self.subscribe(Bool, names.TOUCH_REJECTED, self._on_rejection, profile=latched)
+            self.subscribe(
+                Bool, names.TOUCH_REJECTED, lambda m: self.reject_touch(m.data), profile=latched
+            )
             declared = (streams.contacts(len(fingers)), streams.forces(fingers))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
@@ -249,23 +250,16 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.reset()
         self._report.reset()
         self._changes.begin(self.config)
-        if self._is_rejected:
-            self._changes.request(names.TOUCH_REJECTED, True)
 
     def _on_user_force(self, data: bytes) -> None:
         force = read_number(data)
         self._regulator.request(force)
         self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
 
-    def _on_rejection(self, message: Bool) -> None:
-        self.reject_touch(message.data)
-
     def reject_touch(self, rejected: bool) -> None:
         """Note whether the controller rejects touch; nothing is learned from it then."""
-        if rejected != self._is_rejected:
-            self._is_rejected = rejected
+        if self._changes.state(names.TOUCH_REJECTED, rejected):
             self._regulator.reject_touch(rejected)
-            self._changes.request(names.TOUCH_REJECTED, rejected)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.on_restart()

@@ -70,12 +70,15 @@ class AppliedChanges:
             self._rejected = node.create_publisher(
                 DiagnosticArray, names.rejected(name), qos.user_qos()
             )
+        self._states: dict[str, bool] = {}
         self._answered, self._rejections = 0, 0
 
     def begin(self, config: Config) -> None:
-        """Start with the ticks: forget what has not taken effect, and publish the configuration."""
+        """Start with the ticks: forget what has not taken effect, and publish what is in force."""
         self._waiting.clear()
         self.configuration(config)
+        for name, value in self._states.items():
+            self.request(name, value)
 
     def configuration(self, config: Config) -> None:
         """Note that another configuration is in force."""
@@ -98,6 +101,18 @@ class AppliedChanges:
             return message
 
         self.add(self._requests, message_at)
+
+    def state(self, name: str, value: bool) -> bool:
+        """Note what a service or latched topic sets and a restart of the ticks does not change.
+
+        Returns:
+            Whether it has changed; at first it is false.
+        """
+        if value == self._states.get(name, False):
+            return False
+        self._states[name] = value
+        self.request(name, value)
+        return True
 
     def rejected(self, topic: str, reason: str) -> None:
         """Publish immediately that a command of the user was rejected.
