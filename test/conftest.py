@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -39,3 +40,21 @@ def _no_shared_memory() -> Iterator[None]:
     """Insist on sockets: processes that tests kill would leave traps in shared memory."""
     yield
     assert "/dev/shm/fastrtps" not in Path("/proc/self/maps").read_text()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """Reserve a ROS domain."""
+    from tactile_hand_ros.ros.middleware import isolated_domain
+
+    with isolated_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def here() -> Iterator[Any]:
+    """A process of the test with a user, in a domain of its own; see `support.nodes.Process`."""
+    from support.nodes import process
+
+    with process() as made:
+        yield made

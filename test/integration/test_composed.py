@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, WrenchStamped
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from support.messages import encoded
@@ -87,24 +84,6 @@ def test_nothing_is_encoded_when_nobody_wants_it(
         run_to_the_end(here, nodes["plant"])
         assert encoded == []
         assert nodes["manipulation_controller"].diagnostics.ticks >= TICKS
-
-
-def test_an_ordinary_node_of_the_process_meets_topics_services_and_logs(tmp_path: Any) -> None:
-    with process() as here:
-        nodes = start(here, short(), tmp_path)
-        plant, log = nodes["plant"], "/rosout"
-        received: list[Any] = []
-        here.user.create_subscription(JointState, "joint_states", received.append, tick_qos())
-        here.receive(DiagnosticArray, names.DIAGNOSTICS)
-        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        here.receive(Log, log, kept)
-        here.wait(lambda: plant.peers()["publications /joint_states"] == 1, "the match")
-        run_to_the_end(here, plant)
-        here.wait(lambda: len(received) > TICKS, "all ticks")
-        assert [len(each.position) for each in received[:2]] == [9, 9]
-        here.messages(names.DIAGNOSTICS, 1)
-        nodes["slip_regulator"].get_logger().get_child("grip").warning("a child logs too")
-        here.wait(lambda: "slip_regulator.grip" in {m.name for m in here.messages(log, 1)}, "log")
 
 
 def test_a_node_that_fails_leaves_its_tick_without_a_command(

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from support.graph import Graph
 
 from tactile_hand_ros import names
@@ -56,10 +55,6 @@ def pass_time(graph: Graph, seconds: float) -> None:
     """Wait until simulated time has passed."""
     until = graph.time + seconds
     graph.wait(lambda: graph.time >= until, f"t = {until:g} s")
-
-
-def wait_for_grasp_force(graph: Graph, wanted: float) -> None:
-    graph.wait(lambda: abs(graph.grasp_force - wanted) < 1e-3, f"k_f = {wanted} N")
 
 
 def assert_held(graph: Graph) -> None:
@@ -158,23 +153,3 @@ def test_two_senders_that_disagree_are_answered_with_a_hold(graph: Graph) -> Non
     assert_held(graph)
     far = distance(graph)
     graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
-
-
-def test_a_live_parameter_acts_and_others_are_refused_with_the_reason(graph: Graph) -> None:
-    graph.grasp_forces.publish(Float64(data=20.0))
-    wait_for_grasp_force(graph, 20.0)
-    assert graph.set_parameter("slip_regulator", "maximum", 15.0).successful
-    wait_for_grasp_force(graph, 15.0)
-    pass_time(graph, 0.5)
-    np.testing.assert_allclose(graph.forces[:, 1].sum(), 15.0, rtol=0.05)
-    refused = [
-        ("slip_regulator", "maximum", 5.0, "grasp_force = 10.0 N is outside"),
-        ("plant", "rate", 100.0, "read-only"),
-        ("manipulation_controller", "law.name", "contact", "read-only"),
-        ("manipulation_controller", "law.k_p", -1.0, "law.k_p"),
-        ("force_optimizer", "weights", [1.0, 1.0, 1.0, 1.0], "3 or 9 positive numbers"),
-    ]
-    for name, parameter, value, reason in refused:
-        verdict = graph.set_parameter(name, parameter, value)
-        assert not verdict.successful and reason in verdict.reason
-    assert graph.set_parameter("slip_regulator", "maximum", 40.0).successful

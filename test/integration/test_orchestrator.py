@@ -27,7 +27,7 @@ from support.spinning import spinning
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.processes import (
     PACKAGE,
     CapturedProcess,
@@ -68,13 +68,6 @@ TICK_TOPICS = [
 ]
 
 Start = Callable[..., CapturedProcess]
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """Reserve a ROS domain."""
-    with isolated_domain() as number:
-        yield number
 
 
 @pytest.fixture

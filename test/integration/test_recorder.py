@@ -24,7 +24,7 @@ from std_msgs.msg import Float64
 
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.processes import (
     CapturedProcess,
     start_executable,
@@ -34,13 +34,6 @@ from tactile_hand_ros.ros.processes import (
 DEEP = QoSProfile(depth=1000)
 COUNT = 800  # messages on each topic
 BOUND = 2.0  # s
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """Reserve a ROS domain."""
-    with isolated_domain() as number:
-        yield number
 
 
 @pytest.fixture

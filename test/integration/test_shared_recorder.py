@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import psutil
-import pytest
 import yaml
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
@@ -19,7 +18,6 @@ from support.graph import PATIENCE, Graph
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.cdr import header_stamp
-from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
@@ -67,13 +65,6 @@ class RecordedGraph(Graph):
         """The process that writes the bag."""
         (child,) = psutil.Process(self.processes["composed"].pid).children()
         return child
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """Reserve a ROS domain."""
-    with isolated_domain() as number:
-        yield number
 
 
 def payloads(bag: Path) -> dict[str, list[bytes]]:

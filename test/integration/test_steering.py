@@ -15,19 +15,13 @@ from support.messages import pose_message
 
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import recompute
 
 PATIENCE = 120.0
 POSES = [(0.0, 0.0436, 0.4098 + 1e-4 * i) for i in range(8)]
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    with isolated_domain() as number:
-        yield number
 
 
 @pytest.fixture

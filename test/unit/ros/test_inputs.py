@@ -323,43 +323,6 @@ def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
     np.testing.assert_array_equal(joints.theta, THETA + 5000)
 
 
-def test_the_streams_of_the_other_nodes_have_their_values_in_their_places() -> None:
-    """What the skin sees of the simulation, and the friction that shapes f*."""
-    node = Ear()
-    node.inputs = TickInputs(
-        node,  # type: ignore[arg-type]
-        (
-            streams.true_contacts(3),
-            streams.true_sliding(FINGERS),
-            streams.true_forces(FINGERS),
-            streams.learned_friction(FINGERS),
-        ),
-        node,
-    )
-    at = 8 * MS
-    poses = ContactsCodec(3).encode(POSITIONS, TURNS, at)
-    node.callbacks[names.TRUE_CONTACTS](poses, {})
-    slip = JointCodec(FINGERS, ("position", "velocity")).encode(
-        at, np.array([9.0, 8.0, 7.0]), np.array([0.1, 0.2, 0.3])
-    )
-    node.callbacks[names.TRUE_SLIP](slip)
-    for i, name in enumerate(FINGERS):
-        force = WrenchCodec(names.contact_frame(name)).encode((1.0 + i, 2.0, 3.0), at)
-        node.callbacks[names.true_wrench(name)](force)
-    assert node.heard == []
-    grip = JointCodec(FINGERS).encode(
-        at, np.array([0.4, 0.5, 0.6]), np.array([0.1, 0.0, 0.9]), np.array([1.0, 0.0, 2.0])
-    )
-    node.callbacks[names.GRIP_STATE](grip)
-    [(kind, stamp, (contacts, speeds, forces, friction))] = node.heard
-    assert (kind, stamp) == ("tick", at)
-    np.testing.assert_array_equal(contacts.positions, POSITIONS)
-    np.testing.assert_array_equal(contacts.quaternions, TURNS)
-    np.testing.assert_array_equal(speeds, [0.1, 0.2, 0.3])
-    np.testing.assert_array_equal(forces, [[1, 2, 3], [2, 2, 3], [3, 2, 3]])
-    np.testing.assert_array_equal(friction, [0.4, 0.5, 0.6])
-
-
 def complete(node: Ear, *ticks: int) -> None:
     """Bring whole ticks [ms]."""
     for tick in ticks:
@@ -436,17 +399,6 @@ def test_a_driver_that_was_restarted_after_an_hour_is_answered_from_its_first_ti
         ear.others(stamp)
         ear.bring(JOINTS.encode(stamp * MS, THETA, RATES, 0.0 * THETA), stamp // 2)
     assert ear.kinds()[1:] == ["restart", ("tick", 2), ("tick", 4), ("tick", 6)]
-
-
-def test_samples_that_a_driver_stamps_with_a_slow_clock_are_no_second_sender() -> None:
-    ear = Ear()
-    for tick in (10, 20):
-        ear.others(tick)
-        for sample in range(5):
-            ear.number += 1
-            ear.bring(JOINTS.encode(tick * MS, THETA + sample, RATES, 0.0 * THETA), ear.number)
-    assert ear.kinds() == [("tick", 10), *["repeat"] * 4, ("tick", 20), *["repeat"] * 4]
-    assert ear.diagnostics.status().level != ERROR
 
 
 @pytest.mark.parametrize("ahead", [150, 900, 10**6])

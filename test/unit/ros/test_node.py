@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from support.nodes import Process, facts, process
+from support.nodes import Process, facts
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
@@ -88,12 +88,6 @@ class Example(TactileNode[Gains]):
 
     def on_rejected(self, source: str, reason: str) -> None:
         self.calls.append((source, reason))
-
-
-@pytest.fixture
-def here() -> Iterator[Process]:
-    with process() as made:
-        yield made
 
 
 @pytest.fixture

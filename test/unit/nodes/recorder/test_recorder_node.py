@@ -163,16 +163,6 @@ def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: 
             assert sorted(given) == [(p.reliability.name, p.durability.name) for p in profiles]
 
 
-def test_the_desired_pose_of_any_robot_is_recorded_unless_excluded(stage: Stage) -> None:
-    stage.record(topics=["/(left|right)/.*"], exclude=["/right/desired_pose"])
-    stage.meet("/left/desired_pose", "/left/user_grasp_force")
-    stage.publish("/right/desired_pose", 1)
-    stage.publish("/left/desired_pose", 1)
-    stage.spin_until(lambda: stage.report()["messages"] == "1")
-    stage.recorder.close()
-    assert stage.recorded() == {"/left/desired_pose": [1]}
-
-
 def test_what_is_missing_is_a_warning_and_in_the_bag(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:

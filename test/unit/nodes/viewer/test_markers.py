@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each marker has its place, size, colour and shape, to the number."""
+"""Each marker has its place, length and shape; what is not known is not drawn."""
 
 from __future__ import annotations
 
@@ -37,10 +37,6 @@ def found(drawn: Scene, namespace: str) -> dict[int, Marker]:
     return {m.id: m for m in markers(drawn).markers if m.ns == namespace}
 
 
-def color(marker: Marker) -> tuple[float, ...]:
-    return tuple(round(getattr(marker.color, part), 6) for part in "rgba")
-
-
 def points(marker: Marker) -> np.ndarray[Any, Any]:
     return np.array([[p.x, p.y, p.z] for p in marker.points])
 
@@ -54,23 +50,6 @@ def at(number: int) -> list[float]:
     return [number, number + 0.25, number + 0.5, *TURN]
 
 
-FINGERS = [
-    (0.0, 0.45, 0.7, 1.0),
-    (0.84, 0.37, 0.0, 1.0),
-    (0.0, 0.62, 0.45, 1.0),
-    (0.8, 0.47, 0.65, 1.0),
-]
-
-
-def test_a_contact_is_a_ball_in_the_colour_of_its_finger_of_which_the_fifth_is_the_first() -> None:
-    balls = found(scene(), "contacts")
-    assert [color(balls[i]) for i in range(5)] == [*FINGERS, FINGERS[0]]
-    for i, ball in balls.items():
-        assert (ball.type, ball.action) == (Marker.SPHERE, Marker.ADD)
-        assert (ball.scale.x, ball.scale.y, ball.scale.z) == (0.008, 0.008, 0.008)
-        assert place(ball) == at(i)
-
-
 def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
     arrows = found(scene(), "forces")
     assert sorted(arrows) == [0, 1, 3, 4]  # where nothing is felt there is none
@@ -78,9 +57,7 @@ def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> N
         start, end = points(arrow)
         assert not start.any()
         np.testing.assert_allclose(end, [*FORCES, FORCES[0]][i] * 0.12 / np.sqrt(109.0))
-        assert (arrow.type, arrow.action) == (Marker.ARROW, Marker.ADD)
-        assert (arrow.scale.x, arrow.scale.y, arrow.scale.z) == (0.004, 0.009, 0.0)
-        assert color(arrow) == (0.1, 0.14, 0.19, 1.0) and place(arrow) == at(i)
+        assert arrow.type == Marker.ARROW and place(arrow) == at(i)
 
 
 def test_a_cone_is_as_high_as_its_force_and_no_wider_than_can_be_seen() -> None:
@@ -96,9 +73,7 @@ def test_a_cone_is_as_high_as_its_force_and_no_wider_than_can_be_seen() -> None:
         rim = np.stack([x, np.full(25, height), z], axis=1)
         np.testing.assert_allclose(corners[:, 1], rim[:-1], atol=1e-12)
         np.testing.assert_allclose(corners[:, 2], rim[1:], atol=1e-12)
-        assert color(cones[i]) == (*FINGERS[i][:3], 0.25) and place(cones[i]) == at(i)
-        assert cones[i].type == Marker.TRIANGLE_LIST
-        assert (cones[i].scale.x, cones[i].scale.y, cones[i].scale.z) == (1.0, 1.0, 1.0)
+        assert cones[i].type == Marker.TRIANGLE_LIST and place(cones[i]) == at(i)
 
 
 @pytest.mark.parametrize(
