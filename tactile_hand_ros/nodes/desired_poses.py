@@ -83,10 +83,6 @@ class DesiredPoses:
             self._publisher.publish(self._codec.encode(pose.position, pose.quaternion, tick))
         self.fresh.clear()
 
-    def forget(self) -> None:
-        """Forget what came since the last tick."""
-        self.fresh.clear()
-
     def command_again(self) -> None:
         """Give the controller, which has forgotten them, the poses since the last tick again."""
         for target, stamp in self.fresh:

@@ -264,7 +264,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self.joints_held = message.data
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._desired.forget()
+        self._desired.fresh.clear()
         self._controller.forget()
         self._start_over()
         self._changes.request("reset")

@@ -92,15 +92,8 @@ class AppliedChanges:
 
     def request(self, service: str, value: bool | None = None) -> None:
         """Note that a service was called, or a latched topic has changed, with its value."""
-        pair = KeyValue(key=service, value="" if value is None else str(value).lower())
-        status = DiagnosticStatus(name=self._name, message=service, values=[pair])
-
-        def message_at(stamp_ns: int) -> DiagnosticArray:
-            message = DiagnosticArray(status=[status])
-            message.header.stamp = stamp_from_ns(stamp_ns)
-            return message
-
-        self.add(self._requests, message_at)
+        text = "" if value is None else str(value).lower()
+        self.add(self._requests, lambda stamp_ns: self._about(stamp_ns, service, service, text))
 
     def state(self, name: str, value: bool) -> bool:
         """Note what a service or latched topic sets and a restart of the ticks does not change.
@@ -123,13 +116,18 @@ class AppliedChanges:
         """
         self._rejections += 1
         if topic in names.USER_COMMANDS and self._rejections <= _REJECTION_LIMIT:
-            pair = KeyValue(key=topic, value=reason)
-            status = DiagnosticStatus(
-                level=DiagnosticStatus.WARN, name=self._name, message=reason, values=[pair]
-            )
-            message = DiagnosticArray(status=[status])
-            message.header.stamp = stamp_from_ns(self._answered)
-            self._rejected.publish(message)
+            level = DiagnosticStatus.WARN
+            self._rejected.publish(self._about(self._answered, reason, topic, reason, level))
+
+    def _about(
+        self, stamp_ns: int, text: str, key: str, value: str, level: bytes = DiagnosticStatus.OK
+    ) -> DiagnosticArray:
+        """Return a text about one key, with a tick [ns]."""
+        values = [KeyValue(key=key, value=value)]
+        status = DiagnosticStatus(level=level, name=self._name, message=text, values=values)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = stamp_from_ns(stamp_ns)
+        return message
 
     def add(self, publisher: Publisher, message_at: MessageAt) -> None:
         """Note something else that takes effect at the next tick."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+import math
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
@@ -316,34 +317,33 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
         read_only=read_only,
     )
     if kind is Type.DOUBLE:
-        described.floating_point_range = _float_range(field)
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high))
+            for low, high in _range(field, 0, -math.inf, math.inf)
+        ]
     if kind is Type.INTEGER:
-        described.integer_range = _integer_range(field)
+        described.integer_range = [
+            IntegerRange(from_value=low, to_value=high, step=1)
+            for low, high in _range(field, 1, *_INT64)
+        ]
     return described
 
 
-def _first(*bounds: Any) -> Any:
-    return next((bound for bound in bounds if bound is not None), None)
+def _range(field: FieldInfo, step: int, lowest: Any, highest: Any) -> list[tuple[Any, Any]]:
+    """Return the closed range of a field, if it has one.
 
-
-def _float_range(field: FieldInfo) -> list[FloatingPointRange]:
-    """Return the closed range; an open end is left to the validation of the model."""
-    low = _first(bound_of(field, "ge"), bound_of(field, "gt"))
-    high = _first(bound_of(field, "le"), bound_of(field, "lt"))
-    if low is None and high is None:
-        return []
-    low, high = _first(low, -float("inf")), _first(high, float("inf"))
-    return [FloatingPointRange(from_value=float(low), to_value=float(high))]
-
-
-def _integer_range(field: FieldInfo) -> list[IntegerRange]:
+    Args:
+        field: The field.
+        step: Distance of an open end to the first allowed number; 0 leaves it to the validation.
+        lowest: What stands for no lower bound.
+        highest: What stands for no upper bound.
+    """
     above, below = bound_of(field, "gt"), bound_of(field, "lt")
-    low = _first(bound_of(field, "ge"), None if above is None else above + 1)
-    high = _first(bound_of(field, "le"), None if below is None else below - 1)
+    low = bound_of(field, "ge") if above is None else above + step
+    high = bound_of(field, "le") if below is None else below - step
     if low is None and high is None:
         return []
-    low, high = _first(low, _INT64[0]), _first(high, _INT64[1])
-    return [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return [(lowest if low is None else low, highest if high is None else high)]
 
 
 class _Quoted(str):

@@ -72,13 +72,7 @@ def grasp_force() -> Stream:
 
 def learned_friction(finger_names: Sequence[str]) -> Stream:
     """Declare the friction that the regulator has learned; values of shape (k,)."""
-    codec = JointCodec(finger_names)
-
-    def decode(data: bytes) -> tuple[int, Array]:
-        stamp, (friction, _, _) = codec.decode(data)
-        return stamp, friction
-
-    return Stream(JointState, {names.GRIP_STATE: decode})
+    return _column(names.GRIP_STATE, JointCodec(finger_names), 0)
 
 
 def true_contacts(fingers: int) -> Stream:
@@ -88,18 +82,20 @@ def true_contacts(fingers: int) -> Stream:
 
 def true_sliding(finger_names: Sequence[str]) -> Stream:
     """Declare how fast the contacts slide; values of shape (k,), m/s."""
-    codec = JointCodec(finger_names, ("position", "velocity"))
-
-    def decode(data: bytes) -> tuple[int, Array]:
-        stamp, (_, speeds) = codec.decode(data)
-        return stamp, speeds
-
-    return Stream(JointState, {names.TRUE_SLIP: decode})
+    return _column(names.TRUE_SLIP, JointCodec(finger_names, ("position", "velocity")), 1)
 
 
 def true_forces(finger_names: Sequence[str]) -> Stream:
     """Declare the forces of the simulation; values in contact frames, shape (k, 3), N."""
     return _wrenches(names.true_wrench, finger_names)
+
+
+def _column(topic: str, codec: JointCodec, field: int) -> Stream:
+    def decode(data: bytes) -> tuple[int, Array]:
+        stamp, values = codec.decode(data)
+        return stamp, values[field]
+
+    return Stream(JointState, {topic: decode})
 
 
 def _wrenches(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -201,24 +201,6 @@ _MILLISECOND = 1_000_000
 _HIGHEST = 64  # rank of the first tick
 
 
-class TickListener(Protocol):
-    """A node that answers ticks.
-
-    With a time-out for silence it also needs `on_blind_tick(stamp, trigger, reason)`, which gets
-    the value of the first stream alone when the others are missing.
-    """
-
-    @property
-    def on_tick(self) -> Callable[..., Any]:
-        """Answer a tick: takes its stamp [ns] and a value per stream, in their order."""
-
-    def on_repeat(self) -> None:
-        """Publish the last answer again."""
-
-    def on_restart(self) -> None:
-        """Forget the past: the stamps have started over."""
-
-
 class SilenceTimeout:
     """Measures the time for which a trigger has come without a complete set of inputs.
 
@@ -337,7 +319,7 @@ class TickInputs:
         self,
         node: TactileNode[Any],
         streams: Sequence[Stream],
-        listener: TickListener,
+        listener: Any,
         *,
         silence: float | None = None,
         observe: Callable[..., None] | None = None,
@@ -347,7 +329,10 @@ class TickInputs:
         Args:
             node: Node that subscribes and reports.
             streams: What a tick consists of; the first is the trigger and has one topic.
-            listener: Answers the ticks; in general the node itself.
+            listener: In general the node. Has `on_tick(stamp, *values)`, which answers a tick [ns],
+                `on_repeat()`, which publishes the last answer again, `on_restart()` for stamps that
+                start over and, with `silence`, `on_blind_tick(stamp, trigger, reason)`, which gets
+                the value of the first stream alone.
             silence: Time after which inputs count as missing [s]; None never passes on a tick that
                 is not complete.
             observe: Takes what `on_tick` would, for each tick that is skipped, in its turn: for a
@@ -355,7 +340,7 @@ class TickInputs:
         """
         self._node = node
         self._observe = observe
-        self._listener: Any = listener
+        self._listener = listener
         self._streams = streams
         topics = [topic for stream in streams for topic in stream.decoders]
         self._trigger = topics[0]
