@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from support.graph import Graph
+from support.graph import TICK_TOPICS, Graph
 from support.messages import encoded
 from visualization_msgs.msg import MarkerArray
 
@@ -33,20 +33,6 @@ from tactile_hand_ros.verify.recorded_inputs import CONTROLLERS, PARAMETERS, rea
 
 NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
-PER_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
-TICK_TOPICS = [
-    names.JOINT_STATES,
-    names.JOINT_COMMAND,
-    names.CONTACTS,
-    names.GRASP_FORCE,
-    names.GRIP_STATE,
-    names.AUXILIARY_POSE,
-    names.OBJECT_POSE,
-    names.TRUE_CONTACTS,
-    names.TRUE_SLIP,
-    names.CLOCK,
-    *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
-]
 ACCEPTED = [
     names.ACCEPTED_POSE,
     names.ACCEPTED_FORCE,
@@ -95,12 +81,12 @@ def record(graph: Graph, output: Path, steer: Callable[[], None] = lambda: None)
     wanted = [f"'{graph.full(topic)}'" for topic in [*TICK_TOPICS, *ACCEPTED]]
     options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
     flags = [word for option in options for word in ("-p", option)]
-    graph.wait_for_readers()
     graph.health.pop("/recorder", None)
+    graph.wait_for_readers()
     with start_executable("recorder", "--ros-args", *flags) as recorder:
-        graph.wait_for_readers(recorders=1)
-        for topic in TICK_TOPICS:
+        for topic in [*TICK_TOPICS, *ACCEPTED]:
             graph.wait(lambda t=topic: graph.hears("recorder", t), f"the recorder on {topic}")
+        graph.wait_for_readers()
         graph.begin(*[target.position for target in graph.scenario.targets])
         steer()
         graph.finish()

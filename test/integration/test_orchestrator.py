@@ -21,6 +21,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
+from support.graph import TICK_TOPICS
 from support.messages import pose_message
 from support.spinning import spinning
 
@@ -51,22 +52,6 @@ targets:
 goal: {position_error: 0.002, rotation_error: 0.02}
 """
 TICKS = 301
-TICK_TOPICS = [
-    "joint_states",
-    "joint_command",
-    "tactile/contacts",
-    "grasp_force",
-    "grip_state",
-    "auxiliary_pose",
-    "clock",
-    "ground_truth/object_pose",
-    "ground_truth/contacts",
-    "ground_truth/slip",
-    *(f"tactile/finger_{i}/wrench" for i in (1, 2, 3)),
-    *(f"optimal_force/finger_{i}" for i in (1, 2, 3)),
-    *(f"ground_truth/finger_{i}/wrench" for i in (1, 2, 3)),
-]
-
 Start = Callable[..., CapturedProcess]
 
 

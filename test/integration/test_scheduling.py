@@ -73,15 +73,6 @@ def threads(pid: int) -> list[int]:
     return found
 
 
-def test_all_threads_stay_on_the_processor_that_was_asked_for(reports):
-    with start("--cpus", str(CPU)) as process:
-        status, facts = first(reports)
-        assert status.level == DiagnosticStatus.OK
-        assert facts["scheduling_cpus"] == str(CPU)
-        assert facts["scheduling_policy"] == "SCHED_OTHER"
-        assert all(os.sched_getaffinity(thread) == {CPU} for thread in threads(process.pid))
-
-
 def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports):
     tried = subprocess.run([sys.executable, "-c", _TRY], capture_output=True)
     with start("--priority", str(PRIORITY)) as process:
@@ -97,8 +88,11 @@ def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports):
 
 
 def test_a_refusal_is_a_warning_and_the_node_works_on(reports):
-    with start("--priority", str(PRIORITY), permitted=False) as process:
+    words = ("--priority", str(PRIORITY), "--cpus", str(CPU))
+    with start(*words, permitted=False) as process:
         status, facts = first(reports)
+        assert facts["scheduling_cpus"] == str(CPU)
+        assert all(os.sched_getaffinity(thread) == {CPU} for thread in threads(process.pid))
         assert status.level == DiagnosticStatus.WARN
         assert f"--priority {PRIORITY} was refused" in status.message
         assert facts["scheduling_policy"] == "SCHED_OTHER"

@@ -56,9 +56,9 @@ class RecordedGraph(Graph):
         watched = {self.full(topic) for topic in self._types}
         mine = [each for each in self.node.subscriptions if each.topic_name in watched]
         self.wait(lambda: all(each.get_publisher_count() for each in mine), "the publishers")
-        topics = [topic for each in self._readers().values() for topic in each]
+        topics = self.wait(self.published, "the nodes")
         for topic in topics if self._recorders == 2 else ():
-            self.wait(lambda t=topic: self.hears("outside", t), f"the recorder of {topic}")
+            self.wait(lambda t=topic: self.hears("outside", t[1:]), f"the recorder of {topic}")
 
     @property
     def writer(self) -> psutil.Process:

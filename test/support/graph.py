@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,7 +29,7 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import Array, stamp_to_ns
 from tactile_hand_ros.ros.middleware import private_context
-from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS, peer_count
+from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import (
     CapturedProcess,
@@ -40,6 +41,23 @@ from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 PATIENCE = 120.0
 """Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
+
+
+PER_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
+TICK_TOPICS = [
+    names.JOINT_STATES,
+    names.JOINT_COMMAND,
+    names.CONTACTS,
+    names.GRASP_FORCE,
+    names.GRIP_STATE,
+    names.AUXILIARY_POSE,
+    names.OBJECT_POSE,
+    names.TRUE_CONTACTS,
+    names.TRUE_SLIP,
+    names.CLOCK,
+    *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
+]
+"""What carries a tick of a hand with three fingers."""
 
 
 class Health(NamedTuple):
@@ -152,61 +170,35 @@ class Graph:
     def wait_until_matched(self) -> None:
         """Wait until every node of the graph, and this one, is connected with all its peers."""
         self.wait_for_readers()
-        for name in NODES:
-            self.wait(lambda n=name: self._has_writers(n), f"all that {name} listens to")
+        heard = [self.full(name) for name in NODES]
+        self.wait(lambda: all(all(self._ends(n, SUBSCRIPTIONS).values()) for n in heard), "writers")
 
-    def wait_for_readers(self, recorders: int = 0) -> None:
-        """Wait until every topic that carries ticks has just the readers that it should have."""
-        here = {names.JOINT_STATES, names.TRUE_CONTACTS, names.OBJECT_POSE, names.GRASP_FORCE}
-        here |= {names.AUXILIARY_POSE, *map(names.true_wrench, self.fingers)}
-        for name, topics in self._readers().items():
-            for topic, count in topics.items():
-                count = (int(topic in here) if self._composed else count) + recorders
-                self.wait(
-                    lambda n=name, t=topic, k=count: self._peers(n, PUBLICATIONS, t) == k,
-                    f"{count} readers of {topic}",
-                )
+    def wait_for_readers(self) -> None:
+        """Wait until every topic of this hand has met all who say that they read it."""
+        self.wait(self._has_readers, "all readers")
 
-    def _readers(self) -> dict[str, dict[str, int]]:
-        """Return how many readers each topic of each node has, this test's among them."""
-        t, fingers = names, self.fingers
-        shapes = int(self.scenario.force_optimizer.cones)
-        observes = int(self.scenario.manipulation_controller.law.observer.time > 0.0)
-        believes = int(not self.scenario.calibration.is_right)
-        return {
-            "plant": {
-                t.JOINT_STATES: 2 + believes,
-                t.TRUE_CONTACTS: 2,
-                t.OBJECT_POSE: 1,
-                t.CLOCK: 0,
-            }
-            | {t.true_wrench(name): 2 for name in fingers}
-            | {t.TRUE_SLIP: 1},
-            "tactile_sensor": {t.CONTACTS: 3}
-            | {t.wrench(name): 1 + shapes + observes for name in fingers},
-            "slip_regulator": {t.GRASP_FORCE: 2, t.GRIP_STATE: shapes, t.ACCEPTED_FORCE: 0}
-            | {t.accepted_parameters(t.REGULATOR): 0, t.accepted_requests(t.REGULATOR): 0},
-            "force_optimizer": {t.optimal_force(name): 1 for name in fingers}
-            | {t.accepted_parameters(t.OPTIMIZER): 0},
-            "manipulation_controller": {t.JOINT_COMMAND: 1, t.AUXILIARY_POSE: 1}
-            | {t.ACCEPTED_POSE: 0, t.accepted_requests(t.CONTROLLER): 0}
-            | {t.accepted_parameters(t.CONTROLLER): 0},
-        }
+    def _has_readers(self) -> bool:
+        wanted = Counter(topic for name in self.health for topic in self._ends(name, SUBSCRIPTIONS))
+        wanted.update(each.topic_name for each in self.node.subscriptions)
+        found = self.published()
+        return bool(found) and all(count == wanted[topic] for topic, count in found.items())
 
-    def _peers(self, name: str, key: str, topic: str) -> int:
-        health = self.health.get(self.full(name))
-        return peer_count(health.values, key, self.full(topic)) if health else 0
+    def published(self) -> dict[str, int]:
+        """Return how many readers each topic of this hand has; none until all nodes have told."""
+        ends = [self._ends(self.full(name), PUBLICATIONS) for name in NODES]
+        shared = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
+        told = {topic: n for each in ends for topic, n in each.items() if topic not in shared}
+        return told if all(ends) else {}
+
+    def _ends(self, name: str, end: str) -> dict[str, int]:
+        """Return how many peers a node has met on each of its topics."""
+        health = self.health.get(name)
+        counts = health.values if health else {}
+        return {k.split()[1]: int(v) for k, v in counts.items() if k.startswith(f"{end} ")}
 
     def hears(self, name: str, topic: str) -> bool:
         """Return whether a node knows of a publisher of what it listens to."""
-        return self._peers(name, SUBSCRIPTIONS, topic) >= 1
-
-    def _has_writers(self, name: str) -> bool:
-        health = self.health.get(self.full(name))
-        values = health.values.items() if health else ()
-        writers = [int(value) for key, value in values if key.startswith(SUBSCRIPTIONS)]
-        # Inside one process some nodes subscribe to nothing.
-        return health is not None and (self._composed or bool(writers)) and all(writers)
+        return self._ends(self.full(name), SUBSCRIPTIONS).get(self.full(topic), 0) >= 1
 
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
         """Wait for a condition; all processes must be alive meanwhile unless they were killed."""

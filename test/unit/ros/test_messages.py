@@ -340,19 +340,6 @@ CODECS = {
 }
 
 
-@pytest.mark.parametrize("decode", [*(c.decode for c in CODECS.values()), read_number])
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"\x00", b"\x00\x01\x00\x00\x01\x00", b"\x00\x01\x00\x00" + b"\xff" * 500, bytes(10**6)],
-    ids=["nothing", "a byte", "cut", "lengths", "a megabyte"],
-)
-def test_bytes_that_are_no_message_are_refused(decode, data):
-    if decode is read_number and len(data) > 12:
-        data = b"\x01" + data  # of numbers all bytes are one
-    with pytest.raises(MessageError, match="bytes|data is nan"):
-        decode(data)
-
-
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_a_number_is_read_in_either_order_of_bytes(order):
     ours = bytes([0, order == "<", 0, 0]) + struct.pack(f"{order}d", 2.5)

@@ -51,30 +51,22 @@ FIELDS = leaves(Fields)
     ("name", "expected"),
     [
         ("free", []),
-        ("above", [(0.5, float("inf"))]),
-        ("below", [(-float("inf"), 2.5)]),
+        ("above", [(0.5, math.inf)]),
+        ("below", [(-math.inf, 2.5)]),
         ("between", [(-1.5, 1.5)]),
-    ],
-)
-def test_a_range_of_real_numbers_is_closed_at_its_bounds(name: str, expected: list[Any]) -> None:
-    shown = descriptor(FIELDS[name])
-    ranges = [(each.from_value, each.to_value) for each in shown.floating_point_range]
-    assert ranges == expected and list(shown.integer_range) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
         ("many", []),
-        ("more", [(3, 2**63 - 1, 1)]),
-        ("fewer", [(-(2**63), 7, 1)]),
-        ("some", [(1, 9, 1)]),
+        ("more", [(3, 2**63 - 1)]),
+        ("fewer", [(-(2**63), 7)]),
+        ("some", [(1, 9)]),
     ],
 )
-def test_a_range_of_integers_excludes_an_open_end(name: str, expected: list[Any]) -> None:
+def test_a_range_is_closed_and_one_of_integers_excludes_an_open_end(
+    name: str, expected: list[Any]
+) -> None:
     shown = descriptor(FIELDS[name])
-    ranges = [(each.from_value, each.to_value, each.step) for each in shown.integer_range]
-    assert ranges == expected and list(shown.floating_point_range) == []
+    kinds = shown.floating_point_range, shown.integer_range
+    used, other = kinds if FIELDS[name].annotation is float else kinds[::-1]
+    assert [(each.from_value, each.to_value) for each in used] == expected and not list(other)
 
 
 def test_a_description_has_a_unit_where_there_is_one() -> None:
@@ -198,16 +190,8 @@ def test_values_from_the_command_line(declare, argument, field, value):
     ("argument", "words"),
     [
         ("k_p:=40.0", "/left/plant: k_p is 40.0, but should be less than or equal to 10 .N/m."),
-        ("k_p:=.nan", "k_p is nan"),
         ("k_p:=true", "k_p is refused: true or false is not a number"),
-        ("weights:=[.inf]", r"weights\[0\] is inf"),
-        ("law:=best", "law is 'best', but should be 'proposed' or 'kawamura'"),
-        ("body.mass:=0", "body.mass is 0"),
         ("k_p:=6.0", "k_p is above k_max, raise k_max first"),
-        (
-            "pushes:=['{kind: shove}']",
-            r"pushes\[0\].kind is 'shove', but should be 'step' or 'ramp'",
-        ),
         ("pushes:=['{kind: [']", "not valid YAML"),
         ("kp:=4.0", "unknown parameter 'kp', did you mean 'k_p'"),
         ("body.mas:=4.0", "unknown parameter 'body.mas', did you mean 'body.mass'"),
