@@ -18,17 +18,12 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 from support.graph import TICK_TOPICS
-from support.messages import pose_message
-from support.spinning import spinning
 
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
-from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.processes import (
     PACKAGE,
     CapturedProcess,
@@ -375,37 +370,3 @@ def family_when_started(orchestrator: CapturedProcess) -> list[psutil.Process]:
         lambda: len(psutil.Process(orchestrator.pid).children()) == len(START_ORDER), PATIENCE
     )
     return family(orchestrator)
-
-
-def test_second_terminal_steers_an_interactive_hand(
-    start: Start, near: Path, domain: int, tmp_path: Path
-) -> None:
-    """A pose published by somebody else moves the hand; Ctrl-C is the regular end.
-
-    A second run in the same place is refused meanwhile: the hand would get two masters.
-    """
-    orchestrator = start("--scenario", near, "--interactive")
-    orchestrator.wait_for_output("tactile-hand move 0 0.0438 0.4098", PATIENCE)
-    orchestrator.wait_for_output("t = ", PATIENCE)
-    second = start("--scenario", near)
-    assert end_of(second) == 2
-    assert "a run is in progress" in second.stderr
-    assert len(list((tmp_path / "runs").iterdir())) == 2  # the first run, and the link to it
-    heights: list[float] = []
-    with private_context(domain) as context:
-        node = Node("user", context=context)
-        node.create_subscription(
-            PoseStamped, "auxiliary_pose", lambda pose: heights.append(pose.pose.position.z), 10
-        )
-        publisher = node.create_publisher(PoseStamped, "desired_pose", 10)
-        with spinning(node):
-            wait_until(lambda: publisher.get_subscription_count() >= 1)
-            publisher.publish(pose_message((0.0, 0.0434, 0.4148), np.eye(3), 0))
-            wait_until(lambda: heights and heights[-1] > 0.4123, PATIENCE, "half of the way")
-        node.destroy_node()
-    orchestrator.send(signal.SIGINT)
-    assert end_of(orchestrator) == 0, orchestrator.stderr
-    run = Run(latest(tmp_path))
-    assert run.record.desired_position[-1].tolist() == [0.0, 0.0434, 0.4148]
-    assert run.metrics.ticks > TICKS  # longer than the scenario
-    assert run.bag_metrics.complete

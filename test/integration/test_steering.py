@@ -47,7 +47,10 @@ def publish_once(domain: int, position: tuple[float, float, float]) -> None:
 def test_every_pose_arrives_and_refusals_are_answered(
     hand: CapturedProcess, domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Poses of publishers that leave at once, then commands."""
+    """Poses of publishers that leave at once, then commands; a second run is refused meanwhile."""
+    with start_executable("orchestrator", "paper", "--out", str(tmp_path / "runs")) as second:
+        assert second.wait(PATIENCE) == 2 and "a run is in progress" in second.stderr
+    assert len(list((tmp_path / "runs").iterdir())) == 2  # the first run, and the link to it
     for position in POSES:
         publish_once(domain, position)
     wait = ["--timeout", "60"]
@@ -71,4 +74,4 @@ def test_every_pose_arrives_and_refusals_are_answered(
     assert list(dict.fromkeys((p.x, p.y, p.z) for p in points)) == [*POSES, *commanded]
     assert "/desired_pose" not in summarize(run.bag).types
     assert run.record.desired_position[-1].tolist() == [0.0, 0.0436, 0.4108]
-    assert recompute(run).same
+    assert recompute(run).same and run.bag_metrics.complete

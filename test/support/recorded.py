@@ -155,42 +155,38 @@ def write_run(bag: RunWriter, scenario: Scenario, record: Record) -> None:
 
 def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = "/") -> None:
     """Write everything of one tick, the command later than the rest."""
-    stamp, names = int(record.stamps[row]), record.joint_names
-    state = {"position": record.theta, "velocity": record.rates, "effort": record.torque}
-    values = {name: array[row] for name, array in state.items()}
-    bag.write(f"{prefix}joint_states", joints(stamp, names, **values), at)
-    truth = bool(np.isfinite(record.true_forces[row]).any())
-    for name, positions, quaternions in (
-        ("tactile/contacts", record.contact_positions, record.contact_quaternions),
-        ("ground_truth/contacts", record.true_positions, record.true_quaternions),
-    ):
+    r, stamp, names = record, int(record.stamps[row]), record.joint_names
+    truth = bool(np.isfinite(r.true_forces[row]).any())
+
+    def write(name: str, content: Any) -> None:
         if truth or not name.startswith("ground_truth"):
-            bag.write(prefix + name, pose_array(stamp, positions[row], quaternions[row]), at)
-    for i, finger in enumerate(record.finger_names):
-        for name, forces in (
-            (f"tactile/{finger}/wrench", record.forces),
-            (f"ground_truth/{finger}/wrench", record.true_forces),
-            (f"optimal_force/{finger}", record.optimal_forces),
-        ):
-            if not truth and name.startswith("ground_truth"):
-                continue
-            bag.write(prefix + name, wrench(stamp, forces[row, i], f"{finger}_contact"), at)
-    grasp_force = (0.0, record.grasp_force[row], 0.0)
-    bag.write(f"{prefix}grasp_force", wrench(stamp, grasp_force), at)
-    known = {"position": record.friction, "velocity": record.slip_evidence, "effort": record.grip}
-    slid = {"position": record.true_slid, "velocity": record.true_sliding}
-    for name, arrays in (("grip_state", known), ("ground_truth/slip", slid)):
-        if truth or not name.startswith("ground_truth"):
-            values = {field: array[row] for field, array in arrays.items()}
-            bag.write(prefix + name, joints(stamp, record.finger_names, **values), at)
-    for name, position, quaternion in (
-        ("auxiliary_pose", record.auxiliary_position, record.auxiliary_quaternion),
-        ("ground_truth/object_pose", record.object_position, record.object_quaternion),
-    ):
-        if not truth and name.startswith("ground_truth"):
-            continue
-        bag.write(prefix + name, pose_stamped(stamp, position[row], quaternion[row]), at)
-    command = joints(stamp, names, effort=record.command[row])
+            bag.write(prefix + name, content, at)
+
+    def write_joints(name: str, joint_names: list[str], *arrays: Any) -> None:
+        fields = dict(zip(("position", "velocity", "effort"), arrays))
+        values = {field: array[row] for field, array in fields.items()}
+        write(name, joints(stamp, joint_names, **values))
+
+    def write_forces(name: str, forces: Any) -> None:
+        for finger, force in zip(r.finger_names, forces[row], strict=True):
+            write(name.format(finger), wrench(stamp, force, f"{finger}_contact"))
+
+    write_joints("joint_states", names, r.theta, r.rates, r.torque)
+    contacts = r.contact_positions[row], r.contact_quaternions[row]
+    write("tactile/contacts", pose_array(stamp, *contacts))
+    true_contacts = r.true_positions[row], r.true_quaternions[row]
+    write("ground_truth/contacts", pose_array(stamp, *true_contacts))
+    write_forces("tactile/{}/wrench", r.forces)
+    write_forces("ground_truth/{}/wrench", r.true_forces)
+    write_forces("optimal_force/{}", r.optimal_forces)
+    write("grasp_force", wrench(stamp, (0.0, r.grasp_force[row], 0.0)))
+    write_joints("grip_state", r.finger_names, r.friction, r.slip_evidence, r.grip)
+    write_joints("ground_truth/slip", r.finger_names, r.true_slid, r.true_sliding)
+    auxiliary = r.auxiliary_position[row], r.auxiliary_quaternion[row]
+    write("auxiliary_pose", pose_stamped(stamp, *auxiliary))
+    true = r.object_position[row], r.object_quaternion[row]
+    write("ground_truth/object_pose", pose_stamped(stamp, *true))
+    command = joints(stamp, names, effort=r.command[row])
     bag.write(f"{prefix}joint_command", command, at + LATENCY)
 
 
@@ -224,12 +220,8 @@ def random_record(ticks: int = 20, seed: int = 1, truth: bool = True) -> Record:
     # One pose is commanded, before the first tick.
     record.desired_position[:] = record.desired_position[0]
     record.desired_quaternion[:] = record.desired_quaternion[0]
-    if not truth:
-        for name in ("object_position", "object_quaternion"):
-            getattr(record, name)[:] = np.nan
-        for name in ("true_positions", "true_quaternions", "true_forces"):
-            getattr(record, name)[:] = np.nan
-        for name in ("true_sliding", "true_slid"):
+    for name in ON_TOPICS if not truth else ():
+        if name.startswith(("object", "true")):
             getattr(record, name)[:] = np.nan
     return record
 
