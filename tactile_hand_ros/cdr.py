@@ -230,12 +230,6 @@ class _Cursor:
         self._data, self._at = data, _ORIGIN
         self.layout = Layout(little=data[1:2] == b"\x01", fixed=[(0, 2)])
 
-    def read(self, type_name: str) -> None:
-        data = self._data
-        if len(data) < _ORIGIN or data[0] or data[1] > 1:
-            raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
-        PARSERS[type_name](self)
-
     def header(self) -> None:
         self._skip(8)
         self.text()
@@ -307,6 +301,19 @@ PARSERS: dict[str, Callable[[_Cursor], None]] = {
 """The types that can be read, by name."""
 
 
+def _layout(type_name: str, data: bytes) -> Layout:
+    """Return where the parts of a message are.
+
+    Raises:
+        ValueError: If it is not a message of that type.
+    """
+    if len(data) < _ORIGIN or data[0] or data[1] > 1:
+        raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
+    cursor = _Cursor(data)
+    PARSERS[type_name](cursor)
+    return cursor.layout
+
+
 LARGEST_MESSAGE = 65_536
 """Largest single message that is read [bytes]: a hand with a thousand joints needs less."""
 
@@ -334,17 +341,16 @@ def read_content(type_name: str, data: bytes) -> Content:
     """
     if len(data) > LARGEST_MESSAGE:
         raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
-    cursor = _Cursor(data)
     try:
-        cursor.read(type_name)
+        layout = _layout(type_name, data)
     except ValueError as error:
         raise MessageError(f"{len(data)} bytes that are not a {type_name}: {error}.") from None
-    order = "<f8" if cursor.layout.little else ">f8"
+    order = "<f8" if layout.little else ">f8"
     doubles = {
         name: np.frombuffer(data, order, count, at).astype(np.float64) if count else np.empty(0)
-        for name, (at, count) in cursor.layout.doubles.items()
+        for name, (at, count) in layout.doubles.items()
     }
-    return Content(header_stamp(data), cursor.layout.texts, doubles)
+    return Content(header_stamp(data), layout.texts, doubles)
 
 
 def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
@@ -363,19 +369,14 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
         joined = b"".join([messages[row] for row in rows.tolist()])
         matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), int(size))
         while len(rows):
-            layout = _layout(type_name, messages[int(rows[0])])
+            try:
+                layout = _layout(type_name, messages[int(rows[0])])
+            except ValueError as error:
+                text = f"A message is not a valid {type_name}: {error}; record it again."
+                raise BagError(text) from None
             same = _sharing(matrix, layout)
             yield Table(rows[same], layout, matrix[same])
             rows, matrix = rows[~same], matrix[~same]
-
-
-def _layout(type_name: str, message: bytes) -> Layout:
-    cursor = _Cursor(message)
-    try:
-        cursor.read(type_name)
-    except ValueError as error:
-        raise BagError(f"A message is not a valid {type_name}: {error}; record it again.") from None
-    return cursor.layout
 
 
 def _sharing(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:

@@ -158,24 +158,20 @@ def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
         record: Whether there is a recorder, too.
         **kwargs: For each `rclpy.node.Node`.
     """
-    plant = PlantNode(composed=True, **kwargs)
-    yield plant
-    sensor = TactileSensorNode(composed=True, **kwargs)
-    yield sensor
-    regulator = SlipRegulatorNode(composed=True, **kwargs)
-    yield regulator
-    optimizer = ForceOptimizerNode(composed=True, **kwargs)
-    yield optimizer
+    members: list[Any] = []
+    for kind in MEMBERS[:-1]:
+        members.append(kind(composed=True, **kwargs))
+        yield members[-1]
+    plant, *others = members
     time_waits = plant.config.pacing == "lockstep"
-    controller = ManipulationControllerNode(composed=True, time_waits=time_waits, **kwargs)
-    yield controller
+    others.append(ManipulationControllerNode(composed=True, time_waits=time_waits, **kwargs))
+    yield others[-1]
     if record:
         from tactile_hand_ros.nodes.recorder.node import RecorderNode
 
-        members = (plant, sensor, regulator, optimizer, controller)
-        publishers = [each for node in members for each in node.tick_publishers]
+        publishers = [each for node in (plant, *others) for each in node.tick_publishers]
         yield RecorderNode(publishers, **kwargs)
-    plant.begin(ComposedHand(sensor, regulator, optimizer, controller))
+    plant.begin(ComposedHand(*others))
 
 
 def controller_nodes(**kwargs: Any) -> Iterator[Node]:
@@ -184,13 +180,11 @@ def controller_nodes(**kwargs: Any) -> Iterator[Node]:
     Args:
         **kwargs: For each `rclpy.node.Node`.
     """
-    regulator = SlipRegulatorNode(composed=True, **kwargs)
-    yield regulator
-    optimizer = ForceOptimizerNode(composed=True, **kwargs)
-    yield optimizer
-    controller = ManipulationControllerNode(composed=True, **kwargs)
-    yield controller
-    TouchedHand(regulator, optimizer, controller)
+    members: list[Any] = []
+    for kind in CONTROLLERS:
+        members.append(kind(composed=True, **kwargs))
+        yield members[-1]
+    TouchedHand(*members)
 
 
 def main(args: Sequence[str] | None = None) -> int:
