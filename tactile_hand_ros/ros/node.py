@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
@@ -329,8 +329,3 @@ def _name_of(callback: Callable[..., Any]) -> str:
 
 def _key(end: str, entity: Publisher | Subscription) -> str:
     return f"{end} {entity.topic_name}"
-
-
-def peer_count(facts: Mapping[str, str], end: str, topic: str) -> int:
-    """Return how many peers a node has met on a topic, from the values of its diagnostics."""
-    return int(facts.get(f"{end} {topic}", 0))

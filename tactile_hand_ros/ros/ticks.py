@@ -37,7 +37,7 @@ class StampMatcher:
         keys: Sequence[str],
         *,
         memory: int = 100,
-        on_restart: Callable[[], None] | None = None,
+        on_restart: Callable[[], None] = lambda: None,
     ) -> None:
         """Name the streams.
 
@@ -94,12 +94,10 @@ class StampMatcher:
     def _complete(self, stamp_ns: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
         restarted = self.last is not None and stamp_ns < self.last
         self.last = stamp_ns
-        if restarted or len(self._pending) == 1:
-            # After a restart whatever waits at later stamps is from before it.
-            self._pending.clear()
-        else:
-            self._pending = {t: kept for t, kept in self._pending.items() if t > stamp_ns}
-        if restarted and self._on_restart is not None:
+        # After a restart whatever waits at later stamps is from before it.
+        waiting = {} if restarted else self._pending
+        self._pending = {t: kept for t, kept in waiting.items() if t > stamp_ns}
+        if restarted:
             self._on_restart()
         return values
 

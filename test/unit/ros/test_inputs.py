@@ -392,15 +392,6 @@ def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
     assert ear.kinds() == []
 
 
-def test_a_driver_that_was_restarted_after_an_hour_is_answered_from_its_first_tick() -> None:
-    ear = Ear()
-    complete(ear, 3_600_000)
-    for stamp in range(2, 8, 2):
-        ear.others(stamp)
-        ear.bring(JOINTS.encode(stamp * MS, THETA, RATES, 0.0 * THETA), stamp // 2)
-    assert ear.kinds()[1:] == ["restart", ("tick", 2), ("tick", 4), ("tick", 6)]
-
-
 @pytest.mark.parametrize("ahead", [150, 900, 10**6])
 def test_one_stamp_far_ahead_does_not_silence_the_others(ahead: int) -> None:
     ear = Ear()

@@ -28,7 +28,7 @@ from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.endpoints import described, location, refusal, subscribe_directly
 from tactile_hand_ros.ros.messages import checked_number
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.node import TactileNode, peer_count
+from tactile_hand_ros.ros.node import TactileNode
 
 HERE = Path(__file__).name
 
@@ -216,11 +216,11 @@ def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> Non
     node.create_publisher(Float64, "z", 1)
     subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
 
-    def count(end: str) -> int:
-        return peer_count({k: str(n) for k, n in node.peers().items()}, end, "/left/z")
+    def met() -> bool:
+        peers = node.peers()
+        return peers["publications /left/z"] == peers["subscriptions /left/z"] == 1
 
-    here.wait(lambda: count("publications") == count("subscriptions") == 1, "both")
-    assert peer_count({}, "publications", "/left/z") == 0
+    here.wait(met, "both")
 
 
 def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
