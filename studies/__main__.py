@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 # Behind the installed package, which is what runs; also for the processes that are started.
 if __name__ == "__main__":
@@ -98,7 +98,7 @@ def loads(
         list[float] | None,
         typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
     ] = None,
-    hand: Annotated[str, typer.Option(help="paper or human.")] = "paper",
+    hand: Annotated[Literal["paper", "human"], typer.Option(help="Which is loaded.")] = "paper",
     formats: FormatOption = None,
 ) -> None:
     """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
@@ -106,15 +106,12 @@ def loads(
     What is in the folder already is kept: after an interruption the same command continues.
     """
     from studies.slip import loads as load_study
-    from tactile_hand_ros.errors import ConfigurationError
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
-    if hand not in load_study.RANGES:
-        raise ConfigurationError(f"--hand is '{hand}', expected {' or '.join(load_study.RANGES)}.")
     with progress("loading") as watch, workers(jobs):
         load_study.run_loads(runs, seed, out, reserves, watch, hand)
     curve = load_study.trade_offs(read_table(out))
