@@ -47,27 +47,20 @@ class ReplayRequest:
             "--set", metavar="KEY=VALUE", help="With --recompute: another value of the scenario."
         ),
     ] = field(default_factory=list)
-    law: Annotated[
-        str,
-        typer.Option(
-            metavar="MODULE:CLASS",
-            help="With --recompute: a law of your own, here or on PYTHONPATH.",
-        ),
-    ] = ""
 
 
 @with_options
 def replay(request: ReplayRequest) -> None:
     """Publish a bag as it was recorded, or recompute it. Ctrl-C stops it.
 
-    Exit code of --recompute with the recorded law and without --set: 0 if all is as recorded, to
-    the bit, 1 if not. A law of your own is imported only if you name it here, by --law.
+    Exit code of --recompute as recorded: 0 if all is the same to the bit, 1 if not. A law of your
+    own is imported only if you name it here, by --set law=MODULE:CLASS.
     """
     if request.recompute:
         _recompute(request)
         return
-    if request.changes or request.law:
-        raise TactileHandError("--set or --law was given, expected --recompute too.")
+    if request.changes:
+        raise TactileHandError("--set was given, expected --recompute too.")
     from tactile_hand_ros.bag.reader import find_bag
 
     if not 0.0 < request.rate < float("inf"):
@@ -83,14 +76,10 @@ def _recompute(request: ReplayRequest) -> None:
 
     run = Run(request.bag, namespace=request.namespace or None)
     values = parse_changes(request.changes, "force_optimizer.cones=false")
-    is_as_recorded = not values
-    if request.law:
-        values["law.name"] = request.law
-        recorded = r.scenario_of(run).manipulation_controller.law.name
-        is_as_recorded = is_as_recorded and request.law == recorded
+    recorded = {"law": r.scenario_of(run).manipulation_controller.law.name}
     result = r.recompute(run, values)
     print_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons))
-    if is_as_recorded and not result.same:
+    if values in ({}, recorded) and not result.same:
         print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
 

@@ -27,7 +27,6 @@ from tactile_hand_ros.closed_loop.loop import Chain
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
-from tactile_hand_ros.control.laws import LawFactory
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, GraspError, counted
@@ -103,15 +102,12 @@ class Recomputation:
         return all(comparison.same for comparison in self.comparisons)
 
 
-def recompute(
-    run: Run, changes: Mapping[str, Any] | None = None, law: LawFactory | None = None
-) -> Recomputation:
+def recompute(run: Run, changes: Mapping[str, Any] | None = None) -> Recomputation:
     """Feed the sensor topics of a run through the controllers.
 
     Args:
         run: The run; its scenario must be known.
-        changes: Other values by dotted key.
-        law: Another law in the place of the configured one.
+        changes: Other values by dotted key, another law among them.
 
     Raises:
         BagError: If the scenario is not known.
@@ -119,7 +115,7 @@ def recompute(
     """
     base = scenario_of(run)
     wanted = base.changed(changes or {})
-    record = ShadowLoop(read_inputs(run, base).changed(base, wanted), law).run()
+    record = ShadowLoop(read_inputs(run, base).changed(base, wanted)).run()
     return Recomputation(record, compare(run.record, record), wanted)
 
 
@@ -180,12 +176,11 @@ def _compare(
 class ShadowLoop(Chain):
     """The chain of controllers of `ClosedLoop`, fed from a recording."""
 
-    def __init__(self, inputs: Inputs, law: LawFactory | None = None) -> None:
+    def __init__(self, inputs: Inputs) -> None:
         """Build the controllers.
 
         Args:
             inputs: Their configurations, inputs and commands.
-            law: A law in the place of the configured one.
 
         Raises:
             TactileHandError: If the hand cannot be built.
@@ -197,7 +192,7 @@ class ShadowLoop(Chain):
         blocks: tuple[Any, ...] = (
             SlipRegulator(first[names.REGULATOR], k),
             ForceOptimizer(first[names.OPTIMIZER], k),
-            Controller(first[names.CONTROLLER], law),
+            Controller(first[names.CONTROLLER]),
         )
         self._blocks = dict(zip(CONTROLLERS, blocks, strict=True))
         nothing = (

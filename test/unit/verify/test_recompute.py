@@ -201,9 +201,9 @@ def test_a_bag_cannot_import_a_law(
     OWN_LAWS.clear()  # as in another process
     replay = ["replay", str(run.path), "--recompute"]
     assert main(replay) == 2
-    assert "name it yourself: --law foreign_law:Mine" in capsys.readouterr().err
+    assert "name it yourself: --set law=foreign_law:Mine" in capsys.readouterr().err
     monkeypatch.chdir(tmp_path)
-    assert main([*replay, "--law", "foreign_law:Mine"]) == 0
+    assert main([*replay, "--set", "law=foreign_law:Mine"]) == 0
 
 
 def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
