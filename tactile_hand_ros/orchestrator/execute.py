@@ -19,7 +19,7 @@ from tactile_hand_ros.compiled import ensure_compiled
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.names import ORCHESTRATOR
-from tactile_hand_ros.orchestrator.monitor import View
+from tactile_hand_ros.orchestrator.monitor import View, line_console
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session
@@ -59,7 +59,7 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
         scheduling=scheduling,
     )
     output = LastingOutput()
-    console = Console(file=cast(IO[str], output), width=None if output.isatty() else _WIDTH)
+    console = line_console(cast(IO[str], output), width=None if output.isatty() else _WIDTH)
     # The lock is free before the results are read: the next run may start meanwhile.
     with ros_context(ros_arguments) as ros, single_run_lock(ros.get_domain_id(), plan.namespace):
         signals.check()
@@ -91,7 +91,7 @@ def shares_process(scenario: Scenario, composed: bool | None) -> bool:
 
 def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console: Console) -> None:
     """Show what starts."""
-    show = functools.partial(_show, console)
+    show = functools.partial(console.print, soft_wrap=True)
     show(f"{plan.scenario.name}: {plan.scenario.description}")
     if plan.composed and options.composed is None:
         show("real time: the nodes share one process; --processes gives each node its own")
@@ -99,10 +99,6 @@ def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console:
     if plan.interactive:
         hint = how_to_steer(plan.namespace, plan.scenario.targets)
         show(f"Ctrl-C ends the run. To move the hand: {hint}")
-
-
-def _show(console: Console, line: str) -> None:
-    console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _conclude(
@@ -117,7 +113,7 @@ def _conclude(
     # Imported late: it takes a tenth of a second, for which the hand would wait.
     from tactile_hand_ros.orchestrator import results
 
-    show = functools.partial(_show, console)
+    show = functools.partial(console.print, soft_wrap=True)
 
     def tell(line: str) -> None:
         if not options.quiet:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from typing import IO, Any
 
 import rich.progress
 from diagnostic_msgs.msg import DiagnosticArray
@@ -100,43 +100,42 @@ class Monitor:
         return f"{pose}  k_f " + ("-" if force is None else f"{float(force):.2f} N")
 
 
+def line_console(file: IO[str], **options: Any) -> Console:
+    """Return a console that prints texts as they are; lines with ``soft_wrap`` are not folded."""
+    return Console(file=file, highlight=False, markup=False, **options)
+
+
 class View:
     """Shows how far a run is: by a bar on a terminal, by lines elsewhere.
 
     Attributes:
         period: Time between two updates [s].
+        bar: To be entered as long as the run is shown.
     """
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
         """Prepare.
 
         Args:
-            console: Where to write.
+            console: Where to write; see `line_console`.
             duration: Simulated time of the run [s], None for an endless run.
             quiet: Whether to write nothing.
         """
-        self._console, self._duration = console, duration
+        self._console, self._of = console, "" if duration is None else f"{duration:g}"
         self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""
-        self._bar: rich.progress.Progress | None = None
-        self.period = math.inf if quiet else _LINE_PERIOD
-        if not quiet and console.is_terminal and not console.is_dumb_terminal:
-            self.period = _BAR_PERIOD
-            self._bar = rich.progress.Progress(
-                rich.progress.TextColumn("{task.description}"),
-                rich.progress.BarColumn(bar_width=None),
-                rich.progress.TextColumn("{task.fields[facts]}"),
-                console=console,
-                auto_refresh=False,  # drawn by this thread, no other one takes its time
-                transient=True,
-            )
-            self._task = self._bar.add_task("", total=duration, facts="")
-
-    @contextlib.contextmanager
-    def shown(self) -> Iterator[None]:
-        """Show the progress for the duration of the block."""
-        with self._bar or contextlib.nullcontext():
-            yield
+        has_bar = console.is_terminal and not console.is_dumb_terminal
+        self.period = math.inf if quiet else _BAR_PERIOD if has_bar else _LINE_PERIOD
+        self.bar = rich.progress.Progress(
+            rich.progress.TextColumn("{task.description}"),
+            rich.progress.BarColumn(bar_width=None),
+            rich.progress.TextColumn("{task.fields[facts]}", markup=False),
+            console=console,
+            auto_refresh=False,  # drawn by this thread, no other one takes its time
+            transient=True,
+            disable=quiet or not has_bar,
+        )
+        self._task = self.bar.add_task("", total=duration, facts="")
 
     def show(self, monitor: Monitor) -> None:
         """Show how far the run is, and the first fault when there is another."""
@@ -146,15 +145,16 @@ class View:
         facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
         fault = next(iter(monitor.faults()), "")
         if fault and fault != self._fault:
-            self._print(f"t = {at:.2f} s  ! {fault}")  # in full, above the bar
+            self._console.print(
+                f"t = {at:.2f} s  ! {fault}", soft_wrap=True
+            )  # in full, above the bar
         self._fault = fault
-        if self._bar is None:
-            of = "" if self._duration is None else f" of {self._duration:g}"
-            self._print(f"t = {at:.2f}{of} s  {facts}")
+        if self.bar.disable:
+            of = f" of {self._of}" if self._of else ""
+            self._console.print(f"t = {at:.2f}{of} s  {facts}", soft_wrap=True)
             return
-        of = "" if self._duration is None else f" / {self._duration:g}"
-        text = f"{at:6.2f}{of} s"
-        self._bar.update(self._task, completed=at, description=text, facts=facts, refresh=True)
+        text = f"{at:6.2f}{' / ' if self._of else ''}{self._of} s"
+        self.bar.update(self._task, completed=at, description=text, facts=facts, refresh=True)
 
     def _speed(self, at: float) -> float:
         """Return simulated time per wall-clock time since the first tick or the last reset."""
@@ -162,6 +162,3 @@ class View:
         if self._first is None or at <= self._first[1]:
             self._first = (now, at)
         return (at - self._first[1]) / max(now - self._first[0], 1e-9)
-
-    def _print(self, line: str) -> None:
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)

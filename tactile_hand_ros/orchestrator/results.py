@@ -223,7 +223,7 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
     rows = [*tables.metrics_rows(run.metrics), *tables.recovery_rows(run.recoveries)]
     for name, value in [*rows, *tables.bag_rows(run.bag_metrics)]:
         if name not in (_JUDGED if has_goal else _JUDGED[-1:]):
-            out.add_row(name, tables.plain(value))
+            out.add_row(name, value)
     lost = results.recording[LOST_KEY]
     out.add_row("lost messages", str(lost), "none", "fail" if lost else "pass")
     if (kept := real_time_counts(plan, outcome)) is not None:

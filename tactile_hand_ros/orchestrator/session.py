@@ -248,7 +248,7 @@ class Session:
         """
         outcome, end = self.outcome, self.plan.end
         progress = due = time.monotonic()
-        with view.shown():
+        with view.bar:
             while end is None or outcome.last_tick < end:
                 self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
                 self._processes.check()

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
 
-from tactile_hand_ros.orchestrator.monitor import Monitor, View
+from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
@@ -116,7 +116,7 @@ def test_only_from_close_by_each_command_is_seen(hand: Hand) -> None:
 
 
 def console(**options: Any) -> Console:
-    return Console(file=io.StringIO(), width=80, **options)
+    return line_console(io.StringIO(), width=80, **options)
 
 
 def written(where: Console) -> str:
@@ -132,7 +132,7 @@ def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
     hand.report(PLANT, WARN, fault, answered_ns=1.25 * SECOND)
     monitor.tick = 1_250_000_000
     view = View(where, duration, quiet=False)
-    with view.shown():
+    with view.bar:
         view.show(monitor)
         view.show(monitor)
     line = f"t = 1.25{of} s  {monitor.in_words()}  0.00 x real time\n"
@@ -149,7 +149,7 @@ def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
     monitor.tick = 1_250_000_000
     where = console(force_terminal=True, color_system=None)
     view = View(where, 5.0, quiet=False)
-    with view.shown():
+    with view.bar:
         view.show(monitor)
         view.show(monitor)
     drawn = written(where)
@@ -161,6 +161,6 @@ def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
 def test_quiet_means_quiet(hand: Hand) -> None:
     where = console(force_terminal=True)
     view = View(where, 1.0, quiet=True)
-    with view.shown():
+    with view.bar:
         view.show(hand.monitor())
     assert written(where) == ""

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 from support.recorded import random_record, write_record
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.orchestrator.monitor import line_console
 from tactile_hand_ros.orchestrator.results import (
     RunResults,
     RunVerdict,
@@ -182,7 +182,7 @@ def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
     steered = shown(STEERED, started, found)
     assert steered["final position error"][1:] == ["", ""]
     text = io.StringIO()
-    Console(width=80, file=text).print(table(PLAN, started, found))
+    line_console(text, width=80).print(table(PLAN, started, found))
     assert "…" not in text.getvalue()  # nothing is cut at 80 columns
 
 
