@@ -14,9 +14,7 @@ from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
     SeedOption,
-    check_writable,
     console,
-    figure_formats,
     folder_for_results,
     print_files,
     print_table,
@@ -132,9 +130,8 @@ def sweep(options: SweepOptions) -> None:
 
     Give the folder of a study alone to continue it.
     """
-    formats = figure_formats(options.formats)
     wanted, folder = options.requested(), options.folder
-    check_writable(folder)
+    formats = folder_for_results(folder, options.formats)
     _run(wanted, folder, options.jobs, options.cluster)
     _show(wanted, folder, formats)
 

@@ -49,18 +49,6 @@ JobsOption = Annotated[
 SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 
 
-def figure_formats(given: list[str] | None) -> tuple[str, ...]:
-    """Return the formats of figures.
-
-    Raises:
-        TactileHandError: If one is unknown.
-    """
-    unknown = set(given or ()) - {"png", "svg", "pdf"}
-    if unknown:
-        raise TactileHandError(f"Format is '{unknown.pop()}', expected png, svg or pdf.")
-    return tuple(dict.fromkeys(given or ("png", "svg")))
-
-
 def check_writable(folder: Path) -> None:
     """Create a folder for results, before any work is done for it.
 
@@ -84,9 +72,10 @@ def folder_for_results(folder: Path, formats: list[str] | None) -> tuple[str, ..
     Raises:
         TactileHandError: If a format is unknown or the folder cannot be written to.
     """
-    known = figure_formats(formats)
+    if unknown := set(formats or ()) - {"png", "svg", "pdf"}:
+        raise TactileHandError(f"Format is '{unknown.pop()}', expected png, svg or pdf.")
     check_writable(folder)
-    return known
+    return tuple(dict.fromkeys(formats or ("png", "svg")))
 
 
 def console(stderr: bool = False) -> Console:

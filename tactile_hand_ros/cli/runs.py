@@ -15,7 +15,7 @@ from tactile_hand_ros.cli.output import (
     NamespaceOption,
     check_writable,
     console,
-    figure_formats,
+    folder_for_results,
     print_table,
 )
 from tactile_hand_ros.errors import TactileHandError
@@ -43,14 +43,14 @@ def figures(
 
     opened = _open(run, namespace)
     folder = out or opened.folder / "figures"
-    check_writable(folder)
+    kinds = folder_for_results(folder, formats)
     drawn = {"fig3": motion_figure(opened.record), "fig4": friction_figure({"": opened.record})}
     if opened.scenario is not None:
         from tactile_hand_ros.report.scene import grasp_figure
 
         drawn["fig2"] = grasp_figure(opened.record, opened.scenario)
     for name, figure in sorted(drawn.items()):
-        for file in save(figure, folder, name, figure_formats(formats)):
+        for file in save(figure, folder, name, kinds):
             print(file)
     if opened.scenario is None:
         text = "No scenario is known, so Fig. 2 (hand and object in space) was left out."
