@@ -78,7 +78,7 @@ def _recompute(request: ReplayRequest) -> None:
     values = parse_changes(request.changes, "force_optimizer.cones=false")
     recorded = {"law": r.scenario_of(run).manipulation_controller.law.name}
     result = r.recompute(run, values)
-    print_table("recorded and recomputed", r.COLUMNS, r.rows(result.comparisons))
+    print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
     if values in ({}, recorded) and not result.same:
         print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)

@@ -55,6 +55,8 @@ COMPARED = (
 )
 """What is compared: topic, array of the record, unit."""
 
+COLUMNS = ("topic", "ticks", "identical", "first that differs", "largest difference")
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -80,6 +82,14 @@ class Comparison:
     def same(self) -> bool:
         """Whether all ticks are identical."""
         return self.compared == self.identical
+
+    @property
+    def row(self) -> list[str]:
+        """Cells of a table, columns as in `COLUMNS`."""
+        first = "" if self.first is None else f"{1e-9 * self.first:.3f} s"
+        apart = "none" if self.same else f"{self.largest:.3g} {self.unit}"
+        apart = "only one has an answer" if np.isnan(self.largest) else apart
+        return [self.topic, str(self.compared), str(self.identical), first, apart]
 
 
 @dataclass(frozen=True)
@@ -309,25 +319,3 @@ class _AtItsTicks:
 
 
 _ANSWERS = tuple(name for _, name, _ in COMPARED)
-
-COLUMNS = ("topic", "ticks", "identical", "first that differs", "largest difference")
-
-
-def rows(comparisons: list[Comparison]) -> list[list[str]]:
-    """Return comparisons as text, columns as in `COLUMNS`."""
-    return [
-        [
-            c.topic,
-            str(c.compared),
-            str(c.identical),
-            "" if c.first is None else f"{1e-9 * c.first:.3f} s",
-            _difference(c),
-        ]
-        for c in comparisons
-    ]
-
-
-def _difference(c: Comparison) -> str:
-    if c.same:
-        return "none"
-    return "only one has an answer" if np.isnan(c.largest) else f"{c.largest:.3g} {c.unit}"
