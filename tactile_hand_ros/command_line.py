@@ -239,17 +239,13 @@ def _usage(error: Any) -> tuple[str, int | None]:
         return "", int(error.exit_code)
     if hasattr(error, "possibilities"):
         message = f"there is no option {error.option_name}"
-        message += nearest(error.option_name, _options(error.ctx))
+        every = [name for each in error.ctx.command.params for name in each.opts]
+        message += nearest(error.option_name, [name for name in every if name[:1] == "-"])
     elif not message.endswith("?"):
         message += "."
     context = getattr(error, "ctx", None)
     path = context.command_path if context is not None else ""
     return f"{message} See `{path} --help`." if path else message, int(error.exit_code)
-
-
-def _options(context: Any) -> list[str]:
-    """Return the names of all options of a command."""
-    return [name for each in context.command.params for name in each.opts if name[:1] == "-"]
 
 
 def _print_any_character() -> None:

@@ -59,7 +59,7 @@ def motion_figure(record: Record) -> Figure:
         if len(record) > 1:
             axes[0, 0].set_xlim(record.times[0], record.times[-1])
         _mark_loss(axes.ravel().tolist(), record)
-        handles = [*_finger_handles(record), *_axis_handles(), _handle(INK, _DASHED, "target", 0.8)]
+        handles = _motion_handles(record)
         figure.legend(
             handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.2
         )
@@ -230,14 +230,13 @@ def _mark_loss(panels: list[Axes], record: Record) -> None:
         )
 
 
-def _finger_handles(record: Record) -> list[Line2D]:
+def _motion_handles(record: Record) -> list[Line2D]:
+    """Return the legend of Fig. 3: fingers, their joints, axes and target."""
     fingers = [_handle(finger_color(i), "-", pretty(n)) for i, n in enumerate(record.finger_names)]
     lines = JOINT_LINES[: _joints_per_finger(record)]
-    return fingers + [_handle(INK, line, f"joint {j + 1}") for j, line in enumerate(lines)]
-
-
-def _axis_handles() -> list[Line2D]:
-    return [_handle(axis_color(i), "-", f"${name}$") for i, name in enumerate("xyz")]
+    joints = [_handle(INK, line, f"joint {j + 1}") for j, line in enumerate(lines)]
+    axes = [_handle(axis_color(i), "-", f"${name}$") for i, name in enumerate("xyz")]
+    return [*fingers, *joints, *axes, _handle(INK, _DASHED, "target", 0.8)]
 
 
 def _handle(color: str, line: LineStyle, label: str, width: float = 1.2) -> Line2D:

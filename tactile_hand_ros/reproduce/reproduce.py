@@ -77,16 +77,19 @@ def reproduce(
     for (key, layout, _), run in zip(tasks, in_parallel(_run, tasks), strict=True):
         found[layout][key] = run
         progress(pretty(f"{layout}: {key}"))
-    return [_judged(layout, outcomes) for layout, outcomes in found.items()]
+    return [
+        Reproduction(
+            layout,
+            outcomes,
+            judge(outcomes),
+            {name: law_numbers(outcomes[key]) for name, key in LAWS.items()},
+        )
+        for layout, outcomes in found.items()
+    ]
 
 
 def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
     return run_experiment(*task)
-
-
-def _judged(layout: str, outcomes: Outcomes) -> Reproduction:
-    laws = {name: law_numbers(outcomes[key]) for name, key in LAWS.items()}
-    return Reproduction(layout, outcomes, judge(outcomes), laws)
 
 
 def draw(

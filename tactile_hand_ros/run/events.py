@@ -124,7 +124,12 @@ def events(
 def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[Event]:
     """Return the events of service calls and of refused commands."""
     calls = [
-        Event(1e-9 * each.stamp, "request", "", f"a user calls {_call(each)}")
+        Event(
+            1e-9 * each.stamp,
+            "request",
+            "",
+            f"a user calls {each.key}" + (f" ({each.value})" if each.value else ""),
+        )
         for each in requests
         if each.stamp or each.key != "enable"  # said at the first tick, without any call
     ]
@@ -132,10 +137,6 @@ def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[E
         Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is refused: {each.value}")
         for each in refusals
     ]
-
-
-def _call(asked: Asked) -> str:
-    return f"{asked.key} ({asked.value})" if asked.value else asked.key
 
 
 def slip_count(record: Record) -> int:

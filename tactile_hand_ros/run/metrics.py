@@ -266,11 +266,12 @@ def _force_metrics(record: Record) -> dict[str, Any]:
     normal, optimal = every[-1], derived.expected_normal_forces(record)[-1]
     grasp_force = float(record.grasp_force[-1])
     total = float(normal.sum()) if len(normal) else math.nan
+    off = _relative(normal, optimal)
     return {
         "final_grasp_force_N": grasp_force,
         "final_normal_forces_N": _by_finger(record, normal),
         "optimal_normal_forces_N": _by_finger(record, optimal),
-        "worst_normal_force_relative_error": _worst(_relative(normal, optimal)),
+        "worst_normal_force_relative_error": float(off.max()) if off.size else math.nan,
         "normal_force_sum_N": total,
         "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(grasp_force))),
         "peak_normal_force_N": _peak(every),
@@ -305,11 +306,6 @@ def _peak(values: Array) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # numpy warns where all is NaN
         return float(np.nanmax(values)) if values.size else math.nan
-
-
-def _worst(values: Array) -> float:
-    """Return the largest value, NaN if one is unknown."""
-    return float(values.max()) if values.size else math.nan
 
 
 def _relative(value: Array, expected: Array) -> Array:

@@ -153,14 +153,9 @@ def _configurations(run: Run, node: str, config: Config) -> list[Change]:
 
 
 def _values(event: Any) -> dict[str, Any]:
-    """Return the values in a ParameterEvent by name."""
-    return {each.name: _value(each.value) for each in event.changed_parameters}
-
-
-def _value(value: Any) -> Any:
-    """Return a ParameterValue as a plain value; its type says which of its fields counts."""
-    found = getattr(value, _FIELDS[value.type])
-    return found.tolist() if isinstance(found, np.ndarray) else found
+    """Return the values in a ParameterEvent by name; the type says which field counts."""
+    found = {p.name: getattr(p.value, _FIELDS[p.value.type]) for p in event.changed_parameters}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found.items()}
 
 
 def _requests(run: Run, node: str) -> list[Change]:
