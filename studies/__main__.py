@@ -39,6 +39,7 @@ from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.sweep.engine import in_parallel, workers
 from tactile_hand_ros.sweep.table import read_table
 
+OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, columns and rows."""
 
@@ -53,7 +54,7 @@ def _finish(out: Path, files: list[Path], *tables: Table) -> None:
 
 
 def slip(
-    out: Annotated[Path, typer.Option(help="Folder for figure, tables and data.")] = Path("study"),
+    out: OutOption = Path("study"),
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
@@ -73,7 +74,7 @@ def slip(
 
 
 def invariance(
-    out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("invariance"),
+    out: OutOption = Path("invariance"),
     runs: Annotated[int, typer.Option(help="Number of random orientations.", min=0)] = 3,
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
@@ -90,10 +91,10 @@ def invariance(
 
 
 def loads(
-    out: Annotated[Path, typer.Option(help="Folder for figure, table and data.")] = Path("loads"),
+    out: OutOption = Path("loads"),
     runs: Annotated[int, typer.Option(help="Number of loads for each reserve.", min=1)] = 300,
     jobs: JobsOption = -1,
-    seed: Annotated[int, typer.Option(help="Seed of the loads.", min=0)] = 0,
+    seed: SeedOption = 0,
     floor: Annotated[
         list[float] | None,
         typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
@@ -120,7 +121,7 @@ def loads(
 
 
 def faults(
-    out: Annotated[Path, typer.Option(help="Folder for tables and data.")] = Path("faults"),
+    out: OutOption = Path("faults"),
     runs: Annotated[
         int, typer.Option(help="Number of injections; 0 only shows what is stored.", min=0)
     ] = 500,
@@ -168,10 +169,8 @@ def faults(
 
 def fuzz(
     seconds: Annotated[float, typer.Option(help="How long [s].", min=1.0)] = 60.0,
-    seed: Annotated[int, typer.Option(help="Seed of all inputs.", min=0)] = 0,
-    out: Annotated[Path, typer.Option(help="Folder for inputs that were not survived.")] = Path(
-        "fuzz"
-    ),
+    seed: SeedOption = 0,
+    out: OutOption = Path("fuzz"),
 ) -> None:
     """Feed hostile bytes to running nodes until one dies, hangs, grows or moves."""
     from studies.fuzz import GROWTH, fuzz_nodes
@@ -186,8 +185,8 @@ def robustness(
     scenario: Annotated[
         list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("robustness"),
-    jobs: Annotated[int, typer.Option(help="Number of processes; -1 for one on each core.")] = -1,
+    out: OutOption = Path("robustness"),
+    jobs: JobsOption = -1,
     cluster: ClusterOption = "",
     seed: SeedOption = 0,
     formats: FormatOption = None,
@@ -223,7 +222,7 @@ def soak(
 
 
 def stalls(
-    out: Annotated[Path, typer.Option(help="Folder for tables and data.")] = Path("stalls"),
+    out: OutOption = Path("stalls"),
     jobs: JobsOption = -1,
 ) -> None:
     """Let commands stop and come late, with the guard and without it."""
