@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -41,15 +42,13 @@ def described(error: Exception) -> str:
 
 def location(error: BaseException) -> str:
     """Return file and line in which an error arose: the innermost of this package, if any."""
-    inner, is_inside, trace = "unknown", False, error.__traceback__
-    while trace is not None:
-        file = Path(trace.tb_frame.f_code.co_filename)
-        is_ours = file.is_relative_to(_PACKAGE) and file != _GUARD
-        if is_ours or not is_inside:
-            name = file.relative_to(_PACKAGE) if is_ours else file.name
-            inner, is_inside = f"{name}:{trace.tb_lineno}", is_ours
-        trace = trace.tb_next
-    return inner
+    steps = traceback.walk_tb(error.__traceback__)
+    places = [(Path(frame.f_code.co_filename), line) for frame, line in steps]
+    inside = [each for each in places if each[0].is_relative_to(_PACKAGE) and each[0] != _GUARD]
+    if inside:
+        file, line = inside[-1]
+        return f"{file.relative_to(_PACKAGE)}:{line}"
+    return f"{places[-1][0].name}:{places[-1][1]}" if places else "unknown"
 
 
 def refusal(request: Any, response: Any, reason: str) -> Any:

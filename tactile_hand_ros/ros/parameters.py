@@ -65,8 +65,8 @@ class ConfigParameters(Generic[C]):
         self,
         node: Node,
         model: type[C],
-        on_change: Callable[[C], None] | None = None,
-        check: Callable[[C], None] | None = None,
+        on_change: Callable[[C], None] = lambda _: None,
+        check: Callable[[C], None] = lambda _: None,
     ) -> None:
         """Declare every field of the model with the values given at the start.
 
@@ -150,9 +150,7 @@ class ConfigParameters(Generic[C]):
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            candidate = self._candidate(parameters)
-            if self._further_check is not None:
-                self._further_check(candidate)
+            self._further_check(self._candidate(parameters))
         except TactileHandError as error:
             return SetParametersResult(successful=False, reason=str(error)[:_LONGEST_REASON])
         except Exception as error:  # of the validation, such as a nesting that is too deep
@@ -170,8 +168,7 @@ class ConfigParameters(Generic[C]):
     def _apply(self, parameters: list[Parameter]) -> None:
         if any(parameter.name in self._fields for parameter in parameters):
             self.config = self._candidate(parameters)
-            if self._on_change is not None:
-                self._on_change(self.config)
+            self._on_change(self.config)
 
     def check_qos_overrides(self) -> None:
         """Refuse QoS overrides that no subscription of the node has asked for.
@@ -359,12 +356,12 @@ _Dumper.add_representer(
 )
 
 
-def to_params_yaml(config: Config, node_name: str = "") -> str:
+def to_params_yaml(config: Config, node_name: str) -> str:
     """Write a configuration as a ROS parameter file.
 
     Args:
         config: The configuration.
-        node_name: Node that takes the values, in any namespace; empty for every node.
+        node_name: Node that takes the values, in any namespace.
 
     Returns:
         Text for ``--params-file``.
@@ -377,7 +374,7 @@ def to_params_yaml(config: Config, node_name: str = "") -> str:
         for parent in parents:
             node = node.setdefault(parent, {})
         node[last] = _quoted(to_ros(fields[name], value))
-    content = {f"/**/{node_name}" if node_name else "/**": {"ros__parameters": tree}}
+    content = {f"/**/{node_name}": {"ros__parameters": tree}}
     # One line per value: the parser of rcl does not join long flow sequences.
     text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=10**9)
     return text

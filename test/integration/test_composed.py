@@ -10,6 +10,7 @@ import pytest
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
+from support.graph import parameter_files
 from support.messages import encoded
 from support.nodes import Process, process, tapped
 
@@ -17,9 +18,8 @@ from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed
 from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
-from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.qos import tick_qos
-from tactile_hand_ros.scenario.scenario import NODES, Scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 TICKS = 60
 
@@ -32,11 +32,7 @@ def short(name: str = "pull", **changes: Any) -> Scenario:
 
 def start(here: Process, scenario: Scenario, tmp_path: Any, *, controllers: bool = False) -> Any:
     """Make the nodes of a composition with the parameters of a scenario; return them by name."""
-    arguments = ["--ros-args"]
-    for name in NODES:
-        file = tmp_path / f"{name}.yaml"
-        file.write_text(to_params_yaml(scenario.node_config(name), name))
-        arguments += ["--params-file", str(file)]
+    arguments = ["--ros-args", *parameter_files(scenario, tmp_path)]
     kwargs = {"context": here.context, "cli_args": arguments}
     make = composed.controller_nodes if controllers else composed.composed_nodes
     nodes = {node.get_name(): node for node in make(**kwargs)}

@@ -18,8 +18,7 @@ from support.graph import PATIENCE, Graph
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.cdr import header_stamp
-from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}
@@ -35,21 +34,12 @@ class RecordedGraph(Graph):
         self.bag, self.other_bag = folder / "inside", folder / "outside"
         self._recorders = 1 + twice
 
-    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
-        arguments = ["--record", "--ros-args", "-p", f"recorder:output:={self.bag}"]
-        for name in nodes:
-            file = self._folder / f"{name}.yaml"
-            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
-            arguments += ["--params-file", str(file)]
+    def _launch(self, executable: str, nodes: Iterable[str], *_: str) -> CapturedProcess:
         if self._recorders == 2:
             flags = ("-r", "__node:=outside", "-p", f"output:={self.other_bag}")
             self._enter("outside", "recorder", "--ros-args", *flags)
-        return self._enter(executable, executable, *arguments)
-
-    def _enter(self, name: str, executable: str, *arguments: str) -> CapturedProcess:
-        process = self._stack.enter_context(start_executable(executable, *arguments))
-        self.processes[name] = process
-        return process
+        output = ("--ros-args", "-p", f"recorder:output:={self.bag}")
+        return super()._launch(executable, nodes, "--record", *output)
 
     def wait_until_matched(self) -> None:
         """Wait until this test and a recorder outside have met the publishers of the hand."""

@@ -60,6 +60,16 @@ TICK_TOPICS = [
 """What carries a tick of a hand with three fingers."""
 
 
+def parameter_files(scenario: Scenario, folder: Path, nodes: Iterable[str] = NODES) -> list[str]:
+    """Write the parameters of nodes; return the arguments that name the files."""
+    arguments = []
+    for name in nodes:
+        file = folder / f"{name}.yaml"
+        file.write_text(to_params_yaml(scenario.node_config(name), name))
+        arguments += ["--params-file", str(file)]
+    return arguments
+
+
 class Health(NamedTuple):
     """The last diagnostics of a node."""
 
@@ -120,14 +130,14 @@ class Graph:
         """Start a node, or start it again, with the parameters of the scenario."""
         return self._launch(name, [name])
 
-    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
+    def _launch(self, executable: str, nodes: Iterable[str], *words: str) -> CapturedProcess:
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
-        for name in nodes:
-            file = self._folder / f"{name}.yaml"
-            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
-            arguments += ["--params-file", str(file)]
-        process = start_executable(executable, "--ros-args", *arguments)
-        self.processes[executable] = self._stack.enter_context(process)
+        arguments += parameter_files(self.scenario, self._folder, nodes)
+        return self._enter(executable, executable, "--ros-args", *arguments, "--", *words)
+
+    def _enter(self, name: str, executable: str, *arguments: str) -> CapturedProcess:
+        process = self._stack.enter_context(start_executable(executable, *arguments))
+        self.processes[name] = process
         return process
 
     def kill(self, name: str) -> None:
