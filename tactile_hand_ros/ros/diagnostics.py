@@ -63,16 +63,6 @@ class Diagnostics:
         self._latencies = np.zeros(_WINDOW)
         self._latency_count = 0
 
-    @property
-    def ticks(self) -> int:
-        """How many ticks were counted."""
-        return self._ticks
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """How many messages were rejected, by topic."""
-        return {topic: entry.count for topic, entry in self._rejections.items()}
-
     def tick(self) -> None:
         """Count one tick."""
         self._ticks += 1
@@ -108,11 +98,6 @@ class Diagnostics:
             Whether it should be logged: at most once in `WARN_SECONDS` for a topic.
         """
         return self._note(self._rejections, topic, error)
-
-    @property
-    def errors(self) -> dict[str, int]:
-        """How many errors that were not foreseen were caught, by topic, service or timer."""
-        return {source: entry.count for source, entry in self._errors.items()}
 
     def error(self, source: str, text: str) -> bool:
         """Count an error that was not foreseen.

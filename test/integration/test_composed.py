@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from support.graph import parameter_files
 from support.messages import encoded
-from support.nodes import Process, process, tapped
+from support.nodes import Process, counts, facts, process, tapped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -79,7 +79,7 @@ def test_nothing_is_encoded_when_nobody_wants_it(
         monkeypatch.setattr(template, lambda _, stamp: encoded.append(stamp) or b"")
         run_to_the_end(here, nodes["plant"])
         assert encoded == []
-        assert nodes["manipulation_controller"].diagnostics.ticks >= TICKS
+        assert int(facts(nodes["manipulation_controller"])["ticks"]) >= TICKS
 
 
 def test_a_node_that_fails_leaves_its_tick_without_a_command(
@@ -91,10 +91,10 @@ def test_a_node_that_fails_leaves_its_tick_without_a_command(
         nodes = start(here, scenario, tmp_path)
         plant, regulator = nodes["plant"], nodes["slip_regulator"]
         assert here.call(SetBool, "plant/run", data=True).success
-        here.wait(lambda: regulator.diagnostics.ticks > 5, "ticks")
+        here.wait(lambda: int(facts(regulator)["ticks"]) > 5, "ticks")
         core = "tactile_hand_ros.control.slip.regulator.SlipRegulator.step"
         monkeypatch.setattr(core, lambda *_: {}["left"])
-        here.wait(lambda: "ticks" in regulator.diagnostics.errors, "the failure")
+        here.wait(lambda: "ticks" in counts(regulator, "errors"), "the failure")
         here.wait(lambda: _mode(plant) == "holding", "the hold")
         monkeypatch.undo()
         here.wait(lambda: _mode(plant) == "running", "the end of the hold")

@@ -116,3 +116,10 @@ def facts(node: Any) -> dict[str, str]:
     """Return what a node reports in its diagnostics."""
     node.on_report()
     return {pair.key: pair.value for pair in node.diagnostics.status().values}
+
+
+def counts(node: Any, kind: str) -> dict[str, int]:
+    """Return how many errors, or rejected messages, a node reports of each source."""
+    start = f"{kind} "
+    told = facts(node).items()
+    return {key.removeprefix(start): int(n) for key, n in told if key.startswith(start)}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import Process, process
+from support.nodes import Process, facts, process
 
 import tactile_hand_ros
 from tactile_hand_ros import names
@@ -91,7 +91,7 @@ def modules_of_a_tick(node: Any) -> list[str]:
                 bring(node, topic, data, tick)
         finally:
             sys.setprofile(None)
-    assert len(answers) == node.diagnostics.ticks == STEADY + 1
+    assert len(answers) == int(facts(node)["ticks"]) == STEADY + 1
     return sorted(answers[-1])
 
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
-from support.nodes import Process, facts, tapped
+from support.nodes import Process, counts, facts, tapped
 from support.spinning import spinning
 
 from tactile_hand_ros import names
@@ -83,7 +83,7 @@ def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(
     node = here.make(kind)
     sent = tapped(node)
     node.on_repeat()
-    assert not any(sent.values()) and node.diagnostics.ticks == 0
+    assert not any(sent.values()) and facts(node)["ticks"] == "0"
     tick(node, TICK)
     before = {topic: list(messages) for topic, messages in sent.items()}
     node.on_repeat()
@@ -92,7 +92,7 @@ def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(
         assert stamp_to_ns(stamp) == TICK and len(before[topic]) == 1
         repeats = [] if topic == names.AUXILIARY_POSE else before[topic]
         assert messages == before[topic] + repeats
-    assert node.diagnostics.ticks == 1 and "latency_max_us" in facts(node)
+    assert facts(node)["ticks"] == "1" and "latency_max_us" in facts(node)
 
 
 def _kind(node: Any, topic: str) -> Any:
@@ -204,7 +204,7 @@ def test_no_k_f_beyond_its_limits_is_published(
     monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(force))
     with pytest.raises(TickFailedError, match="is not from 0 to 40.0 N"):
         tick(node, 0)
-    assert not any(sent.values()) and node.diagnostics.errors == {"ticks": 1}
+    assert not any(sent.values()) and counts(node, "errors") == {"ticks": 1}
 
 
 def _of(value: float) -> Any:
@@ -280,7 +280,7 @@ def test_a_tick_that_fails_is_answered_with_a_hold(
     command = tick(node, TICK)
     assert command.mode.value == "hold" and torque(sent)[0] == TICK
     np.testing.assert_array_equal(torque(sent)[1], command.torque)
-    assert node.diagnostics.errors == {"ticks": 1} and "KeyError" in level(node)[1]
+    assert counts(node, "errors") == {"ticks": 1} and "KeyError" in level(node)[1]
     monkeypatch.undo()
     assert tick(node, 2 * TICK).mode.value == "drive"
 
@@ -360,12 +360,12 @@ def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(her
     position, day = STATE.contacts.positions.mean(axis=0), 86_400_000_000_000
     for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
         receive(node, pose_message(position, np.eye(3), stamp))
-    assert node.diagnostics.rejected == {}  # the time of the ticks is not known yet
+    assert counts(node, "rejected") == {}  # the time of the ticks is not known yet
     tick(node, 5 * TICK)
-    assert node.diagnostics.rejected == {names.DESIRED_POSE: 1}
+    assert counts(node, "rejected") == {names.DESIRED_POSE: 1}
     for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
         receive(node, pose_message(position, np.eye(3), stamp))
-    assert node.diagnostics.rejected == {names.DESIRED_POSE: 2}
+    assert counts(node, "rejected") == {names.DESIRED_POSE: 2}
 
 
 def test_of_too_many_poses_for_later_the_earliest_are_dropped(here: Process) -> None:

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from support.nodes import Process, facts
+from support.nodes import Process, counts, facts
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
@@ -126,13 +126,13 @@ def test_no_callback_ends_a_node(here: Process, node: Example) -> None:
     answer = here.call(Trigger, "/left/example/fail")
     timer = "timer Example.fail"
     sources = {"y", "ticks", "~/fail", timer, "safe state"}
-    here.wait(lambda: set(node.diagnostics.errors) == sources, "all sources")
-    here.wait(lambda: node.diagnostics.errors[timer] > 3, "the timer to go on")
+    here.wait(lambda: set(counts(node, "errors")) == sources, "all sources")
+    here.wait(lambda: counts(node, "errors")[timer] > 3, "the timer to go on")
     assert not answer.success
     assert answer.message.startswith(f"KeyError at {HERE}:") and "'left'" in answer.message
     here.wait(lambda: len(lines()) == len(sources), "a line for each")
     assert sum(line.startswith(f"error in 'y': KeyError at {HERE}:") for line in lines()) == 1
-    errors = node.diagnostics.errors
+    errors = counts(node, "errors")
     assert errors["safe state"] == len(node.calls) == sum(errors.values()) - len(node.calls)
     status = node.diagnostics.status()
     assert status.level == ERROR and " errors in " in status.message
@@ -144,7 +144,7 @@ def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the
 ) -> None:
     node.error = UnsafeOutputError("nan")
     assert node.guarded("ticks", node.fail)() is None
-    assert node.diagnostics.errors["ticks"] == 1 and node.diagnostics.rejected == {}
+    assert counts(node, "errors")["ticks"] == 1 and counts(node, "rejected") == {}
     node.error = FatalError("end")
     with pytest.raises(FatalError, match="end"):
         node.guarded("ticks", node.fail)()
@@ -152,7 +152,7 @@ def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the
     node.context.try_shutdown()
     with pytest.raises(MessageError, match="end"):
         node.guarded("ticks", node.fail)()
-    assert node.diagnostics.errors["ticks"] == 1
+    assert counts(node, "errors")["ticks"] == 1
 
 
 def test_a_service_refuses_in_the_fields_of_its_type() -> None:
@@ -192,7 +192,7 @@ def test_a_parameter_of_an_unknown_type_is_refused(here: Process, node: Example)
         service += "_atomically"
         together = here.call(SetParametersAtomically, service, parameters=[good, odd])
         assert not together.result.successful
-    assert node.diagnostics.errors == {} and node.config.gain == 1.0
+    assert counts(node, "errors") == {} and node.config.gain == 1.0
 
 
 def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Example) -> None:
@@ -234,7 +234,7 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
     status = node.diagnostics.status()
     assert (status.level, status.message) == (ERROR, "13 brings bad luck.")
     assert change(2.0)[0] and node.diagnostics.status().level == OK
-    assert change(14.0)[0] and node.diagnostics.errors["configuration"] == 1
+    assert change(14.0)[0] and counts(node, "errors")["configuration"] == 1
     assert node.calls[-1][0] == "safe"
     assert change(15.0) == (False, "15 is too much.")
     successful, reason = change(16.0)
