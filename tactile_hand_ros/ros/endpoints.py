@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node receives and sends: errors as text, messages taken directly, publishers of ticks.
+"""How a node receives and sends: errors as text, messages taken directly, message types by name.
 
 Some subscriptions are read without an executor, which would wake up for each message at ten times
 the cost of taking it. ``take_message`` of the object behind the public ``handle`` is not public.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import re
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from tactile_hand_ros.errors import BagError, TactileHandError, shortened
-from tactile_hand_ros.ros import qos
 
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _ALL = 1_000_000
@@ -124,73 +123,6 @@ def take_latest(subscription: Subscription) -> Any:
     for newest, _ in taken(subscription):
         pass
     return newest
-
-
-class TickPublisher:
-    """Encodes and publishes messages while there is a subscriber or a tap.
-
-    Subscribers are those at the last call of `get_subscription_count`; the node looks five times a
-    second.
-
-    A tap is called in the publisher's process with the same bytes, so a recorder there needs no
-    subscription.
-
-    Attributes:
-        node: The node that publishes.
-        kind: Message class.
-        topic: Full name of the topic.
-        qos_profile: Quality of service that it offers.
-    """
-
-    def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
-        """Create the publisher.
-
-        Args:
-            node: The node that publishes.
-            kind: Message class.
-            topic: Relative name of the topic.
-            encode: Makes a serialized message of what is given to `publish`.
-        """
-        self._encode = encode
-        self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
-        self.node, self.kind = node, kind
-        self.topic: str = self._publisher.topic_name
-        self.qos_profile: QoSProfile = self._publisher.qos_profile
-        self._taps: list[Callable[[bytes], None]] = []
-        self._is_read = False
-        self._last: tuple[Any, ...] | None = None
-
-    def add_tap(self, tap: Callable[[bytes], None]) -> None:
-        """Call back with each message from now on, before it is sent."""
-        self._taps.append(tap)
-
-    @property
-    def wanted(self) -> bool:
-        """Whether there is a tap or, at the last look, a subscriber."""
-        return self._is_read or bool(self._taps)
-
-    def get_subscription_count(self) -> int:
-        """Return the number of matching subscriptions now."""
-        count = int(self._publisher.get_subscription_count())
-        self._is_read = count > 0
-        return count
-
-    def publish(self, *values: Any) -> None:
-        """Publish the message of these values, encoded only for a subscriber or tap."""
-        self._last = values
-        if self.wanted:
-            self._send(self._encode(*values))
-
-    def repeat(self) -> None:
-        """Publish the last message again, also to those that came after it."""
-        if self._last is not None:
-            self.publish(*self._last)
-
-    def _send(self, data: bytes) -> None:
-        for tap in self._taps:
-            tap(data)
-        if self._is_read:
-            self._publisher.publish(data)
 
 
 def message_class(type_name: str) -> Any:

@@ -33,7 +33,7 @@ from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError, shortened
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
-from tactile_hand_ros.ros.endpoints import TickFailedError, TickPublisher, described, refusal
+from tactile_hand_ros.ros.endpoints import TickFailedError, described, refusal
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
@@ -48,6 +48,73 @@ PEERS_PERIOD = 0.2
 PUBLICATIONS = "publications"
 SUBSCRIPTIONS = "subscriptions"
 """With a topic behind it, a key of the diagnostics: how many peers the node has met there."""
+
+
+class TickPublisher:
+    """Encodes and publishes messages while there is a subscriber or a tap.
+
+    Subscribers are those at the last call of `get_subscription_count`; the node looks five times a
+    second.
+
+    A tap is called in the publisher's process with the same bytes, so a recorder there needs no
+    subscription.
+
+    Attributes:
+        node: The node that publishes.
+        kind: Message class.
+        topic: Full name of the topic.
+        qos_profile: Quality of service that it offers.
+    """
+
+    def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
+        """Create the publisher.
+
+        Args:
+            node: The node that publishes.
+            kind: Message class.
+            topic: Relative name of the topic.
+            encode: Makes a serialized message of what is given to `publish`.
+        """
+        self._encode = encode
+        self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
+        self.node, self.kind = node, kind
+        self.topic: str = self._publisher.topic_name
+        self.qos_profile: QoSProfile = self._publisher.qos_profile
+        self._taps: list[Callable[[bytes], None]] = []
+        self._is_read = False
+        self._last: tuple[Any, ...] | None = None
+
+    def add_tap(self, tap: Callable[[bytes], None]) -> None:
+        """Call back with each message from now on, before it is sent."""
+        self._taps.append(tap)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is a tap or, at the last look, a subscriber."""
+        return self._is_read or bool(self._taps)
+
+    def get_subscription_count(self) -> int:
+        """Return the number of matching subscriptions now."""
+        count = int(self._publisher.get_subscription_count())
+        self._is_read = count > 0
+        return count
+
+    def publish(self, *values: Any) -> None:
+        """Publish the message of these values, encoded only for a subscriber or tap."""
+        self._last = values
+        if self.wanted:
+            self._send(self._encode(*values))
+
+    def repeat(self) -> None:
+        """Publish the last message again, also to those that came after it."""
+        if self._last is not None:
+            self.publish(*self._last)
+
+    def _send(self, data: bytes) -> None:
+        for tap in self._taps:
+            tap(data)
+        if self._is_read:
+            self._publisher.publish(data)
 
 
 class TactileNode(Node, Generic[C]):

@@ -10,8 +10,7 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.recording import Recording
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.endpoints import TickPublisher
-from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode
+from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 

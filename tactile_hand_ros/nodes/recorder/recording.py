@@ -18,7 +18,7 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
-from tactile_hand_ros.ros.endpoints import TickPublisher
+from tactile_hand_ros.ros.node import TickPublisher
 
 _QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
 _DISCOVERY_PERIOD = 0.02  # s between two looks at the graph for new topics

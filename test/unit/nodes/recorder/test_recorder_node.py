@@ -28,8 +28,8 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import recording
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.endpoints import TickPublisher
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
 EAGER = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
