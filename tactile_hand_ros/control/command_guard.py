@@ -18,11 +18,11 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
+    JointRates,
     JointTerms,
     split_forces,
     tip_forces,
 )
-from tactile_hand_ros.control.joint_rates import JointRates
 from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]

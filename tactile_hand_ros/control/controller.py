@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.holds import (
+    JointRates,
     bearable_fraction,
     fitted_gains,
     required_bandwidth,
     spring,
     stiffest,
 )
-from tactile_hand_ros.control.joint_rates import JointRates
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,

@@ -106,7 +106,7 @@ def drawn(heading: str) -> set[str]:
 @pytest.mark.parametrize(
     ("kind", "maximum", "heading"),
     [
-        (ManipulationControllerNode, 15, "A tick, from"),
+        (ManipulationControllerNode, 14, "A tick, from"),
         (SlipRegulatorNode, 12, "A slip, from"),
     ],
 )

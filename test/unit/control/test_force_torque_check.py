@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.joint_rates import JointRates
+from tactile_hand_ros.control.holds import JointRates
 from tactile_hand_ros.control.plausibility import ForceTorqueCheck
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig, JointSensor
