@@ -2,7 +2,9 @@
 """Scenario files as plain data: laid over each other, changed by keys, and their limits."""
 
 import pytest
+import yaml
 
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.scenario.files import merged, put_changes, read_layers
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -63,3 +65,32 @@ def test_changes_are_put_where_their_keys_say():
     assert "layout" not in data
     with pytest.raises(ConfigurationError, match="'seed.a.b' cannot be set: 'seed' has no 'a'"):
         put_changes(data, {"seed.a.b": 1})
+
+
+USERS = {"mode", "grasp_force", "maximum"}  # what the user asks of the regulator
+
+
+@pytest.mark.parametrize("base", ["gravity", "human_hold"])
+def test_no_controller_is_made_for_a_mass_or_friction_that_a_hand_cannot_know(base):
+    """Scenarios of a family differ in what happens, not in how the hand is controlled."""
+
+    def control(name):
+        scenario = load_scenario(name)
+        regulator = scenario.slip_regulator.model_dump(exclude=USERS)
+        controller = scenario.manipulation_controller.model_dump(
+            exclude={"grasp_force_limit", "imu"}  # which follow from the above and from the palm
+        )
+        return regulator, scenario.force_optimizer.model_dump(), controller
+
+    files = find_file("scenario", base).parent
+    family = [file.stem for file in files.glob("*.yaml") if extends(file.stem, base)]
+    assert len(family) > 2
+    for name in family:
+        assert control(name) == control(base), name
+
+
+def extends(name, base):
+    """Whether a scenario extends another one, directly or not, with its hand."""
+    parent = yaml.safe_load(find_file("scenario", name).read_text("utf-8")).get("extends", "")
+    same_hand = parent and load_scenario(name).hand == load_scenario(base).hand
+    return bool(same_hand) and (parent == base or extends(parent, base))
