@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
@@ -31,6 +32,7 @@ def check_scenario(scenario: Scenario) -> None:
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
     contacts = state.contacts
+    _check_posture(hand, state.theta)
     if not contacts.all_touching:
         i = int(np.flatnonzero(~contacts.touching)[0])
         raise GraspError(
@@ -66,6 +68,19 @@ def check_scenario(scenario: Scenario) -> None:
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
+
+
+def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
+    """Refuse a start beyond the limits of a joint."""
+    lower, upper = hand.position_limits
+    beyond = np.flatnonzero((theta < lower) | (theta > upper))
+    if len(beyond):
+        i = int(beyond[0])
+        raise ConfigurationError(
+            f"initial_joints = {theta[i]:.3g} rad of {hand.joint_names[i]} is beyond its limits,"
+            f" {lower[i]:.3g} to {upper[i]:.3g} rad; close the hand within them",
+            place="plant.initial_joints",
+        )
 
 
 def _check_mode(scenario: Scenario) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Hand, mirrored
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     quaternions_of_rows,
@@ -27,6 +27,7 @@ from tactile_hand_ros.rotations import (
 from tactile_hand_ros.simulation.contact_step import (
     Body,
     HandTerms,
+    StepResult,
     contact_geometry,
     half_step,
     no_past,
@@ -42,6 +43,7 @@ from tactile_hand_ros.simulation.skin import TactileReading
 Array = NDArray[np.float64]
 
 _FASTEST = 1e4  # rad/s and m/s
+_ENDLESS = 1e9  # times the largest inertia: that of a joint at its stop
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
 _REACH_BY_TOUCH = 5e-2  # the same for a hand that knows itself wrongly and closes by touch, m
 
@@ -228,7 +230,7 @@ class Plant:
         body = Body(
             self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
         )
-        after = step(h, v, hand, body, self.solid.shape, self.friction, self._past)
+        after = self._within_limits(h, v, hand, body)
         self._v = after.velocities
         self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
         self._past, self._sliding = after.past, after.sliding
@@ -237,6 +239,32 @@ class Plant:
         self.unsolved_steps += after.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
+
+    def _within_limits(self, h: float, v: Array, hand: HandTerms, body: Body) -> StepResult:
+        """Return a step at whose end no joint is beyond a limit that it was not beyond before.
+
+        A joint that would pass its limit has met a stop, whose impulse acts on it alone and takes
+        its rate: energy is lost. The step is taken again with that joint at rest, as if its inertia
+        had no end. It may leave the stop in any later step.
+        """
+        lower, upper = self.hand.position_limits
+        rest = self.solid.shape, self.friction, self._past
+        stopped = np.zeros(self.hand.joints, dtype=np.bool_)
+        while True:
+            after = step(h, v, hand, body, *rest)
+            passed = ((after.theta > upper) & (after.theta > self._theta)) | (
+                (after.theta < lower) & (after.theta < self._theta)
+            )
+            passed &= ~stopped
+            if not passed.any():
+                return after
+            stopped |= passed
+            inertia, rates = mirrored(hand.inertia), v[: self.hand.joints]
+            back = np.linalg.inv(inertia)[:, passed]
+            impulse = np.linalg.solve(back[passed], rates[passed])
+            v = np.concatenate([rates - back @ impulse, v[self.hand.joints :]])
+            inertia[passed, passed] += _ENDLESS * inertia.diagonal().max()
+            hand = hand._replace(inertia=inertia)
 
     def _turn_palm(self, time: float) -> Turning | None:
         """Let gravity act as the palm lies at a time, s; return how it turns, if it ever does."""

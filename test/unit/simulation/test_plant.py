@@ -6,7 +6,9 @@ import pytest
 from support.plants import momentum, plant
 
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.contact_step import TOUCH
+from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import Disturbance, FrictionChange
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
@@ -191,11 +193,45 @@ def test_a_wrong_number_of_initial_angles_is_refused(angles):
 
 
 def test_a_simulation_that_diverges_says_so_and_can_begin_anew():
-    """Torques that drive each joint on in its direction shake the hand to pieces."""
-    made = plant()
-    torque = np.linspace(0.1, 0.2, made.hand.joints)
+    """A blow that no object survives."""
+    made = plant(disturbances=[push(start=0.1, force=(0.0, 0.0, 1e7))])
     with pytest.raises(DivergedError, match="has diverged at .* s.* reset the plant"):
         for _ in range(2000):
-            torque = 20.0 * made.advance(torque).rates
+            made.advance(NOTHING)
     made.reset()
     assert np.isfinite(made.advance(np.zeros(made.hand.joints)).theta).all()
+
+
+def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():
+    """Each joint is driven to a limit, rests there, and comes back as if none was there."""
+    world = plant(hand="human", initial_joints=[0.5, 0.1, 0.8], **FAR)
+    lower, upper = world.hand.position_limits
+    torque = np.tile([0.02, -0.02, 0.02], 3)
+    state, gained = world.state, []
+    for _ in range(round(0.6 * world.config.rate)):
+        before, start = world.energy(), state.theta
+        state = world.advance(torque)
+        gained.append((world.energy() - before - torque @ (state.theta - start)) / (before + 1e-9))
+        assert (state.theta < upper + 1e-9).all() and (state.theta > lower - 1e-9).all()
+    assert max(gained[5:]) < 5e-3 and min(gained) < -0.05  # of a step, and of a stop
+    stopped = np.where(torque > 0.0, upper, lower)
+    np.testing.assert_allclose(state.theta, stopped, atol=2e-3)
+    np.testing.assert_allclose(state.rates, 0.0, atol=1e-6)
+    away = world.advance(-torque)
+    inertia = world.hand.dynamics(state.theta, state.rates)[1]
+    expected = np.linalg.solve(inertia, -torque) / world.config.rate
+    np.testing.assert_allclose(away.rates, expected, rtol=0.02)
+
+
+def test_an_object_presses_on_a_finger_at_its_stop_as_on_a_wall():
+    """The contact laws hold, and what the finger bears the stop bears."""
+    scenario = load_scenario("human_hold")
+    world = Plant(scenario.plant)
+    state = world.state
+    lower, upper = world.hand.position_limits
+    upper[:] = np.minimum(upper, state.theta)  # joints can only open from here
+    closing = np.tile([0.2, 0.0, 0.2], 3)
+    for _ in range(100):
+        state = world.advance(closing)
+        assert world.contact_residual < 1e-6 and (state.theta <= upper + 1e-9).all()
+    assert np.abs(state.rates).max() < 1e-6
