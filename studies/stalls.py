@@ -57,7 +57,7 @@ class GuardedLoop:
         """Build the loop of a scenario and its guard, or one with another configuration."""
         self.loop = ClosedLoop(scenario)
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
-        self.guard = CommandGuard(config or plant.guard, hand, plant.tick)
+        self.guard = CommandGuard(config or plant.guard, hand, plant.tick, plant.step)
         self.rate = plant.rate
         self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._waiting: deque[TorqueCommand] = deque()
@@ -75,9 +75,9 @@ class GuardedLoop:
 
     def act(self) -> None:
         """Let the newest command act on the joints for a tick, if the guard lets it."""
-        loop = self.loop
-        theta, rates, _ = loop.state.joints
-        loop.advance(self.guard.step(loop.stamp, theta, rates, self._newest))
+        loop, newest = self.loop, self._newest
+        stamp = loop.stamp
+        loop.drive(lambda since, theta, rates: self.guard.step(stamp + since, theta, rates, newest))
         loop.controller.joints_held = self.guard.holding
 
     def run(self, seconds: float, *, answers: bool = True, delay: int = 0) -> None:

@@ -26,12 +26,12 @@ Array = NDArray[np.float64]
 
 RATES = {
     "paper": {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0},
-    # Light fingers need stiffer holds, so faster ticks; six processes in real time cannot keep up.
-    "human": {"in-process": 1000.0, "lockstep": 1000.0, "composed": 1000.0, "processes": 500.0},
+    # What six processes can follow in real time on two cores.
+    "human": {"in-process": 1000.0, "lockstep": 1000.0, "composed": 1000.0, "processes": 250.0},
 }
 """Ticks per second of simulated time, by hand and way."""
 
-FAULT_TIME = 0.5
+FAULT_TIME = 1.0
 """How long a fault lasts, by the wall clock [s]."""
 
 _ENDLESS = 3600.0

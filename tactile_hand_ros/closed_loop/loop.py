@@ -222,7 +222,11 @@ class ClosedLoop:
 
     def advance(self, torque: Array) -> None:
         """Move the plant one tick ahead with a torque, shape (m,), N m."""
-        self.state = self.plant.advance(torque)
+        self.drive(lambda since, theta, rates: torque)
+
+    def drive(self, torque_of: Callable[[int, Array, Array], Array]) -> None:
+        """Move the plant one tick ahead with the torques of a drive; see `Plant.drive`."""
+        self.state = self.plant.drive(torque_of)
         self.stamp += self.scenario.plant.tick
 
     def answer(self, record: Record, row: int) -> Command:

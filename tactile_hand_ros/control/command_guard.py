@@ -111,19 +111,21 @@ class CommandGuard:
         age: Age of the last judged command, in ticks that have passed; -1 before the first.
     """
 
-    def __init__(self, config: GuardConfig, hand: Hand, tick: int) -> None:
+    def __init__(self, config: GuardConfig, hand: Hand, tick: int, step: int = 0) -> None:
         """Take model and limits.
 
         Args:
             config: Limits of age, speed and change of torque, and the hold.
             hand: Model of the hand, with the gravity that acts on it.
             tick: Length of a tick, ns.
+            step: Time between two calls of `step`, ns; by default a tick. A drive is faster than
+                the commands that it gets, and holds the joints the stiffer.
         """
-        self._config, self._hand, self._tick = config, hand, tick
-        self._hold = GuardHold(config.hold, hand, 1e-9 * tick)
+        self._config, self._hand, self._tick, self._step = config, hand, tick, step or tick
+        self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
         self._rates = JointRates(hand.joints)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
-        self._change = 1e-9 * tick * config.torque_rate or np.inf
+        self._change = 1e-9 * self._step * config.torque_rate or np.inf
         self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
         self.reset()
 
@@ -166,7 +168,7 @@ class CommandGuard:
         """
         is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
         if is_blind and not self._past:
-            self._note(BLIND)
+            self._note(stamp, BLIND)
             return np.zeros(self._hand.joints)
         if is_blind:  # as if the joints went on as before, or did what the hold wants of them
             last, before = self._past[-1], self._past[max(-2, -len(self._past))]
@@ -199,7 +201,7 @@ class CommandGuard:
             self._bad, self.state = stamp, State.HOLD
         elif before is State.HOLD and since_bad > self._patience:
             self.state = State.BLEND
-            self._blend_start = stamp - self._tick
+            self._blend_start = stamp - self._step
         elif before is State.HOLD:
             reason = UNSTEADY
         if self.state is State.BLEND and self._share(stamp) >= 1.0:
@@ -291,7 +293,7 @@ class CommandGuard:
                 self._hold.engage(theta, rates, self._pressed(stamp, rates, terms))
             elif before is State.BLEND:
                 self._hold.brake(theta, rates)
-            self._note(reason)
+            self._note(stamp, reason)
         seen = None if reason == BLIND else (theta, rates)
         torque = self._hold.step(seen, terms, follows=bool(reason))
         if not reason:
@@ -300,8 +302,8 @@ class CommandGuard:
         limit = self._hand.effort_limits
         return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
 
-    def _note(self, reason: str) -> None:
-        self.held += 1
+    def _note(self, stamp: int, reason: str) -> None:
+        self.held += stamp % self._tick == 0
         if UNSTEADY not in (reason, self.reason):  # else the hold before continues
             self.holds[reason] += reason != self.reason
         self.reason = reason

@@ -10,6 +10,7 @@ it moves over both bodies as the fingertip rolls; the acceleration form of (6) i
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -119,7 +120,7 @@ class Plant:
         self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(
-            config.encoder, config.effort_noise, 1e-9 * config.tick, config.seed
+            config.encoder, config.effort_noise, config.time_step, config.seed
         )
         self.reset()
 
@@ -191,24 +192,36 @@ class Plant:
             self._theta = self._theta + np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
 
     def advance(self, torque: Array) -> PlantState:
-        """Move one tick ahead while the joints keep a torque, shape (m,), N m.
+        """Move one tick ahead while the joints keep a torque, shape (m,), N m; see `drive`."""
+        return self.drive(lambda since, theta, rates: torque)
 
-        The torque is limited to the joints' effort limits, as a motor would.
+    def drive(self, torque_of: Callable[[int, Array, Array], Array]) -> PlantState:
+        """Move one tick ahead with the torques of a drive, which acts at each integration step.
+
+        The torques are limited to the joints' effort limits, as a motor would. The joints report
+        their mean.
+
+        Args:
+            torque_of: Returns the torque, shape (m,), N m, from the time since the tick, ns, and
+                the angles, rad, and rates, rad/s, that the joints report then.
 
         Raises:
             DivergedError: If something has become faster than anything real; only a reset helps.
         """
-        limit = self.hand.effort_limits
-        self._torque = np.minimum(np.maximum(torque, -limit), limit)
-        for _ in range(self.config.steps_per_tick):
-            self._step(self.config.time_step)
+        limit, c = self.hand.effort_limits, self.config
+        for i in range(c.steps_per_tick):
+            torque = torque_of(i * c.step, self._joints.theta, self._joints.rates)
+            self._acting = np.minimum(np.maximum(torque, -limit), limit)
+            before = self._torque if i else self._acting
+            self._torque = before + (self._acting - before) / (i + 1)
+            self._step(c.time_step)
+            self._sense_joints()
         if not self._v.dot(self._v) < _FASTEST**2:  # NaN is not, either
             raise DivergedError(
                 f"the simulation has diverged at {self.time:.3f} s, joints or object are faster "
                 f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
                 "lower the gains or the load of the computer, and reset the plant"
             )
-        self._sense_joints()
         return self.state
 
     def _step(self, h: float) -> None:
@@ -224,7 +237,7 @@ class Plant:
             body_motion = self._position, ahead[m : m + 3], ahead[m + 3 :]
             inertia = self._rotation @ self._inertia @ self._rotation.T
             wrench = self._weight + apparent_wrench(turning, (self._mass, inertia), body_motion)
-        hand = HandTerms(self._theta, *terms, self._torque, self.hand.radii)
+        hand = HandTerms(self._theta, *terms, self._acting, self.hand.radii)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + wrench
         body = Body(

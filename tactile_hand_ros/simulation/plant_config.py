@@ -201,6 +201,11 @@ class PlantConfig(Config):
         return max(1, round(1.0 / (self.rate * self.time_step)))
 
     @property
+    def step(self) -> int:
+        """Length of an integration step in ns."""
+        return self.tick // self.steps_per_tick
+
+    @property
     def tick(self) -> int:
         """Length of a tick in ns."""
         return round(1e9 / self.rate)

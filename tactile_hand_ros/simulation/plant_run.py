@@ -30,7 +30,7 @@ class PlantRun:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self.guard = CommandGuard(config.guard, self.plant.known, config.tick)
+        self.guard = CommandGuard(config.guard, self.plant.known, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self._load_compiled_code()
@@ -38,8 +38,7 @@ class PlantRun:
 
     def _load_compiled_code(self) -> None:
         """Step once, so that neither the first tick nor the first held one is late."""
-        joints = self.plant.state.joints
-        self.plant.advance(self.guard.step(0, joints.theta, joints.rates, None))
+        self.plant.drive(lambda since, theta, rates: self.guard.step(since, theta, rates, None))
 
     def reset(self) -> None:
         """Go back to the start, at stamp 0 and without torque."""
@@ -88,9 +87,10 @@ class PlantRun:
 
     def advance(self) -> None:
         """Move one tick ahead."""
-        joints = self.state.joints
-        torque = self.guard.step(
-            self.stamp, joints.theta, joints.rates, self._command, self._refused
-        )
-        self.state = self.plant.advance(torque)
+        command, refused, stamp = self._command, self._refused, self.stamp
+
+        def guarded(since: int, theta: Array, rates: Array) -> Array:
+            return self.guard.step(stamp + since, theta, rates, command, refused)
+
+        self.state = self.plant.drive(guarded)
         self.stamp += self._tick

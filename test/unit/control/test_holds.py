@@ -240,7 +240,7 @@ def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     assert watch.moved < 3e-3 and loop.state.contacts.all_touching
 
 
-@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 4e-3), ("moving", 4e-3)])
+@pytest.mark.parametrize(("situation", "farthest"), [("heavy", 5e-3), ("moving", 4e-3)])
 def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
     """At 250 Hz: a spring that is too soft lets two fingers buckle."""
     guarded = GuardedLoop(scenario(situation, "processes"))
