@@ -37,10 +37,10 @@ def test_inverse_kinematics_says_how_much_is_missing(tmp_path):
 
 
 def test_joint_limits_are_kept():
-    hand = Hand.load("paper")
-    beyond = START + np.tile([0.0, 2.0, 0.0], 3)  # abduction ends at 1.5708
-    theta, missing = inverse_kinematics(hand, hand.fingertips(beyond).positions, START)
-    assert np.abs(theta.reshape(3, 3)[:, 1]).max() <= 1.5708
+    hand, start = Hand.load("human"), np.tile([1.3, 0.0, 1.1], 3)
+    beyond = start + np.tile([0.0, 1.2, 0.0], 3)  # abduction ends at 0.8
+    theta, missing = inverse_kinematics(hand, hand.fingertips(beyond).positions, start)
+    assert np.abs(theta.reshape(3, 3)[:, 1]).max() <= 0.8
     assert missing.max() > 1e-3
 
 

@@ -55,9 +55,9 @@ def check(**changes):
             r"initial_joints has 2 angles",
         ),
         (
-            {"plant__initial_joints": [1.0, 1.7, 1.5]},
+            {"plant__initial_joints": [3.2, 0.0, 1.5]},
             ConfigurationError,
-            r"1.7 rad of finger_1_abduction is beyond its limits, -1.57 to 1.57 rad",
+            r"3.2 rad of finger_1_flexion is beyond its limits, -3.14 to 3.14 rad",
         ),
         (
             {"force_optimizer__weights": [1.0, 2.0, 3.0, 4.0]},
