@@ -7,7 +7,8 @@ holds the hand. Where a finger has lost contact the required grasp force is not 
 response doubles k_f once. k_f never exceeds `maximum`; that it is at this limit, or that no grasp
 force can hold, is a warning in `/diagnostics`. A request of the user outside the limits is counted
 and dropped, and k_f stays. When the node crashes, the controller holds the last grasp force; a new
-node starts at the configured k_f and has to learn the friction again.
+node starts at the configured k_f, or outside mode user at the measured one where that is larger,
+and has to learn the friction again.
 """
 
 from __future__ import annotations

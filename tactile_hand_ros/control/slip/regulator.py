@@ -128,6 +128,7 @@ class SlipRegulator:
         self._response.start(start)
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
+        self._has_felt = False  # a grasp, since the reset
         self._required.reset()
         self._last = np.full((self._fingers, 3), np.nan)
         self._kept: list[tuple[int, Rows]] = []
@@ -226,6 +227,7 @@ class SlipRegulator:
         if parts is None or parts.grasp_force <= 0.0:
             self._required.lose()
         else:
+            self._take_over(parts.grasp_force)
             margin = self.config.reflex.margin
             needs = self._required.step(parts, normals, self.learned_friction, dt, margin)
             self.needed, self.ready = needs
@@ -234,6 +236,15 @@ class SlipRegulator:
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         self._response.step(goal, slips, slides, touching, limit, dt)
+
+    def _take_over(self, measured: float) -> None:
+        """Begin with the measured grasp force, N, where the hand holds with more than configured.
+
+        Another regulator may have died with the object in the hand.
+        """
+        if not self._has_felt and measured > self._response.grasp_force:
+            self._response.start(min(measured, self.config.maximum))
+        self._has_felt = True
 
     def _keep(self, stamp: int) -> None:
         """Keep what is known of the friction: what false touch has taught is forgotten."""

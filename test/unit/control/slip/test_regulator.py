@@ -7,6 +7,7 @@ from support.grasps import moved, three_faces
 
 from studies.invariance import orientations
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
+from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
@@ -366,3 +367,18 @@ def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted
     slip = regulator(mode="auto", grasp_force=7.0)
     slip.reject_touch(True)
     assert {slip.step(i * TICK, three_faces(), 9.0 * FELT) for i in range(100)} == {7.0}
+
+
+@pytest.mark.parametrize(("mode", "begins"), [("auto", True), ("shared", True), ("user", False)])
+def test_a_new_regulator_begins_with_the_grasp_force_that_it_finds(mode, begins):
+    """The one before may have died while the hand held with more than what is configured."""
+    grasp = three_faces()
+    felt = in_palm(grasp.rotations, FELT, 1.0)
+    measured = split(grasp.positions, grasp.normals, felt).grasp_force
+    for configured in (0.5 * measured, 2.0 * measured):
+        slow = {"rise_rate": 1.0}
+        slip = regulator(mode=mode, grasp_force=configured, maximum=10.0 * measured, reflex=slow)
+        slip.step(0, grasp, FELT)
+        first = slip.step(TICK, grasp, FELT)
+        expected = max(configured, measured) if begins else configured
+        assert first == pytest.approx(expected, rel=0.01)
