@@ -133,8 +133,10 @@ def test_the_present_pose_is_judged_by_one_look(grasp, looks):
 
 
 def test_a_search_that_leads_somewhere_gets_its_time(looks):
-    """This turn leads the fingers far around."""
+    """This turn leads the fingers far around, along the ends of their joints."""
     grasp = Grasp(plant())
+    for ends, limit in zip(grasp.hand.position_limits, (-1.5708, 1.5708), strict=True):
+        ends[1::3] = limit  # abduction
     grasp.pose = AuxiliaryPose(grasp.contacts.centroid, np.eye(3))
     grasp.check((-0.02, -0.07, -0.35), (2.0, 0.6, -2.5))
     assert 20 < len(looks) <= 32
