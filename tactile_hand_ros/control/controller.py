@@ -234,7 +234,7 @@ class Controller:
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to = "", 0.0
         # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
-        self._required: tuple[float, float] | None = None
+        self._required, self._stiffness = 0.0, math.inf
 
     def _trust(self) -> None:
         """Forget all doubts."""
@@ -375,7 +375,7 @@ class Controller:
             self._grasp = Grasp(theta, contacts, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
-            self._fit(theta, contacts)
+            self._fit(theta, contacts, optimal_forces)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
@@ -388,7 +388,7 @@ class Controller:
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         self._enter(Mode.DRIVE, theta)
         self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        self._judge_hold(theta, contacts, optimal_forces, grasp_force)
+        self._judge_hold(grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         return Command(torque, Mode.DRIVE, pose, refused)
 
@@ -490,28 +490,26 @@ class Controller:
         late = (0.5 + c.latency) * self._period
         return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
-    def _fit(self, theta: Array, contacts: Contacts) -> None:
+    def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
         """Fit the gains that are not given to the hand, once in a grasp and for its ticks."""
-        if self._law.fits or self._fitted_to == self._period:
+        if self._fitted_to == self._period:
             return
-        self._fitted_to = self._period
-        c = self.config
-        touch = c.touch_latency + c.law.observer.time
-        how = self._period, touch, c.hold.resolution
-        self._law.fit(*fitted_gains(self.hand, theta, contacts, *how))
+        self._fitted_to, c = self._period, self.config
+        forces = contacts.centroid - contacts.positions  # of law (10), a guess for one's own
+        if c.law.name == "optimal":
+            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
+        if not self._law.fits:
+            ages = c.touch_latency, c.law.observer.time
+            how = forces, self._period, *ages, c.hold.resolution
+            self._law.fit(fitted_gains(self.hand, theta, contacts, *how))
+        self._required = required_bandwidth(self.hand, theta, contacts, forces)
+        self._stiffness = self._stiffest(self.hand.dynamics(theta, np.zeros(self.hand.joints))[1])
 
-    def _judge_hold(
-        self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
-    ) -> None:
+    def _judge_hold(self, grasp_force: float) -> None:
         """Warn once in a grasp if a hold could not keep it at this rate of the ticks."""
         if self.config.law.name != "optimal" or self.warning or self._period == _LONGEST_PERIOD:
             return
-        if self._required is None:
-            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
-            inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
-            needed = required_bandwidth(self.hand, theta, contacts, forces)
-            self._required = needed, self._stiffest(inertia)
-        required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
+        required, has = math.sqrt(grasp_force) * self._required, self._stiffness
         if required > has:
             rate = 1.0 / self._period
             self.warning = (

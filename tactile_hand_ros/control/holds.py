@@ -41,10 +41,8 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
-_POSE_PHASE = 0.25  # of the stiffness, by the age of touch: not felt in the damping
-# Fractions of a finger's weight that errors of angles may shake: in a hold, where they do all the
-# time, and with gains, where they do while it moves. The grasp force keeps 0.6 in reserve.
-_HOLD_SHAKES, _GAINS_SHAKE = 0.03, 0.3
+_POSE_PHASE = 0.25  # of the stiffness, by the age of touch; the part of the damping that age takes
+_SHAKES = 0.03  # of a finger's weight, by errors of angles; the grasp force keeps 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
 _WINDOW = 64  # angles that are looked at; at rest their slope is an error of an angle over all
@@ -141,15 +139,15 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     """
     if error == 0.0:
         return _PHASE / late
-    return min(_PHASE / (late + 0.5 * tick), _quietest(hand, inertia, error, _HOLD_SHAKES))
+    return min(_PHASE / (late + 0.5 * tick), _quietest(hand, inertia, error))
 
 
-def _quietest(hand: Hand, inertia: Array, error: float, fraction: float) -> float:
+def _quietest(hand: Hand, inertia: Array, error: float) -> float:
     """Return the bandwidth w, rad/s, with which errors e of angles shake a hand as they may.
 
     Their torque M_h w^2 e may be that of a fraction of a finger's weight at its full reach.
     """
-    allowed = fraction * hand.finger_weight * hand.spans.max()
+    allowed = _SHAKES * hand.finger_weight * hand.spans.max()
     return math.sqrt(allowed / (inertia.diagonal().max() * error)) if error > 0.0 else math.inf
 
 
@@ -167,7 +165,9 @@ def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
     return np.asarray(inertia @ (w * w * away + 2.0 * w * rates))
 
 
-def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Array) -> float:
+def required_bandwidth(
+    hand: Hand, theta: Array, contacts: Contacts, forces: Array, motions: Array | None = None
+) -> float:
     """Return the smallest w, rad/s, with which a grasp does not buckle, with a margin.
 
     It grows with the square root of the forces.
@@ -177,9 +177,11 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
         theta: Joint angles, shape (m,), rad.
         contacts: Where it holds an object; all fingers must touch.
         forces: Internal forces on the object in palm axes, shape (k, 3), N.
+        motions: In which it may buckle, joint rates above twists, shape (m + 6, n); all of those
+            that keep the contacts by default.
     """
     m, tips = hand.joints, hand.fingertips(theta)
-    motions = _motions(hand, tips, contacts)
+    motions = _motions(hand, tips, contacts) if motions is None else motions
     arms = contacts.positions - tips.positions
     stiffness = np.empty((motions.shape[1],) * 2)
     for i, motion in enumerate(motions.T):
@@ -198,36 +200,78 @@ def required_bandwidth(hand: Hand, theta: Array, contacts: Contacts, forces: Arr
     return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
 
 
+class FittedGains(NamedTuple):
+    """Gains that fit a hand and what it holds; see `fitted_gains`.
+
+    Attributes:
+        rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
+        damping: K_c of those that do, for each rad/s of bandwidth, shape (m, m).
+        stiffness: K_p for each rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
+        needed: Bandwidth that k_f needs, rad/s for each N.
+        quietest: Bandwidth up to which errors of angles may shake the hand at any k_f, rad/s.
+        largest: 1 / T, rad/s.
+    """
+
+    rest: Array
+    damping: Array
+    stiffness: Array
+    needed: float
+    quietest: float
+    largest: float
+
+    def at(self, grasp_force: float) -> tuple[Array, Array]:
+        """Return K_c, shape (m, m), and K_p, shape (6, 6), at a k_f in N."""
+        w = min(self.largest, max(self.quietest, self.needed * grasp_force))
+        return self.rest + w * self.damping, w * self.stiffness
+
+
 def fitted_gains(
     hand: Hand,
     theta: Array,
     contacts: Contacts,
+    forces: Array,
     tick: float,
     touch: float,
+    follows: float,
     error: float = 0.0,
-) -> tuple[Array, Array]:
-    """Return K_c, shape (m, m), N m s/rad, and K_p, (6, 6), N/m and N m/rad, that fit a hand.
+) -> FittedGains:
+    """Return gains that fit a hand: K_c = w M_h and K_p = p D / t, with the damping D of the grasp.
 
-    Fingers alone oscillate with K_c = 2 M_h / T, for torques that are held for T. An object adds
-    inertia, so K_c = M_h / T, or less where encoders would shake the hand with that. A stiffness
-    K_p = p D / t, with the damping D of the grasp and a pose that is t late, takes a phase p.
+    Fingers alone oscillate with w = 2 / T, for torques that are held for T. An object adds inertia,
+    so w is at most 1 / T. Forces f in directions that are d old turn too late with the object,
+    which takes K_geo d of the damping: a fraction p of it at w = w_r^2 d / p, with the bandwidth
+    w_r that a hold needs at that k_f. Where errors of angles allow no more, w is that. A pose that
+    is t late takes a phase p of the stiffness. Rates that do not move the object, of redundant
+    joints or against the contacts, are damped no more than errors of angles allow.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
         contacts: Where it holds an object; all fingers must touch.
+        forces: Internal forces of a k_f of 1 N in palm axes, shape (k, 3), N.
         tick: T, s.
-        touch: t: age of touch, and time constant of what follows from it, s.
+        touch: d: age of touch, s.
+        follows: t - d: time constant of what follows from touch, s.
         error: Of an angle, rad.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
-    damping = inertia * min(1.0 / tick, _quietest(hand, inertia, error, _GAINS_SHAKE))
-    rates = _rates_of_twists(hand, theta, contacts)
+    quietest = min(1.0 / tick, _quietest(hand, inertia, error))
+    motions = _motions(hand, hand.fingertips(theta), contacts)
+    joints, twists = np.split(motions, [hand.joints])
+    redundant = joints @ _kernel(twists)
+    motions = motions @ _kernel(redundant.T @ inertia @ joints)
+    rates = _rates_of_twists(motions)
+    momenta = inertia @ rates
+    damping = momenta @ np.linalg.solve(rates.T @ momenta, momenta.T)
     stiffness = np.zeros((6, 6))
     for part, per_error in ((slice(0, 3), 1.0), (slice(3, 6), 0.5)):  # |r_d| is twice the angle
         moved = rates[:, part]
-        stiffness[part, part] = per_error * _POSE_PHASE / touch * (moved.T @ damping @ moved)
-    return damping, stiffness
+        fraction = per_error * _POSE_PHASE / (touch + follows)
+        stiffness[part, part] = fraction * (moved.T @ damping @ moved)
+    required = required_bandwidth(hand, theta, contacts, forces, motions)
+    needed = required**2 * touch / _POSE_PHASE
+    rest = quietest * (inertia - damping)
+    return FittedGains(rest, damping, stiffness, needed, quietest, 1.0 / tick)
 
 
 def largest_damping(
@@ -266,24 +310,27 @@ def largest_stiffness(
         damping: K_c, N m s/rad.
         late: d, s.
     """
-    rates = _rates_of_twists(hand, theta, contacts)
+    rates = _rates_of_twists(_motions(hand, hand.fingertips(theta), contacts))
     linear, angular = (np.linalg.svd(part, compute_uv=False)[-1] for part in np.split(rates, 2, 1))
     return damping * linear**2 / late, 0.5 * damping * angular**2 / late
 
 
-def _rates_of_twists(hand: Hand, theta: Array, contacts: Contacts) -> Array:
-    """Return the joint rates of unit twists of an object in the hand, shape (m, 6)."""
-    joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
-    return np.asarray(joints @ np.linalg.pinv(twists))
+def _rates_of_twists(motions: Array) -> Array:
+    """Return the joint rates of unit twists in motions of joints and object, shape (m, 6)."""
+    return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:]))
 
 
 def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
     """Return joint rates above twists of the object that keep the contacts, shape (m + 6, n)."""
     k, axes = hand.fingers, np.tile(np.eye(3), (hand.fingers, 1, 1))
     jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, hand.joints)
-    constraint = np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T])
-    _, sizes, basis = np.linalg.svd(constraint)
-    return np.asarray(basis[int((sizes > 1e-9 * sizes[0]).sum()) :].T)
+    return _kernel(np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T]))
+
+
+def _kernel(matrix: Array) -> Array:
+    """Return an orthonormal basis of what a matrix maps to zero, one vector a column."""
+    _, sizes, basis = np.linalg.svd(matrix)
+    return np.asarray(basis[int((sizes > 1e-9 * sizes.max(initial=0.0)).sum()) :].T)
 
 
 def _minimum_ratio(a: Array, b: Array) -> float:

@@ -15,6 +15,7 @@ from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forces
+from tactile_hand_ros.control.holds import FittedGains
 from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.hand import Fingertips
@@ -203,7 +204,7 @@ class ManipulationLaw:
         self._integral = np.zeros(6)
         self._observer = LoadObserver()
         self.acts = True
-        self._fitted: tuple[Array, Array] | None = None
+        self._fitted: FittedGains | None = None
         self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
@@ -222,9 +223,9 @@ class ManipulationLaw:
         """Whether all gains are given, so that it needs none that fit the hand."""
         return bool((self._gains > 0.0).all()) and self.config.damping > 0.0
 
-    def fit(self, damping: Array, stiffness: Array) -> None:
-        """Take gains of the hand for those that are not given, see `holds.fitted_gains`."""
-        self._fitted = damping, stiffness
+    def fit(self, gains: FittedGains) -> None:
+        """Take gains of the hand for those that are not given."""
+        self._fitted = gains
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
@@ -281,8 +282,9 @@ class ManipulationLaw:
         self._integrate(error, dt)
         wrench, damping = self._gains * error, c.damping * rates
         if self._fitted is not None and not self.fits:
-            wrench = np.where(self._gains > 0.0, wrench, self._fitted[1] @ error)
-            damping = damping if c.damping > 0.0 else self._fitted[0] @ rates
+            fitted_damping, stiffness = self._fitted.at(grasp_force)
+            wrench = np.where(self._gains > 0.0, wrench, stiffness @ error)
+            damping = damping if c.damping > 0.0 else fitted_damping @ rates
         law = self._law
         law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
         carried = self._carried(contacts, forces, dt)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from support.hands import scaled_paper
+from support.hands import prism_grasp, scaled_paper
 
 from studies.faults.situations import SITUATIONS, scenario
 from studies.stalls import GuardedLoop, Watch
@@ -259,7 +259,7 @@ def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(s
 def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     plant = Plant(load_scenario(name).plant)
     grasp = plant.hand, plant.state.theta, plant.state.contacts
-    damping, stiffness = fitted_gains(*grasp, tick, 0.03)
+    damping, stiffness = fitted_gains(*grasp, pressing(plant), tick, 0.01, 0.02).at(3.0)
     speed = np.linalg.eigvals(np.linalg.solve(plant.hand.dynamics(grasp[1], STILL)[1], damping))
     assert_allclose(speed, 1.0 / tick)
     # A pose that is 30 ms late takes a quarter of a radian of each motion.
@@ -267,6 +267,34 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     softest = np.linalg.eigvalsh(damping)[0]
     assert np.linalg.eigvalsh(stiffness[:3, :3])[0] > 0.25 * softest * most[0]
     assert_allclose(stiffness, stiffness.T, atol=1e-9)
+
+
+def pressing(plant):
+    """Return the internal forces of a k_f of 1 N in palm axes, shape (k, 3), N."""
+    contacts = plant.state.contacts
+    optimizer = ForceOptimizer(ForceOptimizerConfig(), plant.hand.fingers)
+    return in_palm(contacts.rotations, optimizer.solve(contacts).forces, 1.0)
+
+
+@pytest.mark.parametrize("joints", [[3, 3, 3], [4, 4, 4, 4], [3, 4, 3, 5, 4]])
+def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_path, joints):
+    plant = Plant(load_scenario("gravity", prism_grasp(tmp_path, joints)).plant)
+    hand, theta, contacts = plant.hand, plant.state.theta, plant.state.contacts
+    gains = fitted_gains(hand, theta, contacts, pressing(plant), 1e-3, 0.01, 0.02, 1e-3)
+    inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
+    allowed = 0.03 * hand.finger_weight * hand.spans.max()
+    quietest = np.sqrt(allowed / (1e-3 * inertia.diagonal().max()))
+
+    def bandwidths(grasp_force):
+        return np.linalg.eigvals(np.linalg.solve(inertia, gains.at(grasp_force)[0])).real
+
+    assert_allclose(bandwidths(0.0), quietest, rtol=1e-6)
+    assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(1000.0, rel=1e-6)
+    most = 0.5 * (quietest + 1000.0)
+    found = np.sort(bandwidths(most / gains.needed))
+    assert_allclose(found[:-6], quietest, rtol=1e-6)
+    assert_allclose(found[-6:], most, rtol=1e-6)
+    assert_allclose(gains.at(1e9)[1], 1000.0 / quietest * gains.at(0.0)[1], atol=1e-6)
 
 
 @pytest.mark.parametrize("late", [0, 1])
