@@ -15,6 +15,8 @@ from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
 
+# Largest gain of the innovation over frequency against its mean, at even times: 2^4 / (1 + 4 + 1)
+_OVERLAP = 16.0 / 6.0
 _COUNTS = 0.25  # fraction of the threshold that one sample counts at most; see `SlipDetector`
 _STAYS = 0.75  # fraction of the threshold down to which a slip continues
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
@@ -110,8 +112,9 @@ class SlipDetector:
 
         L = (1 - 1/rho) r^T R^-1 r / 2 - ln rho,
 
-    starts again from zero whenever the sum is negative, and reports slip above h. While a contact
-    sticks the mean number of samples between false alarms is at least exp(h), so that h follows
+    starts again from zero whenever the sum is negative, and reports slip above h. Of independent
+    innovations the mean number between false alarms is at least exp(h). These share samples: noise
+    that alternates shows in each of them, with 16 / 6 of the mean power. With that factor h follows
     from the false alarms that a user accepts. A step of the load shows in up to three innovations,
     sliding in many: none counts for more than h / 4.
 
@@ -221,7 +224,8 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     along = dot(bend, course) / speed if speed > 0.0 else 0.0
     known = noise / (noise + (_LATE * speed * m["spacing"]) ** 2)
     power = max(0.0, dot(bend, bend) - along * along) + known * along * along
-    m["threshold"] = max(1.0, math.log(c["false_alarm_time"] / max(m["period"], 1e-6)))
+    samples = c["false_alarm_time"] / max(m["period"], 1e-6)
+    m["threshold"] = max(1.0, _OVERLAP * math.log(samples))
     if m["touched_for"] > c["settling_time"]:
         found = 0.5 * (1.0 - 1.0 / c["ratio"]) * power / noise - math.log(c["ratio"])
         m["agrees"] = found > 0.0
