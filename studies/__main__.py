@@ -79,7 +79,7 @@ def invariance(
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
 ) -> None:
-    """Turn hand, object, gravity and loads in the palm frame: nothing else may change."""
+    """Turn and shrink the hand, reorder its fingers, change rates and encoders."""
     from studies import invariance as i
 
     check_writable(out)

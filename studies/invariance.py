@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same scenario with hand, object, gravity, loads and targets turned in the palm frame.
+"""The same scenario on a hand that is turned, smaller, lighter, or lists its fingers differently.
 
-Physics does not care how a hand is turned; a run must not either. `make study NAME=invariance`
-compares the runs.
+Physics does not care how a hand is turned or in which order its fingers are listed; a run must not
+either. What changes with size, with the rates of ticks and skin, and with the bits of encoders may
+change numbers, but no outcome. `make study NAME=invariance` compares the runs.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -29,8 +33,14 @@ from tactile_hand_ros.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("scenario", "turned", "alarms", "largest k_f", "last k_f", "slid", "outcome")
+COLUMNS = ("scenario", "changed", "alarms", "largest k_f", "last k_f", "slid", "outcome")
 SCENARIOS = ("hold", "pull", "human_hold", "human_pull")
+
+RATES = ((200, 200), (500, 100), (1000, 2000), (2000, 1000))
+"""Of ticks and skin, Hz; fingers as light as the human hand's cannot be kept below 150 Hz."""
+BITS = (12, 14, 20)
+LINKS, MASSES = (0.01, 0.05, 0.25), (0.005, 0.05, 0.3, 1.0)
+_G = 9.81
 
 _NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame through the contacts has no upper side
 
@@ -52,29 +62,16 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
 
     thing, plant = base.plant.object, base.plant
     start = rotation @ rotation_from_vector(thing.rotation)
-    # The frame through the contacts has its own rule of which side is up: what is asked for is how
-    # far it turns from where it starts.
     points = Plant(plant).state.contacts.positions
-    first, first_turned = (VirtualFrame().orientation(p) for p in (points, points @ rotation.T))
-    targets = []
-    for target in base.targets:
-        there: dict[str, Any] = {"time": target.time, "position": "keep"}
-        if target.position is not None:
-            there["position"] = turn(target.position)
-        if target.rotation is not None:
-            goal = rotation @ rotation_from_vector(target.rotation) @ first.T
-            goal = goal @ rotation.T @ first_turned
-            there["rotation"] = vector_from_rotation(goal).tolist()
-        targets.append(there)
     pushes = [
         {**push.model_dump(), "force": turn(push.force), "torque": turn(push.torque)}
         for push in plant.disturbances
     ]
     values |= {
-        "hand": str(_turned_hand(base, rotation, folder)),
+        "hand": str(_changed_hand(base, folder, rotation=rotation)),
         "layout": "",
         "gravity": turn(base.gravity),
-        "targets": targets,
+        "targets": _targets(base, rotation, points, points @ rotation.T),
         "plant.object.position": turn(thing.position),
         "plant.object.rotation": vector_from_rotation(start).tolist(),
         "plant.disturbances": pushes,
@@ -82,15 +79,118 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
     return load_scenario(name, values)
 
 
-def _turned_hand(scenario: Scenario, rotation: Array, folder: Path) -> Path:
-    """Write a hand whose joints at the palm are turned about the palm's origin; return its file."""
-    euler = optional("scipy.spatial.transform", "A turned hand").Rotation
+def reordered(name: str, order: Sequence[int], folder: Path, changes: dict[str, Any]) -> Scenario:
+    """Return a scenario whose hand lists its fingers in another order; joints keep theirs."""
+    base = load_scenario(name, changes)
+    points = Plant(base.plant).state.contacts.positions
+    values = {
+        "hand": str(_changed_hand(base, folder, order=order)),
+        "layout": "",
+        "targets": _targets(base, np.eye(3), points, points[list(order)]),
+    }
+    return load_scenario(name, changes | values)
+
+
+def _targets(base: Scenario, rotation: Array, points: Array, others: Array) -> list[dict[str, Any]]:
+    """Return turned targets of a hand whose contacts lie elsewhere, or come in another order.
+
+    The frame through the contacts follows from their order, and has a rule of which side is up:
+    what is asked for is how far it turns from where it starts.
+    """
+    first, other = (VirtualFrame().orientation(p) for p in (points, others))
+    targets = []
+    for target in base.targets:
+        there: dict[str, Any] = {"time": target.time, "position": "keep"}
+        if target.position is not None:
+            there["position"] = (rotation @ np.asarray(target.position)).tolist()
+        if target.rotation is not None:
+            goal = rotation @ rotation_from_vector(target.rotation) @ first.T
+            there["rotation"] = vector_from_rotation(goal @ rotation.T @ other).tolist()
+        targets.append(there)
+    return targets
+
+
+def resized(
+    name: str, scale: float, link: float, mass: float, folder: Path, changes: dict[str, Any]
+) -> Scenario:
+    """Return a scenario in another size, with a cube, and gains that fit.
+
+    Args:
+        name: Scenario.
+        scale: Size against that of the scenario's hand.
+        link: Mass of each link, kg.
+        mass: Of the object, kg.
+        folder: Where the hand is written.
+        changes: Further changes by dotted key.
+    """
+    base = load_scenario(name)
+    thing, law = base.plant.object, "manipulation_controller.law."
+    values = {
+        "hand": str(_changed_hand(base, folder, scale=scale, link=link)),
+        "layout": "",
+        "targets": [],
+        "plant.object.size": [scale * edge for edge in thing.size],
+        "plant.object.position": [scale * x for x in thing.position],
+        "plant.object.mass": mass,
+        "tactile_sensor.location_noise": scale * base.tactile_sensor.location_noise,
+        "slip_regulator.grasp_force": 1.0 + 4.0 * mass * _G,
+        **dict.fromkeys([f"{law}k_p", f"{law}k_o", f"{law}damping"], 0.0),
+        **dict.fromkeys([f"{law}integral.k_p", f"{law}integral.k_o"], 0.0),
+    }
+    return load_scenario(name, values | changes)
+
+
+def _changed_hand(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    rotation: Array | None = None,
+    scale: float = 1.0,
+    link: float | None = None,
+    order: Sequence[int] | None = None,
+) -> Path:
+    """Write a scenario's hand changed, and return its file.
+
+    Args:
+        scenario: Whose hand it is.
+        folder: Where to write.
+        rotation: About the palm's origin, shape (3, 3).
+        scale: Of all lengths.
+        link: Mass of each link, kg; as it is by default.
+        order: Of the fingers; as it is by default.
+    """
     hand = load_hand_config(scenario.hand)
     text = describe(hand.folder / hand.urdf, hand.layout(scenario.layout), hand.any_inertia)
     root = ElementTree.fromstring(text)
+    for origin in root.iter("origin"):
+        place = scale * np.fromstring(origin.get("xyz", "0 0 0"), sep=" ")
+        origin.set("xyz", " ".join(map(repr, place.tolist())))
+    for body in root.iter("inertial"):
+        inertia, found = body.find("inertia"), body.find("mass")
+        assert inertia is not None and found is not None
+        before = float(found.get("value", "nan"))
+        mass = before if link is None else float(link)
+        found.set("value", repr(mass))
+        for key, value in inertia.attrib.items():
+            inertia.set(key, repr(scale**2 * mass / before * float(value)))
+    if rotation is not None:
+        _turn_mounts(root, hand.palm, rotation)
+    (folder / "changed.urdf").write_text(ElementTree.tostring(root, encoding="unicode"), "utf-8")
+    data = hand.model_dump(mode="json", exclude={"folder", "layouts", "default_layout"})
+    fingers = [{**finger, "radius": scale * finger["radius"]} for finger in data["fingers"]]
+    fingers = fingers if order is None else [fingers[i] for i in order]
+    path = folder / "changed.yaml"
+    changed = {**data, "urdf": "changed.urdf", "fingers": fingers}
+    path.write_text(yaml_text(changed), encoding="utf-8")
+    return path
+
+
+def _turn_mounts(root: ElementTree.Element, palm: str, rotation: Array) -> None:
+    """Turn the joints at the palm about its origin."""
+    euler = optional("scipy.spatial.transform", "A turned hand").Rotation
     for joint in root.iter("joint"):
         parent = joint.find("parent")
-        if parent is None or parent.get("link") != hand.palm:
+        if parent is None or parent.get("link") != palm:
             continue
         origin = joint.find("origin")
         origin = ElementTree.SubElement(joint, "origin") if origin is None else origin
@@ -98,11 +198,6 @@ def _turned_hand(scenario: Scenario, rotation: Array, folder: Path) -> Path:
         pose = rotation @ euler.from_euler("xyz", angles).as_matrix()
         origin.set("xyz", " ".join(map(repr, (rotation @ place).tolist())))
         origin.set("rpy", " ".join(map(repr, euler.from_matrix(pose).as_euler("xyz").tolist())))
-    (folder / "turned.urdf").write_text(ElementTree.tostring(root, encoding="unicode"), "utf-8")
-    data = hand.model_dump(mode="json", exclude={"folder", "layouts", "default_layout"})
-    path = folder / "turned.yaml"
-    path.write_text(yaml_text({**data, "urdf": "turned.urdf"}), encoding="utf-8")
-    return path
 
 
 def alarms(record: Record) -> int:
@@ -132,12 +227,38 @@ def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
     return found
 
 
+def ways(name: str, count: int, seed: int) -> list[tuple[str, Callable[..., Scenario]]]:
+    """Return what a scenario is compared with: a label, and what makes it in a `folder`."""
+    make = functools.partial
+    found: list[tuple[str, Callable[..., Scenario]]] = [
+        (label, make(turned, name, rotation, changes={}))
+        for label, rotation in orientations(count, seed)
+    ]
+    for order in ((1, 2, 0), (2, 1, 0)):
+        label = "fingers " + ", ".join(str(i + 1) for i in order)
+        found.append((label, make(reordered, name, order, changes={})))
+    for rate, skin in RATES:
+        changes = {"plant.rate": rate, "tactile_sensor.rate": skin, "plant.time_step": 0.0005}
+        label = f"ticks {rate:g} Hz, skin {skin:g} Hz"
+        found.append((label, make(_changed, name, changes)))
+    for bits in BITS:
+        found.append((f"{bits} bits", make(_changed, name, {"plant.encoder.bits": bits})))
+    for link, mass in itertools.product(LINKS, MASSES) if name == "hold" else ():
+        label = f"a quarter of the size, links {1e3 * link:g} g, object {1e3 * mass:g} g"
+        found.append((label, make(resized, name, 0.25, link, mass, changes={"duration": 6.0})))
+    return found
+
+
+def _changed(name: str, changes: dict[str, Any], folder: Path) -> Scenario:
+    return load_scenario(name, changes)
+
+
 def compare(name: str, count: int, seed: int) -> list[list[str]]:
-    """Run a scenario turned in several ways; return rows of a table, columns as in `COLUMNS`."""
+    """Run a scenario in several ways; return rows of a table, columns as in `COLUMNS`."""
     rows = []
-    for label, rotation in orientations(count, seed):
+    for label, make in ways(name, count, seed):
         with tempfile.TemporaryDirectory() as folder:
-            scenario = turned(name, rotation, Path(folder), {})
+            scenario = make(folder=Path(folder))
             record = ClosedLoop(scenario).run()
         is_held = bool(np.isfinite(record.true_positions[-1]).all())
         slid = float(np.nanmax(record.true_slid))

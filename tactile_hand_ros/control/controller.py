@@ -388,7 +388,8 @@ class Controller:
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         self._enter(Mode.DRIVE, theta)
         self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        self._judge_hold(grasp_force)
+        if dt > 0.0:
+            self._judge_hold(grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         return Command(torque, Mode.DRIVE, pose, refused)
 
@@ -507,7 +508,7 @@ class Controller:
 
     def _judge_hold(self, grasp_force: float) -> None:
         """Warn once in a grasp if a hold could not keep it at this rate of the ticks."""
-        if self.config.law.name != "optimal" or self.warning or self._period == _LONGEST_PERIOD:
+        if self.config.law.name != "optimal" or self.warning:
             return
         required, has = math.sqrt(grasp_force) * self._required, self._stiffness
         if required > has:

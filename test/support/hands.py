@@ -8,14 +8,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
-from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.control.reach import inverse_kinematics
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
@@ -152,50 +150,3 @@ def tip_rotations(description: str, tips: Sequence[str], theta: NDArray) -> NDAr
     data = model.createData()
     pin.framesForwardKinematics(model, data, theta)
     return np.array([data.oMf[model.getFrameId(tip)].rotation for tip in tips])
-
-
-def scaled_paper(folder: Path, scale: float, link_mass: float) -> dict[str, Any]:
-    """Write the paper's hand in another size; return the changes of `gravity` that go with it.
-
-    It holds a cube of 0.1 kg with k_f of about 18 N, at 1 kHz.
-
-    Args:
-        folder: Where to write.
-        scale: Size against that of the paper's hand.
-        link_mass: Mass of each link, kg.
-    """
-    origin = config_directory() / "hands" / "paper.yaml"
-    tree = ElementTree.parse(origin.with_suffix(".urdf"))
-    for element in tree.iter():
-        values = element.attrib
-        if element.tag == "origin" and "xyz" in values:
-            values["xyz"] = " ".join(str(scale * float(x)) for x in values["xyz"].split())
-        if element.tag == "mass":
-            values["value"] = str(link_mass)
-        if element.tag == "inertia":
-            values |= {k: str(float(x) * scale**2 * link_mass / 0.25) for k, x in values.items()}
-    tree.write(folder / "scaled.urdf")
-    config = yaml.safe_load(origin.read_text())
-    config["urdf"] = "scaled.urdf"
-    for finger in config["fingers"]:
-        finger["radius"] *= scale
-    for layout in config["layouts"].values():
-        for mount in layout.values():
-            mount["xyz"] = [scale * x for x in mount["xyz"]]
-    path = folder / "scaled.yaml"
-    path.write_text(yaml.safe_dump(config))
-    edge, law = 0.2604 * scale, "manipulation_controller.law."
-    return {
-        "hand": str(path),
-        "targets": [],
-        "plant.object.size": [edge] * 3,
-        "plant.object.mass": 0.1,
-        "plant.object.inertia": [0.1 * edge**2 / 6.0] * 3,
-        "plant.object.position": [0.0, 0.0, 0.4098 * scale],
-        "tactile_sensor.location_noise": 1e-4 * scale,
-        "manipulation_controller.touch_tolerance": 0.01 * scale,
-        f"{law}k_p": 30.0,
-        f"{law}k_o": scale**2,
-        f"{law}damping": 0.25 * scale**2,
-        f"{law}integral.k_o": 0.5 * scale**2,
-    }

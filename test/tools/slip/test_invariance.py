@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run does not depend on how hand, object, gravity and loads lie in the palm frame."""
+"""A run does not depend on how the hand lies, its size, or the order of its fingers."""
 
 import numpy as np
 import pytest
 
-from studies.invariance import orientations, run_turned
+from studies.invariance import alarms, orientations, reordered, resized, run_turned
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.rotations import rotation_from_vector
 
 NOISELESS = {
@@ -43,3 +44,22 @@ def test_a_grasp_whose_plane_stands_upright_is_kept_as_it_is_for_any_noise(seed)
     record = run_turned("human_hold", EXACTLY, {"duration": 0.3, "seed": seed})
     start, end = record.object_quaternion[[0, -1]]
     assert abs(start @ end) > np.cos(0.5 * 0.03)
+
+
+@pytest.mark.parametrize("order", [(1, 2, 0), (0, 2, 1)])
+def test_the_order_of_the_fingers_changes_no_force(straight, order, tmp_path):
+    """The virtual frame follows two contacts more than the third, so the posture differs a bit."""
+    name, expected = straight
+    record = ClosedLoop(reordered(name, order, tmp_path, NOISELESS)).run()
+    fingers = list(order)
+    np.testing.assert_array_equal(record.grip, expected.grip[:, fingers])
+    np.testing.assert_allclose(record.grasp_force, expected.grasp_force, rtol=1e-9)
+    np.testing.assert_allclose(record.friction, expected.friction[:, fingers], rtol=1e-9)
+    np.testing.assert_allclose(record.theta, expected.theta, atol=1e-3)
+
+
+@pytest.mark.parametrize(("link", "mass"), [(0.25, 0.005), (0.01, 0.3)])
+def test_a_hand_of_a_quarter_of_the_size_holds_what_is_light_and_heavy(link, mass, tmp_path):
+    record = ClosedLoop(resized("hold", 0.25, link, mass, tmp_path, {"duration": 2.0})).run()
+    assert alarms(record) == 0
+    assert np.nanmax(record.true_slid) < 1e-5 and np.isfinite(record.true_positions[-1]).all()

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from support.hands import prism_grasp, scaled_paper
+from support.hands import prism_grasp
 
 from studies.faults.situations import SITUATIONS, scenario
+from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
@@ -172,9 +173,14 @@ def test_whatever_is_read_the_spring_is_finite(away, rate):
         assert_allclose(found, inertia.sum(axis=1) * (1e4 * away + 200.0 * rate), atol=1e-9)
 
 
+def scaled(folder, scale, mass):
+    """Return `gravity` in another size, with links of a mass in kg, and a k_f of 20 N."""
+    return resized("gravity", scale, mass, 0.1, folder, {"slip_regulator.grasp_force": 20.0})
+
+
 def required(folder, scale, mass, force=18.0):
     """Return the bandwidth that the paper's hand in another size needs."""
-    plant = Plant(load_scenario("gravity", scaled_paper(folder, scale, mass)).plant)
+    plant = Plant(scaled(folder, scale, mass).plant)
     contacts = plant.state.contacts
     shape = ForceOptimizer(ForceOptimizerConfig(), 3).solve(contacts).forces
     forces = in_palm(contacts.rotations, shape, force)
@@ -193,7 +199,7 @@ def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
 
 def stalled(folder, scale, mass, moment):
     """Run a guarded loop until its commands stop at a moment, s; return it after one more."""
-    chosen = load_scenario("gravity", scaled_paper(folder, scale, mass))
+    chosen = scaled(folder, scale, mass)
     guarded = GuardedLoop(chosen)
     guarded.run(moment)
     watch = Watch(guarded)
@@ -222,7 +228,7 @@ def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     tmp_path, mass, warns
 ):
     """At 1 kHz with torques three ticks late: 50 g a link are enough, 10 g are not."""
-    chosen = load_scenario("gravity", scaled_paper(tmp_path, 0.25, mass))
+    chosen = scaled(tmp_path, 0.25, mass)
     guarded = GuardedLoop(chosen)
     guarded.run(0.5)
     loop, controller = guarded.loop, guarded.loop.controller
