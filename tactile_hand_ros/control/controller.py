@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
 _LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
+_MOVES_UNTIL = 0.8  # of the limit of k_f; the rest is for what still comes when the move has ended
 _LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
 
 
@@ -375,6 +376,7 @@ class Controller:
             self._grasp = Grasp(theta, contacts, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
+            refused = self._stopped(wanted, grasp_force) or refused
             self._fit(theta, contacts, optimal_forces)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
@@ -419,6 +421,21 @@ class Controller:
         self._law.acts = not self.joints_held
         passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
+
+    def _stopped(self, way: Target, grasp_force: float) -> str:
+        """Return why the hand moves no further; empty if it does.
+
+        Friction, rims and joints along the way cannot be known before; what holds the object where
+        a move begins may not hold it where it ends. The grasp force shows it in time.
+        """
+        limit = self.config.grasp_force_limit
+        if not (self._reference.is_moving and 0.0 < _MOVES_UNTIL * limit < grasp_force):
+            return ""
+        self._targets.stop(way)
+        return (
+            f"the move ends here: k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and "
+            "the way ahead may need more; go back, or ask for a smaller turn"
+        )
 
     def hold(
         self,
@@ -570,7 +587,8 @@ class Controller:
         self._enter(Mode.OPEN, theta)
         self._posture = self._regrasp.posture(contacts, dt)
         torque = _sum(self._spring(theta, rates), self._weight(theta))
-        return Command(torque, Mode.OPEN, None, "released by the user")
+        reason = self._regrasp.missed or "released by the user"
+        return Command(torque, Mode.OPEN, None, reason)
 
     def _elapsed(self, stamp: int) -> float:
         """Return the time since the last tick in s; 0 after an interruption.

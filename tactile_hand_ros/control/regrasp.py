@@ -34,12 +34,14 @@ class Regrasp:
 
     Attributes:
         active: Whether the fingers are open, opening or closing.
+        missed: Why closing ended without a grasp, after which the fingers open again; else empty.
     """
 
     def __init__(self, config: RegraspConfig, hand: Hand) -> None:
         """Start without a grasp to leave."""
         self._config, self._hand = config, hand
         self.active = self._closing = False
+        self.missed = ""
 
     @property
     def closing(self) -> bool:
@@ -53,15 +55,15 @@ class Regrasp:
         self._tips = self._hand.fingertips(theta).positions
         self._depth = np.zeros(self._hand.fingers)
         self._posture = theta.copy()
-        self._closing = False
+        self._closing, self.missed = False, ""
 
     def open(self) -> None:
         """Begin to open again, along the normals of the grasp that was left."""
-        self._closing = False
+        self._closing, self.missed = False, ""
 
     def close(self) -> None:
         """Begin to close."""
-        self._closing = True
+        self._closing, self.missed = True, ""
 
     def finish(self) -> None:
         """Forget the grasp that was left."""
@@ -85,8 +87,20 @@ class Regrasp:
         if self._closing:
             moves = np.where(contacts.touching, 0.0, c.speed * dt)
             self._depth = np.minimum(self._depth + moves, c.overtravel)
+            self._give_up(~contacts.touching & (self._depth >= c.overtravel))
         else:
             self._depth = np.maximum(self._depth - c.speed * dt, -c.opening)
         tips = self._tips + self._depth[:, None] * self._normals
         self._posture, _ = inverse_kinematics(self._hand, tips, self._posture)
         return self._posture
+
+    def _give_up(self, missing: NDArray[np.bool_]) -> None:
+        """Open again where fingers, shape (k,), have searched as far as they may."""
+        if missing.any():
+            names = [self._hand.finger_names[i] for i in np.flatnonzero(missing)]
+            self._closing = False
+            self.missed = (
+                f"{', '.join(names)} closed {1e3 * self._config.overtravel:.0f} mm beyond the last "
+                "contacts without touching; the hand is open again: place the object between the "
+                "fingers and grasp, or raise regrasp.overtravel"
+            )

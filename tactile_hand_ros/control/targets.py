@@ -20,12 +20,18 @@ from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 Array = NDArray[np.float64]
 
 
+_NEAR, _TURNED = 1e-3, 0.02  # m and rad; a reference that is nearer has arrived
+
+
 class SmoothReference:
     """Follows desired poses like a critically damped spring, from where the grasp is.
 
     x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation,
     in steps that are exact for any time: with e = x - x_d and a = x' + e / T,
     e(t) = (e + a t) exp(-t / T) and x'(t) = (x' - a t / T) exp(-t / T).
+
+    Attributes:
+        is_moving: Whether it is still on its way.
     """
 
     def __init__(self) -> None:
@@ -36,6 +42,7 @@ class SmoothReference:
         """Forget where the reference is."""
         self._pose: Target | None = None
         self._rates = np.zeros(6)  # velocity, and the rate of the rotation vector
+        self.is_moving = False
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
         """Return the pose to follow at this tick.
@@ -58,6 +65,8 @@ class SmoothReference:
         self._rates = fading * (self._rates - dt / time * course)
         orientation = rodrigues(*error[3:]) @ target.orientation
         self._pose = Target(target.position + error[:3], orientation)
+        way, turn_left = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
+        self.is_moving = bool(way > _NEAR or turn_left > _TURNED)
         return self._pose
 
 
@@ -198,6 +207,10 @@ class TargetQueue:
         self.target = self.accepted = target
         self._queue = later
         return ""
+
+    def stop(self, target: Target) -> None:
+        """Give up the way to the target at a pose on it."""
+        self.target = target
 
     def _judge(self, target: Target, grasp: Grasp) -> None:
         """Check the reach of a pose, unless it is the one that was last found to be in reach.

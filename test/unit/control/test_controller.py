@@ -133,6 +133,24 @@ def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
     assert "out of reach" in bench.step().reason
 
 
+def test_a_move_ends_where_the_grasp_force_nears_its_limit():
+    """What holds the object where a move begins may not hold it where it ends."""
+    bench = Bench(grasp_force_limit=20.0, reference_time=0.2)
+    bench.step()
+    target = bench.target(0.01, 0.0, 0.0)
+    bench.controller.command(target)
+    assert not bench.step(100, grasp_force=15.9).reason
+    assert "the move ends here: k_f = 16.1 N is near" in bench.step(grasp_force=16.1).reason
+    stopped = bench.controller.target
+    assert 0.0 < stopped.position[0] - bench.centroid[0] < 0.009
+    assert not bench.step(500, grasp_force=10.0).reason
+    assert bench.controller.target is stopped
+    bench.controller.command(target)
+    assert not bench.step(2000).reason  # it may be asked for again
+    assert not bench.step(grasp_force=19.0).reason  # and one that has arrived stays there
+    assert bench.controller.target is target
+
+
 @pytest.mark.parametrize(
     ("given", "reason"),
     [

@@ -104,8 +104,22 @@ def test_fingers_open_against_their_normals_and_close_beyond_the_contacts(finger
         # Whether they still touch makes no difference on the way out.
         np.testing.assert_allclose(fingers.depths(ticks, 0, 2), depth, atol=0.01)
     fingers.regrasp.close()
-    for ticks, depth in ((1, -11.0), (11, 0.0), (8, 8.0), (3, 8.0)):
+    for ticks, depth in ((1, -11.0), (11, 0.0), (7, 7.0)):
         np.testing.assert_allclose(fingers.depths(ticks), depth, atol=0.01)
+
+
+def test_closing_on_nothing_ends_with_a_message_and_an_open_hand(fingers):
+    regrasp = fingers.regrasp
+    regrasp.leave(THETA, fingers.grip)
+    fingers.depths(12)
+    regrasp.close()
+    np.testing.assert_allclose(fingers.depths(20, 1), [8.0, -12.0, 8.0], atol=0.01)
+    first, _, third = fingers.hand.finger_names
+    assert f"{first}, {third} closed 8 mm beyond the last contacts" in regrasp.missed
+    assert regrasp.active and not regrasp.closing
+    np.testing.assert_allclose(fingers.depths(30, 1), -12.0, atol=0.01)
+    regrasp.close()
+    assert regrasp.closing and not regrasp.missed
 
 
 def test_while_closing_a_finger_that_touches_waits_for_the_others(fingers):
