@@ -235,7 +235,7 @@ class Controller:
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to = "", 0.0
         # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
-        self._required, self._stiffness = 0.0, math.inf
+        self._required: tuple[float, float] | None = None
 
     def _trust(self) -> None:
         """Forget all doubts."""
@@ -376,22 +376,22 @@ class Controller:
             self._grasp = Grasp(theta, contacts, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
-            refused = self._stopped(wanted, grasp_force) or refused
+            refused = self._stopped(pose, grasp_force) or refused
             self._fit(theta, contacts, optimal_forces)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
             )
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
-        # The square overflows only for torques that no joint could have: one check for all of them.
         total = parts.total
+        # The square overflows only for torques that no joint could have: one check for all of them.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         self._enter(Mode.DRIVE, theta)
         self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        if dt > 0.0:
-            self._judge_hold(grasp_force)
+        if dt > 0.0:  # the rate of the ticks is known
+            self._judge_hold(theta, contacts, optimal_forces, grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         return Command(torque, Mode.DRIVE, pose, refused)
 
@@ -422,16 +422,17 @@ class Controller:
         passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
 
-    def _stopped(self, way: Target, grasp_force: float) -> str:
-        """Return why the hand moves no further; empty if it does.
+    def _stopped(self, pose: AuxiliaryPose, grasp_force: float) -> str:
+        """Return why the grasp stays where it is from now on; empty if it moves on.
 
         Friction, rims and joints along the way cannot be known before; what holds the object where
-        a move begins may not hold it where it ends. The grasp force shows it in time.
+        a move begins may not hold it where it ends. A grasp force that grows is the sign of it.
         """
         limit = self.config.grasp_force_limit
-        if not (self._reference.is_moving and 0.0 < _MOVES_UNTIL * limit < grasp_force):
+        if not (0.0 < _MOVES_UNTIL * limit < grasp_force and self._reference.is_moving):
             return ""
-        self._targets.stop(way)
+        self._reference.reset()
+        self._targets.stay(pose)
         return (
             f"the move ends here: k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and "
             "the way ahead may need more; go back, or ask for a smaller turn"
@@ -510,24 +511,28 @@ class Controller:
 
     def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
         """Fit the gains that are not given to the hand, once in a grasp and for its ticks."""
-        if self._fitted_to == self._period:
+        if self._law.fits or self._fitted_to == self._period:
             return
         self._fitted_to, c = self._period, self.config
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for one's own
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
-        if not self._law.fits:
-            ages = c.touch_latency, c.law.observer.time
-            how = forces, self._period, *ages, c.hold.resolution
-            self._law.fit(fitted_gains(self.hand, theta, contacts, *how))
-        self._required = required_bandwidth(self.hand, theta, contacts, forces)
-        self._stiffness = self._stiffest(self.hand.dynamics(theta, np.zeros(self.hand.joints))[1])
+        ages = c.touch_latency, c.law.observer.time
+        how = forces, self._period, *ages, c.hold.resolution
+        self._law.fit(fitted_gains(self.hand, theta, contacts, *how))
 
-    def _judge_hold(self, grasp_force: float) -> None:
+    def _judge_hold(
+        self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
+    ) -> None:
         """Warn once in a grasp if a hold could not keep it at this rate of the ticks."""
         if self.config.law.name != "optimal" or self.warning:
             return
-        required, has = math.sqrt(grasp_force) * self._required, self._stiffness
+        if self._required is None:
+            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
+            inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
+            needed = required_bandwidth(self.hand, theta, contacts, forces)
+            self._required = needed, self._stiffest(inertia)
+        required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
             self.warning = (

@@ -18,8 +18,6 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 
 Array = NDArray[np.float64]
-
-
 _NEAR, _TURNED = 1e-3, 0.02  # m and rad; a reference that is nearer has arrived
 
 
@@ -29,9 +27,6 @@ class SmoothReference:
     x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation,
     in steps that are exact for any time: with e = x - x_d and a = x' + e / T,
     e(t) = (e + a t) exp(-t / T) and x'(t) = (x' - a t / T) exp(-t / T).
-
-    Attributes:
-        is_moving: Whether it is still on its way.
     """
 
     def __init__(self) -> None:
@@ -42,7 +37,13 @@ class SmoothReference:
         """Forget where the reference is."""
         self._pose: Target | None = None
         self._rates = np.zeros(6)  # velocity, and the rate of the rotation vector
-        self.is_moving = False
+        self._error = np.zeros(6)  # from the target to the pose, m and rad
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it is still on its way."""
+        way, turn = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
+        return bool(way > _NEAR or turn > _TURNED)
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
         """Return the pose to follow at this tick.
@@ -54,7 +55,7 @@ class SmoothReference:
             dt: Time since the last tick, s.
         """
         if time <= 0.0:
-            self._pose = None
+            self.reset()
             return target
         if self._pose is None:
             self._pose, self._rates = Target(now.position, now.orientation), np.zeros(6)
@@ -65,8 +66,7 @@ class SmoothReference:
         self._rates = fading * (self._rates - dt / time * course)
         orientation = rodrigues(*error[3:]) @ target.orientation
         self._pose = Target(target.position + error[:3], orientation)
-        way, turn_left = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
-        self.is_moving = bool(way > _NEAR or turn_left > _TURNED)
+        self._error = error
         return self._pose
 
 
@@ -190,7 +190,7 @@ class TargetQueue:
             grasp: The grasp in this tick.
         """
         if self.target is None:
-            self.target = Target(grasp.pose.position, grasp.pose.orientation)
+            self.stay(grasp.pose)
         count = bisect.bisect_right(self._queue, stamp, key=_due_at)
         if not count:
             return ""
@@ -208,9 +208,9 @@ class TargetQueue:
         self._queue = later
         return ""
 
-    def stop(self, target: Target) -> None:
-        """Give up the way to the target at a pose on it."""
-        self.target = target
+    def stay(self, pose: AuxiliaryPose) -> None:
+        """Make the pose of the grasp the target."""
+        self.target = Target(pose.position, pose.orientation)
 
     def _judge(self, target: Target, grasp: Grasp) -> None:
         """Check the reach of a pose, unless it is the one that was last found to be in reach.
