@@ -37,10 +37,9 @@ COLUMNS = ("scenario", "changed", "alarms", "largest k_f", "last k_f", "slid", "
 SCENARIOS = ("hold", "pull", "human_hold", "human_pull")
 
 RATES = ((200, 200), (500, 100), (1000, 2000), (2000, 1000))
-"""Of ticks and skin, Hz; fingers as light as the human hand's cannot be kept below 150 Hz."""
+"""Of ticks and skin, Hz; fingers as light as the human hand's cannot be kept at 125 Hz."""
 BITS = (12, 14, 20)
 LINKS, MASSES = (0.01, 0.05, 0.25), (0.005, 0.05, 0.3, 1.0)
-_G = 9.81
 
 _NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame through the contacts has no upper side
 
@@ -133,7 +132,7 @@ def resized(
         "plant.object.position": [scale * x for x in thing.position],
         "plant.object.mass": mass,
         "tactile_sensor.location_noise": scale * base.tactile_sensor.location_noise,
-        "slip_regulator.grasp_force": 1.0 + 4.0 * mass * _G,
+        "slip_regulator.grasp_force": 1.0 + 4.0 * mass * float(np.linalg.norm(base.gravity)),
         **dict.fromkeys([f"{law}k_p", f"{law}k_o", f"{law}damping"], 0.0),
         **dict.fromkeys([f"{law}integral.k_p", f"{law}integral.k_o"], 0.0),
     }
@@ -164,7 +163,7 @@ def _changed_hand(
     root = ElementTree.fromstring(text)
     for origin in root.iter("origin"):
         place = scale * np.fromstring(origin.get("xyz", "0 0 0"), sep=" ")
-        origin.set("xyz", " ".join(map(repr, place.tolist())))
+        origin.set("xyz", _numbers(place))
     for body in root.iter("inertial"):
         inertia, found = body.find("inertia"), body.find("mass")
         assert inertia is not None and found is not None
@@ -196,8 +195,13 @@ def _turn_mounts(root: ElementTree.Element, palm: str, rotation: Array) -> None:
         origin = ElementTree.SubElement(joint, "origin") if origin is None else origin
         place, angles = (np.fromstring(origin.get(x, "0 0 0"), sep=" ") for x in ("xyz", "rpy"))
         pose = rotation @ euler.from_euler("xyz", angles).as_matrix()
-        origin.set("xyz", " ".join(map(repr, (rotation @ place).tolist())))
-        origin.set("rpy", " ".join(map(repr, euler.from_matrix(pose).as_euler("xyz").tolist())))
+        origin.set("xyz", _numbers(rotation @ place))
+        origin.set("rpy", _numbers(euler.from_matrix(pose).as_euler("xyz")))
+
+
+def _numbers(vector: Array) -> str:
+    """Return a vector as URDF writes it."""
+    return " ".join(map(repr, vector.tolist()))
 
 
 def alarms(record: Record) -> int:
