@@ -25,7 +25,7 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
-from tactile_hand_ros.ros.scheduling import Scheduling, chosen_cpus, parse_priority
+from tactile_hand_ros.ros.scheduling import Scheduling, parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
@@ -44,9 +44,7 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
         Interrupted: If a signal came before anything was started.
     """
     scenario = _checked(options)
-    scheduling = Scheduling(
-        parse_priority(str(options.priority)), chosen_cpus(options.cpus) if options.cpus else ()
-    )
+    scheduling = Scheduling(parse_priority(str(options.priority)))
     # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
     ensure_compiled(signals.wait)
     plan = Plan(

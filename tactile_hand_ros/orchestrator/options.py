@@ -69,9 +69,6 @@ class RunOptions:
     priority: Annotated[
         int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")
     ] = 0
-    cpus: Annotated[
-        str, typer.Option(help="Processors for the nodes, as 0,2-3; not for the recorder.")
-    ] = ""
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False
 
     @property

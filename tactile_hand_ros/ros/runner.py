@@ -46,7 +46,7 @@ def run_nodes(
     Args:
         make: Makes the nodes, one after the other.
         args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
-            ask for SCHED_FIFO and for processors, see `scheduling`.
+            ask for SCHED_FIFO, see `scheduling`.
         described: What ``--help`` shows the docstrings of.
 
     Returns:
@@ -146,7 +146,6 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Schedulin
     use_sockets()
     try:
         scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
-        scheduling.restrict()  # before there are threads and processes that should inherit it
         rclpy.init(args=line)
         if _was_signalled:  # before rclpy handles signals
             raise KeyboardInterrupt

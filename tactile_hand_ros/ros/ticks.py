@@ -7,6 +7,7 @@ is complete. Nothing else joins messages.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -19,8 +20,8 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.streams import Decode, Stream
 
 _SECOND = 1_000_000_000
-_SHORTEST_LEAP = 100_000_000
-"""A step ahead that is no leap, whatever the ticks are [ns]."""
+_MILLISECOND = 1_000_000
+_HIGHEST = 64  # rank of the first tick
 
 
 class StampMatcher:
@@ -28,34 +29,26 @@ class StampMatcher:
 
     Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
     given up when a newer one is complete. A complete set at stamp 0, or more than a second before
-    the last one, means that the senders have started over: everything
-    else is forgotten then. A single old message means nothing.
+    the last one, means that the senders have started over: everything else is forgotten then. A
+    single old message means nothing.
+
+    Attributes:
+        keys: One key per stream.
+        last: The newest complete stamp [ns], None before the first.
+        pending: Values of incomplete stamps.
     """
 
-    def __init__(
-        self,
-        keys: Sequence[str],
-        *,
-        memory: int = 100,
-        on_restart: Callable[[], None] = lambda: None,
-    ) -> None:
+    def __init__(self, keys: Sequence[str], memory: int = 100) -> None:
         """Name the streams.
 
         Args:
             keys: One key per stream.
             memory: Incomplete stamps that are kept; the first to come are the first to go.
-            on_restart: Called when the senders have started over, before their first set is given.
         """
         self.keys = tuple(keys)
-        self._memory = memory
-        self._on_restart = on_restart
         self.last: int | None = None
-        self._pending: dict[int, dict[str, Any]] = {}
-
-    @property
-    def pending(self) -> int:
-        """How many incomplete stamps are kept."""
-        return len(self._pending)
+        self.pending: dict[int, dict[str, Any]] = {}
+        self._memory = memory
 
     def put(self, key: str, stamp_ns: int, value: Any) -> tuple[Any, ...] | None:
         """Add a value.
@@ -72,12 +65,17 @@ class StampMatcher:
         if last is not None and stamp_ns <= last:
             if stamp_ns == last or (stamp_ns > 0 and last - stamp_ns <= _SECOND):
                 return None
-        values = self._pending.setdefault(stamp_ns, {})
+        values = self.pending.setdefault(stamp_ns, {})
         values[key] = value
         if len(values) == len(self.keys):
-            return self._complete(stamp_ns, tuple([values[key] for key in self.keys]))
-        if len(self._pending) > self._memory:
-            del self._pending[next(iter(self._pending))]  # the first that came, in any epoch
+            has_restarted = last is not None and stamp_ns < last
+            # After a restart whatever waits at later stamps is from before it.
+            waiting = {} if has_restarted else self.pending
+            self.pending = {t: kept for t, kept in waiting.items() if t > stamp_ns}
+            self.last = stamp_ns
+            return tuple([values[key] for key in self.keys])
+        if len(self.pending) > self._memory:
+            del self.pending[next(iter(self.pending))]  # the first that came, in any epoch
         return None
 
     def missing(self, stamp_ns: int | None = None) -> list[str]:
@@ -87,49 +85,9 @@ class StampMatcher:
             stamp_ns: The stamp; by default the one that has waited longest.
         """
         if stamp_ns is None:
-            stamp_ns = next(iter(self._pending), None)
-        values = self._pending.get(stamp_ns) if stamp_ns is not None else None
+            stamp_ns = next(iter(self.pending), -1)
+        values = self.pending.get(stamp_ns)
         return [] if values is None else [key for key in self.keys if key not in values]
-
-    def _complete(self, stamp_ns: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
-        restarted = self.last is not None and stamp_ns < self.last
-        self.last = stamp_ns
-        # After a restart whatever waits at later stamps is from before it.
-        waiting = {} if restarted else self._pending
-        self._pending = {t: kept for t, kept in waiting.items() if t > stamp_ns}
-        if restarted:
-            self._on_restart()
-        return values
-
-
-class Leaps:
-    """Doubts a stamp far ahead of the last one until a second one confirms it.
-
-    One message with a wrong stamp must not take a node ahead, where it would ignore all that comes
-    until time has caught up. Far is more than a tenth of a second and twice the last step. Ticks
-    that were lost cost one tick more. Stamps that go back are left to `StampMatcher`.
-    """
-
-    def __init__(self) -> None:
-        """Start without a stamp: the first one is accepted."""
-        self._last: int | None = None
-        self._step = 0
-        self._doubted: int | None = None
-
-    def doubts(self, stamp: int) -> bool:
-        """Note a stamp, ns, and return whether it leaps ahead and nothing has confirmed it yet.
-
-        What confirms it is the same stamp again, or a later one with none in between that continues
-        from the last.
-        """
-        last, doubted = self._last, self._doubted
-        if last is not None and stamp - last > max(_SHORTEST_LEAP, 2 * self._step):
-            self._doubted = stamp
-            if doubted is None or stamp < doubted:
-                return True
-        self._step = 0 if last is None else max(0, stamp - last)
-        self._last, self._doubted = stamp, None
-        return False
 
 
 _NUMBER = "publication_sequence_number"
@@ -187,52 +145,6 @@ class SenderCheck:
         """Whether a second sender was found within the last half second."""
         return self._found is not None and self._clock() - self._found < _LASTING
 
-    def ended(self) -> bool:
-        """Return whether a conflict was over since the last call."""
-        if self._found is None or self.in_conflict:
-            return False
-        self._found = None
-        return True
-
-
-_MILLISECOND = 1_000_000
-_HIGHEST = 64  # rank of the first tick
-
-
-class SilenceTimeout:
-    """Measures the time for which a trigger has come without a complete set of inputs.
-
-    Silence of the trigger itself does not count: then there is nothing to answer. The time must
-    have passed by the stamps of the triggers and by the wall clock. By the stamps, because in
-    lockstep they do not advance while a tick waits for its inputs: all nodes wait for the one that
-    stalls, and no result depends on how fast the machine is. By the wall clock, because one stamp
-    that lies ahead does not mean that time has passed.
-
-    Attributes:
-        expired: Whether the inputs are missing.
-    """
-
-    def __init__(self, timeout: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        """Take the time [s] after which inputs count as missing."""
-        self._timeout = round(1e9 * timeout)
-        self._clock = clock
-        self._since: tuple[int, int] | None = None  # wall clock and stamp, ns
-        self.expired = False
-
-    def triggered(self, stamp_ns: int) -> bool:
-        """Note a trigger whose set is not complete yet; return whether the inputs are missing."""
-        if not self.expired:
-            now = self._clock()
-            if self._since is None or stamp_ns < self._since[1]:
-                self._since = now, stamp_ns
-            self.expired = min(now - self._since[0], stamp_ns - self._since[1]) >= self._timeout
-        return self.expired
-
-    def complete(self) -> bool:
-        """Note a complete set; return whether the inputs had been missing."""
-        had_expired, self.expired, self._since = self.expired, False, None
-        return had_expired
-
 
 def rank(stamp_ns: int, previous_ns: int | None) -> int:
     """Return the rank of a tick after another one [ns]; without one it is the highest."""
@@ -242,7 +154,15 @@ def rank(stamp_ns: int, previous_ns: int | None) -> int:
 
 
 def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
-    """Return those of waiting ticks which nothing of higher rank follows.
+    """Return which of several complete ticks are answered; the others are skipped.
+
+    A node that is slower than its ticks and answers all of them answers ever older ones. This
+    cannot happen in lockstep, but it can in real time. So of several ticks that wait together some
+    are skipped. But a consumer that needs the answers of two nodes to the same tick gets neither
+    if each node skips other ticks. Each tick therefore has a rank: n where it is the first one in
+    a stretch of 2^n ms but not of 2^(n+1) ms. It is skipped only where one of higher rank waits
+    behind it. That one comes no sooner than 2^n ms less one period later, so no node that lags by
+    less skips it, and all nodes meet again and again, however they lag.
 
     Args:
         stamps: What waits, oldest first [ns].
@@ -258,59 +178,20 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     return kept[::-1]
 
 
-class Backlog:
-    """Complete ticks that wait until everything that has arrived is read; some are skipped.
-
-    A node that is slower than its ticks and answers all of them answers ever older ones. This
-    cannot happen in lockstep, but it can in real time. So of several ticks that wait together some
-    are skipped. But a consumer that needs the answers of two nodes to the same tick gets neither
-    if each node skips other ticks. Each tick therefore has a rank: n where it is the first one in
-    a stretch of 2^n ms but not of 2^(n+1) ms. It is skipped only where one of higher rank waits
-    behind it. That one comes no sooner than 2^n ms less one period later, so no node that lags by
-    less skips it, and all nodes meet again and again, however they lag.
-
-    Attributes:
-        skipped: Number of ticks that were skipped so far.
-    """
-
-    def __init__(self) -> None:
-        """Start empty."""
-        self.skipped = 0
-        self._waiting: dict[int, tuple[Any, ...]] = {}
-        self._previous: int | None = None
-
-    def __len__(self) -> int:
-        """Return how many ticks wait."""
-        return len(self._waiting)
-
-    def put(self, stamp_ns: int, values: tuple[Any, ...]) -> None:
-        """Add a complete tick [ns]; a second one of the same stamp replaces the first."""
-        self._waiting[stamp_ns] = values
-
-    def take(self) -> list[tuple[int, tuple[Any, ...], bool]]:
-        """Return all ticks that waited, oldest first [ns], and whether each is to be answered."""
-        waiting, self._waiting = self._waiting, {}
-        stamps = list(waiting)
-        answered = set(stamps)
-        if len(stamps) > 1:
-            answered = set(chosen(stamps, self._previous))
-            self.skipped += len(stamps) - len(answered)
-        if answered:
-            self._previous = max(answered)
-        return [(stamp, values, stamp in answered) for stamp, values in waiting.items()]
-
-    def clear(self) -> None:
-        """Forget the ticks that wait."""
-        self._waiting, self._previous = {}, None
-
-
 class TickInputs:
     """Subscribes to streams, joins them by stamp, skips late ticks and watches for silence.
 
-    The first stream is the trigger: when it repeats an answered tick, the last answer is published
-    again, and while it continues without the others for a time-out, its values are passed on
-    alone and immediately, until a complete tick arrives; see `SilenceTimeout`. While two publishers
+    The first stream is the trigger. When it repeats an answered tick, the last answer is published
+    again. A trigger more than a second ahead is ignored until a second one confirms it: one wrong
+    stamp must not take a node ahead, where it would ignore all that comes. While two publishers
     send it, no tick is answered: which one is right cannot be known, and the driver holds.
+
+    While the trigger continues without the others for a time-out, its values are passed on alone
+    and immediately, until a complete tick arrives. Silence of the trigger itself does not count:
+    then there is nothing to answer. The time must have passed by the stamps and by the wall clock.
+    By the stamps, because in lockstep they do not advance while a tick waits for its inputs: all
+    nodes wait for the one that stalls, and no result depends on how fast the machine is. By the
+    wall clock, because one stamp that lies ahead does not mean that time has passed.
     """
 
     def __init__(
@@ -321,6 +202,7 @@ class TickInputs:
         *,
         silence: float | None = None,
         observe: Callable[..., None] | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Create the subscriptions.
 
@@ -335,21 +217,24 @@ class TickInputs:
                 is not complete.
             observe: Takes what `on_tick` would, for each tick that is skipped, in its turn: for a
                 node that has to process every sample although it answers only the newest.
+            clock: Wall clock [ns].
         """
-        self._node = node
-        self._observe = observe
-        self._listener = listener
-        self._streams = streams
+        self._node, self._listener, self._observe = node, listener, observe
+        self._streams, self._clock = streams, clock
+        self._timeout = math.inf if silence is None else 1e9 * silence
         topics = [topic for stream in streams for topic in stream.decoders]
         self._trigger = topics[0]
         self._answer = node.guarded("ticks", self._answer_waiting)
         self._senders = SenderCheck()
-        self._backlog = Backlog()
-        self._matcher = StampMatcher(topics, on_restart=self._restart)
-        self._silence = None if silence is None else SilenceTimeout(silence)
-        self._reason = ""
+        self._matcher = StampMatcher(topics)
+        self._newest: int | None = None  # trigger [ns], and one ahead of it that is not confirmed
+        self._ahead: int | None = None
+        self._waiting: dict[int, tuple[Any, ...]] = {}  # complete, until all that is here is read
+        self._previous: int | None = None  # newest tick that was answered [ns]
+        self._skipped = 0
+        self._alone_since: tuple[int, int] | None = None  # wall clock and stamp [ns]
+        self._reason = ""  # why ticks are answered blindly, empty while they are not
         self._answered_blindly = -1
-        self._leaps = Leaps()
         for stream in streams:
             for topic, decode in stream.decoders.items():
                 take: Any = partial(self._take, topic, decode)
@@ -361,41 +246,53 @@ class TickInputs:
 
     def report(self) -> None:
         """Put the topics that are missing now into the diagnostics."""
-        expired = self._silence is not None and self._silence.expired
-        missing = self._matcher.missing() if expired else []
-        if missing:
+        if self._reason and (missing := self._matcher.missing()):
             self._complain(missing)
 
     def _take(self, topic: str, decode: Decode, data: bytes) -> None:
         stamp, value = decode(data)
-        matched = self._matcher.put(topic, stamp, value)
-        if matched is not None:
-            self._complete(stamp, matched)
+        self._match(topic, stamp, value)
 
     def _take_trigger(self, decode: Decode, data: bytes, info: Mapping[str, Any]) -> None:
         stamp, value = decode(data)
         was_contested, contested = self._senders.in_conflict, self._senders.note(info)
         if contested or was_contested:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
-        if contested or self._leaps.doubts(stamp):
+        if contested or self._is_unconfirmed(stamp):
             return
         if stamp == self._matcher.last:  # answered, but the answer has not arrived
-            if not self._backlog:  # else a newer answer is about to be given
+            if not self._waiting:  # else a newer answer is about to be given
                 self._listener.on_repeat()
-            return
-        matched = self._matcher.put(self._trigger, stamp, value)
-        if matched is not None:
-            self._complete(stamp, matched)
-        elif self._silence is not None:
-            self._wait(self._silence, stamp, value)
+        elif not self._match(self._trigger, stamp, value):
+            self._note_alone(stamp, value)
 
-    def _complete(self, stamp: int, matched: tuple[Any, ...]) -> None:
-        if self._silence is not None and self._silence.complete():
+    def _is_unconfirmed(self, stamp: int) -> bool:
+        """Return whether a trigger is far ahead, and none before it has been at or before it."""
+        newest, ahead = self._newest, self._ahead
+        if newest is not None and stamp - newest > _SECOND and (ahead is None or stamp < ahead):
+            self._ahead = stamp
+            return True
+        self._newest, self._ahead = stamp, None
+        return False
+
+    def _match(self, topic: str, stamp: int, value: Any) -> bool:
+        """Add a value to its tick [ns]; return whether that made it complete."""
+        last = self._matcher.last
+        values = self._matcher.put(topic, stamp, value)
+        if values is None:
+            return False
+        if last is not None and stamp < last:
+            self._waiting, self._previous, self._answered_blindly = {}, None, -1
+            self._listener.on_restart()
+        self._alone_since = None
+        if self._reason:
+            self._reason = ""
             self._node.diagnostics.clear("inputs")
         if stamp > self._answered_blindly:
-            self._backlog.put(stamp, matched)
-            if len(self._backlog) == 1:
+            self._waiting[stamp] = values
+            if len(self._waiting) == 1:
                 self._after_reading()
+        return True
 
     def _after_reading(self) -> None:
         """Answer when all that has arrived is read; immediately where that is not known."""
@@ -405,31 +302,33 @@ class TickInputs:
         else:
             wait(self._answer)
 
-    def _wait(self, silence: SilenceTimeout, stamp: int, value: Any) -> None:
-        had_expired = silence.expired
-        if silence.triggered(stamp):
-            if not had_expired:
-                self._complain(self._matcher.missing(stamp))
-            self._answered_blindly = stamp
-            self._listener.on_blind_tick(stamp, value, self._reason)
+    def _note_alone(self, stamp: int, value: Any) -> None:
+        """Pass on a trigger alone where the others have been missing for the time-out."""
+        if not self._reason:
+            now = self._clock()
+            if self._alone_since is None or stamp < self._alone_since[1]:
+                self._alone_since = now, stamp
+            since, first = self._alone_since
+            if min(now - since, stamp - first) < self._timeout:
+                return
+            self._complain(self._matcher.missing(stamp))
+        self._answered_blindly = stamp
+        self._listener.on_blind_tick(stamp, value, self._reason)
 
     def _complain(self, missing: Sequence[str]) -> None:
         self._reason = f"no {', '.join(missing)}; holding the hand until all inputs are back"
         self._node.diagnostics.fault("inputs", self._reason)
 
-    def _restart(self) -> None:
-        self._answered_blindly = -1
-        self._backlog.clear()
-        self._listener.on_restart()
-
     def _answer_waiting(self) -> None:
         """Answer what has arrived, without the ticks that a slow node skips."""
-        skipped = self._backlog.skipped
-        ticks = self._backlog.take()
-        if self._backlog.skipped > skipped:
-            self._node.diagnostics.value("ticks_left_out", self._backlog.skipped)
-        for stamp, matched, is_answered in ticks:
-            take = self._listener.on_tick if is_answered else self._observe
+        waiting, self._waiting = self._waiting, {}
+        answered = set(waiting if len(waiting) < 2 else chosen(list(waiting), self._previous))
+        self._previous = max(answered, default=self._previous)
+        if len(answered) < len(waiting):
+            self._skipped += len(waiting) - len(answered)
+            self._node.diagnostics.value("ticks_left_out", self._skipped)
+        for stamp, matched in waiting.items():
+            take = self._listener.on_tick if stamp in answered else self._observe
             if take is None:
                 continue
             try:

@@ -21,7 +21,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 from support.graph import TICK_TOPICS
 
-from tactile_hand_ros.bag.reader import read_messages, summarize
+from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
 from tactile_hand_ros.ros.processes import (
@@ -198,14 +198,12 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: 
     assert "report: " in done.stdout and f"shown {report.as_uri()}" in done.stdout
 
 
-def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
+def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
-    """All topics are below the namespace, which ROS arguments may give; --cpus pins the nodes."""
+    """All topics are below the namespace, which ROS arguments may give."""
     tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report")
-    cpu = str(min(os.sched_getaffinity(0)))
-    ours = (*tight, "--cpus", cpu)
-    orchestrator = start("--scenario", near, *ours, "--ros-args", "-r", "__ns:=/left", "--")
+    orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
     assert end_of(orchestrator) == 1
     assert "the final position error is" in orchestrator.stderr
     assert summary_of(tmp_path)["outcome"] == "goal not reached"
@@ -214,15 +212,6 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace_and_on_one_processor(
     for topic in TICK_TOPICS:
         assert counts[f"/left/{topic}"] >= 151, topic
     assert "/joint_states" not in counts
-    told = {
-        status.name: value.value
-        for each in read_messages(latest(tmp_path) / "bag", ["/diagnostics"])
-        for status in each.message.status
-        for value in status.values
-        if value.key == "scheduling_cpus"
-    }
-    assert told.pop("/left/recorder") == ",".join(map(str, sorted(os.sched_getaffinity(0))))
-    assert set(told.values()) == {cpu}
 
 
 def test_ctrl_c_leaves_a_whole_bag_also_when_the_recorder_was_held_up(

@@ -378,7 +378,7 @@ class PlantDriver:
             return
         now = time.monotonic()
         if run.refusing:
-            if self._senders.ended():
+            if run.reason == CONFLICT and not self._senders.in_conflict:
                 self._answered_at = now
                 self._resume()
             return

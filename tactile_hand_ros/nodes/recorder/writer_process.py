@@ -29,7 +29,6 @@ _PROGRAM = f"""
 import os, sys
 try:
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
 except OSError:
     pass
 sys.path = [path for path in sys.path if path]

@@ -55,8 +55,6 @@ def test_a_scenario_is_an_argument_or_an_option(options: dict[str, str], wanted:
         ({"changes": ["targets=[{position: [9, 9, 9]}]"]}, "out of reach"),
         ({"namespace": "1st"}, "the namespace is '1st'"),
         ({"priority": 100}, "--priority is '100'"),
-        ({"cpus": "all"}, "--cpus is 'all'"),
-        ({"cpus": "0,9999"}, "'0,9999', but this machine has no processor 9999"),
     ],
 )
 def test_what_is_refused_starts_nothing(

@@ -13,40 +13,21 @@ from hypothesis import strategies as st
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.scheduling import (
     Scheduling,
-    format_cpus,
-    parse_cpus,
-    present_cpus,
     take_scheduling,
     yield_while_resending,
 )
 
 
-def lists_of(numbers):
-    return st.sets(numbers).map(sorted).map(tuple)
-
-
-@given(st.integers(0, 99), lists_of(st.sampled_from(present_cpus())))
-def test_what_is_written_is_read(priority, cpus):
-    asked = Scheduling(priority, cpus)
+@given(st.integers(0, 99))
+def test_what_is_written_is_read(priority):
+    asked = Scheduling(priority)
     assert take_scheduling(asked.arguments) == (asked, [])
 
 
-def test_a_processor_that_is_not_there_is_refused():
-    assert set(os.sched_getaffinity(0)) <= set(present_cpus())
-    missing = present_cpus()[-1] + 1
-    with pytest.raises(ConfigurationError, match=f"no processor {missing}; it has 0"):
-        take_scheduling(["--cpus", f"0-{missing + 2}"])
-
-
 def test_other_words_are_left_alone():
-    words = ["--priority=7", "-h", "--cpus", "0", "other"]
-    assert take_scheduling(words) == (Scheduling(7, (0,)), ["-h", "other"])
+    words = ["--priority=7", "-h", "other"]
+    assert take_scheduling(words) == (Scheduling(7), ["-h", "other"])
     assert take_scheduling([]) == (Scheduling(), [])
-
-
-def test_ranges():
-    assert parse_cpus("3,0-1,1") == (0, 1, 3)
-    assert format_cpus((0, 1, 3)) == "0,1,3"
 
 
 @pytest.mark.parametrize(
@@ -56,10 +37,6 @@ def test_ranges():
         ["--priority", "100"],
         ["--priority", "-1"],
         ["--priority=high"],
-        ["--cpus"],
-        ["--cpus", "2-1"],
-        ["--cpus=0,,1"],
-        ["--cpus", "a-b"],
     ],
 )
 def test_nonsense_is_refused(words):

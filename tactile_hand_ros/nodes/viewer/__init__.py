@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The viewer: frames and markers for RViz and Foxglove."""
