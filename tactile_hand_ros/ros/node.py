@@ -203,14 +203,6 @@ class TactileNode(Node, Generic[C]):
     def on_report(self) -> None:
         """Add what should be in the next diagnostics; override it to report once a second."""
 
-    def check_ready(self) -> None:
-        """Check what can only be known when all subscriptions exist.
-
-        Raises:
-            ConfigurationError: If a QoS override names a topic that the node does not take.
-        """
-        self._config_parameters.check_qos_overrides()
-
     def _take_config(self, config: C) -> None:
         try:
             self.on_config(config)

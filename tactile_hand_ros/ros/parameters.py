@@ -97,26 +97,20 @@ class ConfigParameters(Generic[C]):
         # rclpy offers no public way to see overrides before they are declared.
         overrides: Mapping[str, Parameter] = self._node._parameter_overrides
         source = self._node.get_fully_qualified_name()
-        self._refuse_unknown(
-            [
-                name
-                for name in overrides
-                if name not in (*self._fields, *_OF_ROS) and not name.startswith(_QOS_PREFIX)
-            ],
-            list(self._fields),
-        )
+        known = {*self._fields, *_OF_ROS}
+        self._refuse([n for n in overrides if n not in known and not n.startswith(_QOS_PREFIX)])
         return {
             name: from_ros(field, overrides[name].value, f"{source}: {name}")
             for name, field in self._fields.items()
             if name in overrides
         }
 
-    def _refuse_unknown(self, unknown: list[str], known: list[str]) -> None:
+    def _refuse(self, unknown: list[str]) -> None:
         """Refuse unknown parameters, but only warn of those that a file gives to all nodes."""
         source = self._node.get_fully_qualified_name()
         shared = _given_to_all(self._node) if unknown else set()
         for name in unknown:
-            hint = did_you_mean(name, known)
+            hint = did_you_mean(name, list(self._fields))
             if name not in shared:
                 raise ConfigurationError(
                     f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
@@ -169,22 +163,6 @@ class ConfigParameters(Generic[C]):
         if any(parameter.name in self._fields for parameter in parameters):
             self.config = self._candidate(parameters)
             self._on_change(self.config)
-
-    def check_qos_overrides(self) -> None:
-        """Refuse QoS overrides that no subscription of the node has asked for.
-
-        Call it when the node has all its subscriptions.
-
-        Raises:
-            ConfigurationError: With the names that can be overridden.
-        """
-        unknown = [
-            name
-            for name in self._node._parameter_overrides
-            if name.startswith(_QOS_PREFIX) and not self._node.has_parameter(name)
-        ]
-        known = self._node.get_parameters_by_prefix("qos_overrides")
-        self._refuse_unknown(unknown, [_QOS_PREFIX + rest for rest in known])
 
 
 def _given_to_all(node: Node) -> set[str]:

@@ -61,7 +61,6 @@ def run_nodes(
         for node in make():
             nodes.append(node)
         for node in nodes:
-            getattr(node, "check_ready", _nothing)()
             _announce(node)
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))

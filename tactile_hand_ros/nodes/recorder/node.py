@@ -3,25 +3,42 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+from tactile_hand_ros.bag.metadata import offered_qos
+from tactile_hand_ros.bag.provenance import LOST_KEY, RECORD_NAME, provenance
+from tactile_hand_ros.bag.schema import message_definition
+from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.nodes.recorder.recording import Recording
+from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
+from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
+_QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
 _VISIT_PERIOD = 0.01  # s between two visits to the queues of the subscriptions
+_DISCOVERY_PERIOD = 0.02  # s between two looks at the graph for new topics
+_CALM_PERIOD = 0.2  # s, for a graph that does not change
+_CALM_AFTER = 1.0  # s
+_QUIET = 0.05  # s without a message after which nothing more is on its way
+_LAST_CALL = 0.5  # s, longest wait for that while publishers continue
+_ATTENTION = 0.002  # s between two visits to the queues in that time
 
 
 class RecorderNode(TactileNode[RecorderConfig]):
     """Records the chosen topics as a rosbag2 folder until it is stopped.
 
     Subscriptions: every topic that `topics` includes and `exclude` does not, raw, with the
-    quality of service that its publishers offer. Hidden topics are left out.
+    quality of service that its publishers offer. Hidden topics are left out. Topics are subscribed
+    as soon as the graph has them, with or without a publisher, so that a publisher that appears
+    later finds the subscription already there.
 
     Publications: `/diagnostics` (diagnostic_msgs/DiagnosticArray), 1 Hz: messages and bytes
     recorded, number of topics, messages lost on the way, topics whose type is not installed.
@@ -41,59 +58,82 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
         Raises:
             ConfigurationError: If a parameter is refused.
+            BagError: If the bag cannot be created.
         """
         super().__init__("recorder", RecorderConfig, **kwargs)
         self._shares_process = bool(local_publishers)
         self._failure: BagError | None = None
-        self._recording = Recording(self, self.config, local_publishers)
+        self._selection = TopicSelection(self.config.topics, self.config.exclude)
+        self._topics: dict[str, RawTopic] = {}
+        self._tapped: dict[str, int] = {}  # channels of publishers of this process
+        self._refused: set[str] = set()
+        self._changed_at = time.monotonic()
+        self._next_discovery = self._next_flush = 0.0
+        origin = provenance(self.config.scenario)
+        compression = self.config.compression
+        self._writer = WriterProcess(
+            Path(self.config.output), compression=compression, custom_data=origin
+        )
+        try:
+            self._writer.check()
+        except BagError:
+            self.destroy_node()
+            raise
+        # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
+        self._writer.add_metadata(RECORD_NAME, origin)
+        for publisher in local_publishers:
+            if publisher.topic in self._selection:
+                self._tap(publisher)
         self._visits = self.create_timer(_VISIT_PERIOD, self._on_visit)
 
     def close(self) -> None:
-        """Write what is still on its way, then index and metadata.
+        """Write what is still on its way, then index and metadata; the context may have ended.
 
         Raises:
             BagError: If the bag is incomplete.
         """
         if self._failure is not None:
             raise self._failure
-        self._recording.close()
-
-    def check_ready(self) -> None:
-        """Check the parameters, and that the bag is there.
-
-        Raises:
-            ConfigurationError: If a QoS override names a topic that the node does not take.
-            BagError: If the bag cannot be created.
-        """
-        super().check_ready()
-        self._recording.writer.check()
+        writer = self._writer
+        if not writer.is_open:
+            return
+        self._last_call()
+        lost = self._lost()
+        writer.custom_data[LOST_KEY] = str(sum(lost.values()))
+        writer.custom_data |= {LOST_KEY + name: str(count) for name, count in lost.items()}
+        writer.close()
 
     def peers(self) -> dict[str, int]:
         """Return how many matched peers each topic has; a tapped publisher is one."""
-        tapped = {f"{SUBSCRIPTIONS} {topic}": 1 for topic in self._recording.tapped}
-        return super().peers() | tapped
+        return super().peers() | {f"{SUBSCRIPTIONS} {topic}": 1 for topic in self._tapped}
 
     def on_report(self) -> None:
         """Report the counters of the recording."""
-        recording, writer = self._recording, self._recording.writer
-        self.diagnostics.value("output", writer.folder)
-        self.diagnostics.value("messages", writer.message_count)
-        self.diagnostics.value("bytes", writer.bytes_received)
-        self.diagnostics.value("topics", len(recording.topics) + len(recording.tapped))
-        lost = sum(recording.lost().values())
+        put, writer = self.diagnostics.value, self._writer
+        put("output", writer.folder)
+        put("messages", writer.message_count)
+        put("bytes", writer.bytes_received)
+        put("topics", len(self._topics) + len(self._tapped))
+        lost = sum(self._lost().values())
         self._warn("lost_messages", lost, "messages were lost before they were recorded")
-        self._warn(
-            "refused_topics", len(recording.refused), "topics have a type that is not installed"
-        )
+        self._warn("refused_topics", len(self._refused), "topics have a type that is not installed")
 
     def _warn(self, key: str, count: int, text: str) -> None:
         self.diagnostics.value(key, count)
         if count:
             self.diagnostics.fault(key, f"{count} {text}", WARN)
 
+    def _lost(self) -> dict[str, int]:
+        """Return the topics that lost messages and how many, on the way here or to the disk."""
+        refused = self._writer.lost
+        counts = {name: refused[channel] for name, channel in self._tapped.items()}
+        for topic in self._topics.values():
+            counts[topic.name] = topic.lost + refused[topic.channel or 0]
+        return {name: count for name, count in counts.items() if count}
+
     def _on_visit(self) -> None:
         try:
-            if self._recording.step():
+            if self._visit():
                 self.diagnostics.tick()
         except BagError as error:
             if not self._shares_process:
@@ -103,6 +143,95 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.diagnostics.fault("recording", str(error))
             self.get_logger().error(str(error))
             self.publish_diagnostics()
+
+    def _visit(self) -> int:
+        """Write what has arrived, look for topics when it is time, and return the messages taken.
+
+        Raises:
+            BagError: If the disk refuses the data.
+        """
+        now = time.monotonic()
+        if now >= self._next_discovery:
+            if self._discover():
+                self._changed_at = now
+            is_calm = now - self._changed_at >= _CALM_AFTER
+            self._next_discovery = now + (_CALM_PERIOD if is_calm else _DISCOVERY_PERIOD)
+        count = self._drain()
+        if now >= self._next_flush:
+            self._next_flush = now + self.config.flush_period
+            self._writer.flush()
+        self._writer.send()
+        return count
+
+    def _last_call(self) -> None:
+        """Write until the topics are quiet: what was sent before the end must be in the bag."""
+        pause = threading.Event()
+        end = time.monotonic() + _LAST_CALL
+        quiet = time.monotonic() + _QUIET
+        while time.monotonic() < min(end, quiet):
+            if self._drain():
+                quiet = time.monotonic() + _QUIET
+            pause.wait(_ATTENTION)
+        self._drain()
+
+    def _drain(self) -> int:
+        return sum(topic.drain(self._write) for topic in self._topics.values())
+
+    def _write(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
+        if topic.channel is None:
+            topic.channel = self._open_channel(topic.name, topic.type_name)
+        self._writer.write(topic.channel, data, received, sent)
+
+    def _tap(self, publisher: TickPublisher) -> None:
+        package = publisher.kind.__module__.partition(".")[0]
+        type_name = f"{package}/msg/{publisher.kind.__name__}"
+        channel = self._open_channel(publisher.topic, type_name)
+        self._tapped[publisher.topic] = channel
+        write = self._writer.write
+
+        def note(data: bytes) -> None:
+            now = time.time_ns()
+            write(channel, data, now, now)
+
+        publisher.add_tap(note)
+
+    def _discover(self) -> bool:
+        """Look for topics and publishers; return whether some came or went."""
+        changed = False
+        for name, types in self.get_topic_names_and_types():
+            topic = self._topics.get(name)
+            if topic is None:
+                changed |= self._consider(name, types[0])
+            elif topic.adapt(self._write):
+                self._announce(topic)
+                changed = True
+        return changed
+
+    def _consider(self, name: str, type_name: str) -> bool:
+        """Subscribe to a new topic if it is wanted and its type is known; return whether it is."""
+        if name in self._refused or name in self._tapped or name not in self._selection:
+            return False
+        try:
+            message_definition(type_name)
+            topic = RawTopic(self, name, type_name, _QUEUE_DEPTH)
+        except BagError as error:
+            self._refused.add(name)
+            self.get_logger().error(f"{name} is not recorded: {error}")
+            return False
+        self._topics[name] = topic
+        self._announce(topic)
+        return True
+
+    def _announce(self, topic: RawTopic) -> None:
+        """Open a topic's channel as soon as its publishers are known."""
+        if topic.channel is None and topic.publishers:
+            topic.channel = self._open_channel(topic.name, topic.type_name)
+
+    def _open_channel(self, name: str, type_name: str) -> int:
+        publishers = publishers_of(self, name)
+        hashes = [str(p.topic_type_hash) for p in publishers if p.topic_type == type_name]
+        offers = [offered_qos(p.qos_profile) for p in publishers]
+        return self._writer.add_channel(name, type_name, offers, hashes[0] if hashes else "")
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -264,7 +264,6 @@ def test_a_sensor_subscription_may_be_made_best_effort() -> None:
     ):
         here = Process(context)
         node = Example(context=context)
-        node.check_ready()
         here.add(node)
         best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
         here.send("/left/x", Float64(data=1.0), best_effort)

@@ -25,7 +25,7 @@ from std_msgs.msg import Int64
 import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.nodes.recorder import recording
+from tactile_hand_ros.nodes.recorder import node as recorder_module
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
@@ -51,7 +51,6 @@ class Stage:
         values = {"output": str(self.bag), "topics": ["/left/.*"], **options}
         overrides = [Parameter(name, value=value) for name, value in values.items()]
         self.recorder = RecorderNode(local, context=self.context, parameter_overrides=overrides)
-        self.recorder.check_ready()
         self._executor.add_node(self.recorder)
         return self.recorder
 
@@ -96,10 +95,12 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
     ):
         made = Stage(here, there, tmp_path / "bag")
         yield made
-        with suppress(BagError):
-            made.recorder.close()
-        for node in (made.recorder, made.hand, made.talker):
-            node.destroy_node()
+        if hasattr(made, "recorder"):
+            with suppress(BagError):
+                made.recorder.close()
+            made.recorder.destroy_node()
+        made.hand.destroy_node()
+        made.talker.destroy_node()
 
 
 def number(value: int) -> bytes:
@@ -166,7 +167,7 @@ def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: 
 def test_what_is_missing_is_a_warning_and_in_the_bag(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "_QUEUE_DEPTH", 10)
+    monkeypatch.setattr(recorder_module, "_QUEUE_DEPTH", 10)
     stage.record()
     stage.meet("/left/a")
     stage.publish("/left/a", 0)

@@ -138,15 +138,9 @@ def test_it_gives_up_the_priority_of_the_hand_before_it_imports_anything(
     (tmp_path / "mcap" / "__init__.py").write_text(
         "import os\n"
         f"with open({str(tmp_path / 'seen')!r}, 'w') as file:\n"
-        "    print(os.sched_getscheduler(0), len(os.sched_getaffinity(0)), file=file)\n"
+        "    print(os.sched_getscheduler(0), file=file)\n"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(before)})
-    try:
-        writer = WriterProcess(tmp_path / "bag")
-    finally:
-        os.sched_setaffinity(0, before)
+    writer = WriterProcess(tmp_path / "bag")
     psutil.Process(writer.process_id).wait(20.0)
-    policy, processors = (tmp_path / "seen").read_text().split()
-    assert int(policy) == os.SCHED_BATCH and int(processors) == os.cpu_count()
+    assert int((tmp_path / "seen").read_text()) == os.SCHED_BATCH
