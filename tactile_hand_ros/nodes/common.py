@@ -18,7 +18,7 @@ from tactile_hand_ros.ros.node import TactileNode
 Array = NDArray[np.float64]
 
 _MAXIMUM = 5
-"""Lines in a second; of more changes only the number is logged."""
+"""Lines in a second; more changes are not logged."""
 
 
 class ModeLog:
@@ -36,8 +36,7 @@ class ModeLog:
         self._log = log
         self._clock = clock
         self._mode = ""
-        self._second = -1.0
-        self._lines = self._unlogged = 0
+        self._second, self._lines = -1, 0
 
     def note(self, mode: str, reason: str = "") -> None:
         """Note the mode in force, and why it is; the first one needs no line."""
@@ -46,16 +45,12 @@ class ModeLog:
         before, self._mode = self._mode, mode
         if not before:
             return
-        now = self._clock()
-        if now - self._second >= 1.0:
-            self._second, self._lines = now, 0
+        second = int(self._clock())
+        if second != self._second:
+            self._second, self._lines = second, 0
         self._lines += 1
-        if self._lines > _MAXIMUM:
-            self._unlogged += 1
-            return
-        others = f" ({self._unlogged} changes before it not logged)" if self._unlogged else ""
-        self._unlogged = 0
-        self._log(f"{before} -> {mode}{others}" + (f": {reason}" if reason else ""))
+        if self._lines <= _MAXIMUM:
+            self._log(f"{before} -> {mode}" + (f": {reason}" if reason else ""))
 
 
 class ReadingPublisher:

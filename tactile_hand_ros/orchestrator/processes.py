@@ -103,18 +103,9 @@ def _ros2() -> str | None:
 class Processes:
     """The processes of a run; nothing is left when the block ends."""
 
-    def __init__(
-        self,
-        in_a_hurry: Callable[[], bool] = lambda: False,
-        command: Program = started_by,
-    ) -> None:
-        """Prepare.
-
-        Args:
-            in_a_hurry: Called while waiting for an end: whether to be less patient.
-            command: Returns program and first arguments for an executable.
-        """
-        self._command, self._in_a_hurry = command, in_a_hurry
+    def __init__(self, command: Program = started_by) -> None:
+        """Prepare; `command` returns program and first arguments for an executable."""
+        self._command = command
         self._started: dict[str, NodeProcess] = {}
 
     def __enter__(self) -> Processes:
@@ -168,7 +159,7 @@ class Processes:
         for names in order:
             group = [self._started[name] for name in names if name in self._started]
             running = [process for process in group if process.returncode is None]
-            end_together(group, self._in_a_hurry)
+            end_together(group)
             complaints += [
                 f"{process.name} did not end well: code {process.returncode}, see {process.log}"
                 for process in running

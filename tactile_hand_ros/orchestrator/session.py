@@ -128,7 +128,7 @@ class Session:
         """Take what is to be run, where everything is written, and whether to stop."""
         self.plan, self.directory, self.signals = plan, directory, signals
         self.outcome = RunOutcome()
-        self._processes = Processes(lambda: signals.count > 1)
+        self._processes = Processes()
 
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; nothing is left running.

@@ -110,9 +110,7 @@ class Diagnostics:
     def _note(self, entries: dict[str, _Rejections], key: str, error: Exception | str) -> bool:
         entry = entries.setdefault(key, _Rejections())
         now = self._clock()
-        entry.count += 1
-        entry.reason = str(error)[:_LONGEST_REASON]
-        entry.last = now
+        entry.count, entry.reason, entry.last = entry.count + 1, str(error)[:_LONGEST_REASON], now
         is_due = now - entry.logged >= WARN_SECONDS
         if is_due:
             entry.logged = now

@@ -142,18 +142,11 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-@contextlib.contextmanager
-def private_context(domain: int, args: Sequence[str] | None = None) -> Iterator[Any]:
-    """Provide an rclpy context of its own, shut down at the end."""
-    import rclpy  # which ends the process if the middleware is missing
-    from rclpy.context import Context
-
-    context = Context()
-    rclpy.init(context=context, domain_id=domain, args=None if args is None else list(args))
-    try:
-        yield context
-    finally:
-        context.try_shutdown()
+def private_context(
+    domain: int, arguments: Sequence[str] = ()
+) -> contextlib.AbstractContextManager[Any]:
+    """Provide an rclpy context in a domain, shut down at the end; see `ros_context`."""
+    return ros_context(arguments, domain)
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:
@@ -177,11 +170,12 @@ def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:
 
 
 @contextlib.contextmanager
-def ros_context(arguments: Sequence[str] = ()) -> Iterator[Context]:
+def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Iterator[Context]:
     """Provide an rclpy context that leaves signals alone.
 
     Args:
         arguments: Command line with ROS arguments, or nothing.
+        domain: ROS domain id, by default that of the environment.
 
     Raises:
         ConfigurationError: If the ROS arguments cannot be used.
@@ -196,6 +190,7 @@ def ros_context(arguments: Sequence[str] = ()) -> Iterator[Context]:
         rclpy.init(
             context=context,
             args=list(arguments),
+            domain_id=domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:

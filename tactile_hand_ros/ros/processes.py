@@ -86,7 +86,6 @@ _STOP_SECONDS = 5.0
 # How long a signal may take until the next, harder one.
 _PATIENCE = ((signal.SIGINT, _STOP_SECONDS), (signal.SIGTERM, 2.0), (signal.SIGKILL, _STOP_SECONDS))
 _HAS_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
-_HASTE = 1.0  # s for each, when it is urgent
 
 
 def wait_until(condition: Callable[[], Any], timeout: float = 10.0, message: str = "") -> Any:
@@ -165,32 +164,17 @@ class ChildProcess:
             os.killpg(self.pid, number)
 
 
-def end_together(
-    processes: Sequence[ChildProcess], is_urgent: Callable[[], bool] = lambda: False
-) -> None:
-    """End processes and all that they have started: SIGINT first, SIGKILL last.
+def end_together(processes: Sequence[ChildProcess]) -> None:
+    """End processes, and all that they have started, together: SIGINT first, SIGKILL last."""
 
-    Args:
-        processes: Those that get each signal at the same time.
-        is_urgent: Asked while waiting for the end: whether to be less patient.
-    """
+    def have_ended() -> bool:
+        return all(process.returncode is not None for process in processes)
+
     for number, patience in _PATIENCE:
         for process in processes:
             process.send_to_group(number)
-        _wait_for_end(processes, patience, is_urgent)
-
-
-def _wait_for_end(
-    processes: Sequence[ChildProcess], patience: float, is_urgent: Callable[[], bool]
-) -> None:
-    began = time.monotonic()
-
-    def is_over() -> bool:
-        limit = min(patience, _HASTE) if is_urgent() else patience
-        ended = all(process.returncode is not None for process in processes)
-        return ended or time.monotonic() - began > limit
-
-    wait_until(is_over, 2.0 * patience)
+        with suppress(TimeoutError):
+            wait_until(have_ended, patience)
 
 
 class CapturedProcess(ChildProcess):

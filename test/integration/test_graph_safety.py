@@ -88,7 +88,6 @@ def effort(graph: Graph, torque: float) -> JointState:
 MISSED = {
     "tactile_sensor": "no tactile/contacts",
     "slip_regulator": "no grasp_force",
-    "force_optimizer": "no optimal_force/finger_1, optimal_force/finger_2",
 }
 
 

@@ -201,8 +201,9 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: 
 def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
-    """All topics are below the namespace, which ROS arguments may give."""
-    tight = ("--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report")
+    """All topics are below the namespace, which ROS arguments give; here of one process."""
+    tight = ["--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report"]
+    tight.append("--composed")
     orchestrator = start("--scenario", near, *tight, "--ros-args", "-r", "__ns:=/left", "--")
     assert end_of(orchestrator) == 1
     assert "the final position error is" in orchestrator.stderr
@@ -214,44 +215,19 @@ def test_missed_goal_is_an_exit_code_also_in_a_namespace(
     assert "/joint_states" not in counts
 
 
-def test_ctrl_c_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
-    start: Start, tmp_path: Path
-) -> None:
-    """Exit code 130, every tick up to the last is in the bag, nothing runs any more.
-
-    No node waits for the recorder, but what it missed is kept for it for some seconds.
-    """
-    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
-    wait_until_running(tmp_path, orchestrator)
-    processes = family(orchestrator)
-    plant, recorder = member(processes, "plant"), member(processes, "recorder")
-    busy = plant.cpu_times().user
-    recorder.suspend()
-    wait_until(lambda: plant.cpu_times().user > busy + 0.1, PATIENCE, "some hundred ticks")
-    recorder.resume()
-    bag = latest(tmp_path) / "bag" / "bag_0.mcap"
-    size = bag.stat().st_size
-    wait_until(lambda: bag.stat().st_size > size + 400_000, PATIENCE, "a recorder that caught up")
-    orchestrator.send(signal.SIGINT)
-    assert end_of(orchestrator) == 130
-    assert_gone(processes)
-    run = Run(latest(tmp_path))
-    assert run.bag_metrics.complete
-    assert np.array_equal(run.record.stamps, 2_000_000 * np.arange(len(run.record)))
-    summary = summary_of(tmp_path)
-    assert summary["outcome"] == "interrupted"
-    assert summary["reasons"] == []
-    assert summary["metrics"] == run.metrics.to_dict()
-
-
 def _take_terminal() -> None:
     """Make stdin the terminal of this process, and hear when it closes, also below nohup."""
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> None:
-    """SIGHUP, and nobody left to print to: the bag is whole and summed up, nothing runs on."""
+def test_a_closed_terminal_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
+    domain: int, tmp_path: Path
+) -> None:
+    """SIGHUP, and nobody left to print to: every tick up to the last is there, nothing runs on.
+
+    No node waits for the recorder, but what it missed is kept for it for some seconds.
+    """
     ours, theirs = pty.openpty()
     words = ["run", "paper", "--duration", "600", "--out", str(tmp_path / "runs")]
     orchestrator = subprocess.Popen(
@@ -267,11 +243,21 @@ def test_closed_terminal_ends_a_run_like_ctrl_c(domain: int, tmp_path: Path) -> 
     while b"pose error" not in shown:
         shown += os.read(ours, 4096)
     processes = psutil.Process(orchestrator.pid).children(recursive=True)
+    plant, recorder = member(processes, "plant"), member(processes, "recorder")
+    busy, bag = plant.cpu_times().user, latest(tmp_path) / "bag" / "bag_0.mcap"
+    recorder.suspend()
+    wait_until(lambda: plant.cpu_times().user > busy + 0.1, PATIENCE, "some hundred ticks")
+    recorder.resume()
+    size = bag.stat().st_size
+    wait_until(lambda: bag.stat().st_size > size + 400_000, PATIENCE, "a recorder that caught up")
     os.close(ours)
     assert orchestrator.wait(PATIENCE) == 128 + signal.SIGHUP
     assert_gone(processes)
-    assert summary_of(tmp_path)["reasons"] == []
-    assert Run(latest(tmp_path)).bag_metrics.complete
+    run, summary = Run(latest(tmp_path)), summary_of(tmp_path)
+    assert run.bag_metrics.complete
+    assert np.array_equal(run.record.stamps, 2_000_000 * np.arange(len(run.record)))
+    assert (summary["outcome"], summary["reasons"]) == ("interrupted", [])
+    assert summary["metrics"] == run.metrics.to_dict()
 
 
 def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:

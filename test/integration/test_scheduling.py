@@ -72,26 +72,21 @@ def threads(pid: int) -> list[int]:
     return found
 
 
-def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports):
+@pytest.mark.parametrize("permitted", [True, False])
+def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted: bool) -> None:
+    """Where it is refused the node works on."""
     tried = subprocess.run([sys.executable, "-c", _TRY], capture_output=True)
-    with start("--priority", str(PRIORITY)) as process:
+    with start("--priority", str(PRIORITY), permitted=permitted) as process:
         status, facts = first(reports)
         policies = {os.sched_getscheduler(thread) for thread in threads(process.pid)}
-        if tried.returncode == 0:
+        if permitted and tried.returncode == 0:
             assert (status.level, facts["scheduling_policy"]) == (DiagnosticStatus.OK, "SCHED_FIFO")
             assert facts["scheduling_priority"] == str(PRIORITY)
             assert policies == {os.SCHED_FIFO}
         else:
             assert status.level == DiagnosticStatus.WARN
+            assert f"--priority {PRIORITY} was refused" in status.message
             assert policies == {os.SCHED_OTHER}
-
-
-def test_a_refusal_is_a_warning_and_the_node_works_on(reports):
-    with start("--priority", str(PRIORITY), permitted=False) as process:
-        status, facts = first(reports)
-        assert status.level == DiagnosticStatus.WARN
-        assert f"--priority {PRIORITY} was refused" in status.message
-        assert facts["scheduling_policy"] == "SCHED_OTHER"
         process.send(signal.SIGINT)
         assert process.wait() == 0
 

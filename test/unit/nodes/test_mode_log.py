@@ -11,18 +11,8 @@ def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second() 
     for mode, reason in (("drive", ""), ("drive", ""), ("hold", "no contact"), ("drive", "")):
         log.note(mode, reason)
     assert lines == ["drive -> hold: no contact", "hold -> drive"]
-    for time, expected, unlogged in (
-        (7.999, 3, 0),
-        (8.0, 5, 97),
-        (8.999, 0, 0),
-        (9.5, 5, 195),
-        (10.0, 0, 0),
-    ):
-        now[0] = time
+    for now[0], expected in ((7.999, 3), (8.0, 5), (8.999, 0), (9.0, 5)):
         lines.clear()
         for change in range(100):
             log.note("drive" if change % 2 else "hold", f"{change}")
-        assert len(lines) == expected, time
-        told = f" ({unlogged} changes before it not logged)" if unlogged else ""
-        assert not lines or lines[0] == f"drive -> hold{told}: 0"
-        assert not any("not logged" in line for line in lines[1:])
+        assert len(lines) == expected and lines[:1] in ([], ["drive -> hold: 0"])

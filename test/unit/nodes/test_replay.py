@@ -23,6 +23,7 @@ from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
+from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
@@ -197,3 +198,22 @@ def test_publishers_offer_what_all_recorded_ones_offered(
     profile = replay_module.offered_qos(offered, 3)
     assert profile.reliability == ReliabilityPolicy[reliability]
     assert (profile.durability, profile.depth) == (DurabilityPolicy[durability], depth)
+
+
+@pytest.mark.parametrize(
+    ("argument", "text"),
+    [
+        ("--rate=0", "expected a number above 0"),
+        ("--exclude=(", "not a valid regular expression"),
+        ("--set=a=1", "expected --recompute too"),
+        ("--start-offset=nan", "offset"),
+        ("--namespace=1x", "the namespace is '1x'"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused_in_a_sentence(
+    bag: Path, capsys: pytest.CaptureFixture[str], argument: str, text: str
+) -> None:
+    with isolated_domain():
+        assert main(["replay", str(bag), "--start-paused", argument]) == 2
+    printed = capsys.readouterr().err
+    assert text in printed and printed.count("\n") == 1

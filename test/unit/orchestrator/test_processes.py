@@ -18,6 +18,7 @@ from tactile_hand_ros.orchestrator.processes import (
     NodeProcess,
     Processes,
 )
+from tactile_hand_ros.ros import processes as ros_processes
 from tactile_hand_ros.ros.processes import CapturedProcess, executable_directory, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
@@ -69,10 +70,14 @@ def test_groups_end_in_order(tmp_path: Path) -> None:
         assert (tmp_path / "order").read_text().split() == ["c", "a", "b"]
 
 
-def test_stubborn_process_is_killed_sooner_in_a_hurry_and_is_named(tmp_path: Path) -> None:
-    with Processes(
-        lambda: True, command=lambda _, guard: [*guard, "/bin/sh", "-c", STUBBORN]
-    ) as processes:
+def test_stubborn_process_is_killed_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+    assert tuple(number for number, _ in ros_processes._PATIENCE) == signals
+    short = tuple(zip(signals, (0.1, 0.1, 5.0), strict=True))
+    monkeypatch.setattr(ros_processes, "_PATIENCE", short)
+    with shells(mule=STUBBORN) as processes:
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
         assert complaint.startswith(f"mule did not end well: code -{signal.SIGKILL}")
