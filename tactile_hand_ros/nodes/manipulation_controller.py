@@ -253,9 +253,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._changes.rejected(source, reason)
 
     def on_report(self) -> None:
-        """Report mode, missing inputs, distance to the target and the margins of the grasp."""
-        if hasattr(self, "_inputs"):
-            self._inputs.report()
+        """Report mode, distance to the target and the margins of the grasp."""
         self._report.report(self._controller.target)
         warning = self._controller.warning
         self.diagnostics.judge("stiffness", bool(warning), warning, WARN)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+import json
 import math
 import sys
 from collections.abc import Callable, Mapping
@@ -321,19 +322,6 @@ def _range(field: FieldInfo, step: int, lowest: Any, highest: Any) -> list[tuple
     return [(lowest if low is None else low, highest if high is None else high)]
 
 
-class _Quoted(str):
-    """A text that YAML must not take for a number or a truth value."""
-
-
-class _Dumper(yaml.SafeDumper):
-    pass
-
-
-_Dumper.add_representer(
-    _Quoted, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style="'")
-)
-
-
 def to_params_yaml(config: Config, node_name: str) -> str:
     """Write a configuration as a ROS parameter file.
 
@@ -345,20 +333,9 @@ def to_params_yaml(config: Config, node_name: str) -> str:
         Text for ``--params-file``.
     """
     fields = leaves(type(config))
-    tree: dict[str, Any] = {}
-    for name, value in flatten(config).items():
-        *parents, last = name.split(".")
-        node = tree
-        for parent in parents:
-            node = node.setdefault(parent, {})
-        node[last] = _quoted(to_ros(fields[name], value))
-    content = {f"/**/{node_name}": {"ros__parameters": tree}}
-    # One line per value: the parser of rcl does not join long flow sequences.
-    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=10**9)
-    return text
-
-
-def _quoted(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_quoted(item) for item in value]
-    return _Quoted(value) if isinstance(value, str) else value
+    # JSON, one line per value: rcl takes unquoted words such as y or 1e3 for more than texts.
+    lines = [
+        f"    {name}: {json.dumps(to_ros(fields[name], value), ensure_ascii=False)}\n"
+        for name, value in flatten(config).items()
+    ]
+    return f"/**/{node_name}:\n  ros__parameters:\n{''.join(lines)}"

@@ -17,7 +17,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
@@ -60,8 +59,9 @@ def run_nodes(
         scheduling = _init(line, described)
         for node in make():
             nodes.append(node)
-        for node in nodes:
-            _announce(node)
+        if not _was_signalled:
+            for node in nodes:
+                node.get_logger().info("ready")
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
     return _stop(nodes, _serve(nodes, scheduling))
@@ -93,9 +93,6 @@ def _code_of(error: BaseException, code: int) -> int:
     sys.excepthook(type(error), error, error.__traceback__)
     return EXIT_FAILED
 
-
-_ANNOUNCED = ("hand", "layout", "law.name", "mode", "pacing", "rate", "output")
-"""Parameters that a node names when it is ready, where it has them."""
 
 _WITHOUT_CONTEXT = (RuntimeError, InvalidHandle, NotInitializedException)
 """What rclpy raises then; errors of rcl are RuntimeErrors."""
@@ -166,16 +163,6 @@ def _help(described: Sequence[Callable[..., Any]]) -> str:
     texts = [(factory.__doc__ or "").strip() for factory in described]
     usage = "ROS arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
     return "\n\n".join([*texts, f"Arguments: {USAGE}", usage])
-
-
-def _announce(node: Node) -> None:
-    """Log that a node is ready, and its main parameters, unless a signal has stopped it."""
-    if _was_signalled or not node.context.ok():
-        return
-    config = getattr(node, "config", None)
-    values = flatten(config) if isinstance(config, Config) else {}
-    facts = [f"{name} {values[name]}" for name in _ANNOUNCED if values.get(name)]
-    node.get_logger().info(f"ready{': ' if facts else ''}{', '.join(facts)}")
 
 
 def _stop(nodes: Sequence[Node], code: int) -> int:

@@ -78,14 +78,8 @@ class StampMatcher:
             del self.pending[next(iter(self.pending))]  # the first that came, in any epoch
         return None
 
-    def missing(self, stamp_ns: int | None = None) -> list[str]:
-        """Return the keys that a stamp still waits for; none when it is not waited for.
-
-        Args:
-            stamp_ns: The stamp; by default the one that has waited longest.
-        """
-        if stamp_ns is None:
-            stamp_ns = next(iter(self.pending), -1)
+    def missing(self, stamp_ns: int) -> list[str]:
+        """Return the keys that a stamp [ns] still waits for; none when it is not waited for."""
         values = self.pending.get(stamp_ns)
         return [] if values is None else [key for key in self.keys if key not in values]
 
@@ -244,11 +238,6 @@ class TickInputs:
                     stream.message_type, topic, take, sensor=stream.from_driver, raw=True
                 )
 
-    def report(self) -> None:
-        """Put the topics that are missing now into the diagnostics."""
-        if self._reason and (missing := self._matcher.missing()):
-            self._complain(missing)
-
     def _take(self, topic: str, decode: Decode, data: bytes) -> None:
         stamp, value = decode(data)
         self._match(topic, stamp, value)
@@ -311,13 +300,11 @@ class TickInputs:
             since, first = self._alone_since
             if min(now - since, stamp - first) < self._timeout:
                 return
-            self._complain(self._matcher.missing(stamp))
+            missing = ", ".join(self._matcher.missing(stamp))
+            self._reason = f"no {missing}; holding the hand until all inputs are back"
+            self._node.diagnostics.fault("inputs", self._reason)
         self._answered_blindly = stamp
         self._listener.on_blind_tick(stamp, value, self._reason)
-
-    def _complain(self, missing: Sequence[str]) -> None:
-        self._reason = f"no {', '.join(missing)}; holding the hand until all inputs are back"
-        self._node.diagnostics.fault("inputs", self._reason)
 
     def _answer_waiting(self) -> None:
         """Answer what has arrived, without the ticks that a slow node skips."""

@@ -261,22 +261,6 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
     assert ear.kinds() == [("blind", 508)]
 
 
-def test_what_is_missing_now_is_told_and_given_as_the_reason(ear: Ear) -> None:
-    ear.inputs.report()
-    assert ear.fault == ""
-    ear.others(2, without=names.GRASP_FORCE)
-    at = ear.go_blind(2)
-    for stamp in range(at + 1, at + 101):  # until the first ones are given up
-        ear.others(stamp, without=names.CONTACTS)
-        ear.joints(stamp)
-    assert "no tactile/contacts, grasp_force" in ear.fault
-    ear.inputs.report()
-    assert ear.fault == "no tactile/contacts; holding the hand until all inputs are back"
-    ear.heard.clear()
-    ear.joints(at + 200)
-    assert ear.heard[0][4] == ear.fault
-
-
 def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
     """Touch that comes late, of that tick or an older one, only ends the blindness."""
     at = ear.go_blind(2)
@@ -315,7 +299,6 @@ def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
     )
     for stamp in range(0, 5000, 4):
         patient.joints(stamp)
-    patient.inputs.report()
     assert patient.heard == [] and patient.fault == ""
     patient.others(5000)
     patient.joints(5000)

@@ -80,9 +80,8 @@ def test_a_description_has_a_unit_where_there_is_one() -> None:
 
 def test_a_file_keeps_what_looks_like_a_number_a_text() -> None:
     text = to_params_yaml(Fields(), "node")
-    assert "'1'" in text and "'on'" in text
     parameters = yaml.safe_load(text)["/**/node"]["ros__parameters"]
-    assert parameters["words"] == ["1", "on"] and parameters["part"] == {"kind": "a"}
+    assert parameters["words"] == ["1", "on"] and parameters["part.kind"] == "a"
     long = Fields(words=["a b " * 300])
     assert max(map(len, to_params_yaml(long, "node").splitlines())) > 1200  # rcl joins no lines
 

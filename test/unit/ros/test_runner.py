@@ -13,7 +13,6 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
@@ -35,20 +34,11 @@ def _process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     gc.unfreeze()
 
 
-class ExampleConfig(Config):
-    """A hand, a rate and more."""
-
-    hand: str = param("paper", "hand")
-    rate: float = param(250.0, "rate")
-    gain: float = param(2.0, "gain")
-
-
 class Example(Node):
     """Does this and that."""
 
     def __init__(self, action: Callable[[], Any], name: str = "a", closing: Any = None) -> None:
         super().__init__(name)
-        self.config = ExampleConfig() if name == "a" else None
         self._closing = closing
         self.create_timer(0.01, action)
 
@@ -96,7 +86,7 @@ def test_the_exit_code_follows_from_what_stops_the_nodes(
     assert runner.run_node(lambda: Example(action), ["program"]) == code
     captured = capfd.readouterr()
     assert captured.out == "close a\n"
-    ready, _, rest = captured.err.partition("[a]: ready: hand paper, rate 250.0\n")
+    ready, _, rest = captured.err.partition("[a]: ready\n")
     assert ready.startswith("[INFO]") and rest.endswith(printed) and bool(rest) == bool(printed)
     assert not rclpy.ok()
 
