@@ -21,7 +21,6 @@ if __name__ == "__main__":
 
 import typer
 
-from tactile_hand_ros.cli.experiments import ClusterOption
 from tactile_hand_ros.cli.output import (
     FormatOption,
     JobsOption,
@@ -31,10 +30,8 @@ from tactile_hand_ros.cli.output import (
     print_files,
     print_table,
     progress,
-    steps,
 )
 from tactile_hand_ros.command_line import run_command
-from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.report.tables import markdown
 from tactile_hand_ros.sweep.engine import in_parallel, workers
 from tactile_hand_ros.sweep.table import read_table
@@ -181,46 +178,6 @@ def fuzz(
         raise typer.Exit(1)
 
 
-def robustness(
-    scenario: Annotated[
-        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
-    ] = None,
-    out: OutOption = Path("robustness"),
-    jobs: JobsOption = -1,
-    cluster: ClusterOption = "",
-    seed: SeedOption = 0,
-    formats: FormatOption = None,
-) -> None:
-    """Map how far each scenario survives that the hand knows something wrongly."""
-    from studies import robustness as r
-    from tactile_hand_ros.report.style import save
-
-    kinds = folder_for_results(out, formats)
-    names = tuple(scenario or scenario_names())
-    with workers(jobs, cluster), progress("robustness") as watch:
-        tally = r.run_map(names, out, seed, watch)
-    table = read_table(out)
-    files = save(r.figure(table), out, "robustness", kinds)
-    print_table("scenarios that survive", r.COLUMNS, r.rows_of(table))
-    print(f"{tally.done} of {tally.total} runs; {', '.join(f.name for f in files)} in {out}")
-
-
-def soak(
-    seconds: Annotated[float, typer.Option(help="Length of each run [s].", min=5.0)] = 60.0,
-    priority: Annotated[
-        int, typer.Option(help="Priority under SCHED_FIFO; 0 for none.", min=0, max=99)
-    ] = 0,
-) -> None:
-    """Run for a long time at 500 Hz composed, then at 250 Hz in processes: what grows?"""
-    from studies import soak as s
-
-    for where, rate, composed in (("composed", 500.0, True), ("processes", 250.0, False)):
-        with steps(f"soak, {where}", 2 * round(seconds)) as advance:
-            scenario = s.soak_scenario(rate)
-            seen = s.soak(scenario, seconds, composed=composed, priority=priority, progress=advance)
-        print(where, json.dumps(seen.summary(), indent=2))
-
-
 def stalls(
     out: OutOption = Path("stalls"),
     jobs: JobsOption = -1,
@@ -241,7 +198,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, invariance, loads, faults, fuzz, robustness, soak, stalls):
+for _command in (slip, invariance, loads, faults, fuzz, stalls):
     app.command()(_command)
 
 

@@ -27,14 +27,19 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 
 from studies.faults.running_hand import RunningHand
-from studies.soak import soak_scenario
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 GROWTH = 50 * 2**20
 """Memory by which a process may grow [bytes]."""
 
-_RATE = 250.0
+_CHANGES = {
+    "duration": 86400.0,
+    "plant.rate": 250.0,
+    "plant.autostart": False,
+    "targets": [],
+}
 _BURST = 20  # inputs between two looks at the hand
 _STILL = 2.0  # s of work without a tick that count as a hang
 _FAR = 0.05  # m that the object may move under attack at rest
@@ -113,7 +118,7 @@ def fuzz_nodes(seconds: float, seed: int, folder: Path) -> Report:
         seed: Of all inputs; the same seed gives the same ones, on every machine.
         folder: Where the last inputs before a finding are kept.
     """
-    scenario = soak_scenario(_RATE, lockstep=True).changed({"targets": []})
+    scenario = load_scenario("paper", _CHANGES)
     report = Report()
     with (
         tempfile.TemporaryDirectory() as scratch,

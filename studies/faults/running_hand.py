@@ -31,7 +31,6 @@ from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
-from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 Array = NDArray[np.float64]
@@ -60,24 +59,15 @@ class RunningHand:
         events: Everything that was received since the start of the run.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        folder: Path,
-        *,
-        composed: bool,
-        scheduling: Scheduling = Scheduling(),
-    ) -> None:
+    def __init__(self, scenario: Scenario, folder: Path, *, composed: bool) -> None:
         """Prepare; entering the block starts the processes.
 
         Args:
             scenario: What they run.
             folder: For parameter files and the recording.
             composed: Whether the nodes share one process.
-            scheduling: How the nodes run; in real time they prepare for it in any case.
         """
         self.scenario, self._folder = scenario, folder
-        self._scheduling = scheduling
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.processes: dict[str, CapturedProcess] = {}
@@ -129,7 +119,7 @@ class RunningHand:
             self._launch(name, (name,))
 
     def _launch(self, executable: str, nodes: tuple[str, ...]) -> None:
-        arguments = [*self._scheduling.arguments, "--ros-args"]
+        arguments = ["--ros-args"]
         for name in nodes:
             file = self._folder / f"{name}.yaml"
             file.write_text(to_params_yaml(self.scenario.node_config(name), name))
@@ -182,10 +172,6 @@ class RunningHand:
                         facts = {pair.key: pair.value for pair in status.values}
                         self._facts[status.name] = facts
         return self._facts
-
-    def facts(self, name: str) -> dict[str, str]:
-        """Return the values in the last diagnostics of a node."""
-        return self._peers().get(f"/{name}", {})
 
     def forget_but(self, count: int) -> None:
         """Keep no more than the last events, in a run without end."""
