@@ -33,12 +33,20 @@ from tactile_hand_ros.cli.output import (
 )
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.report.tables import markdown
-from tactile_hand_ros.sweep.engine import in_parallel, workers
-from tactile_hand_ros.sweep.table import read_table
+from tactile_hand_ros.sweep.engine import Study, in_parallel, workers
+from tactile_hand_ros.sweep.table import Table as RunTable
+from tactile_hand_ros.sweep.table import keep, read_table
 
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, columns and rows."""
+
+
+def _kept(study: Study, out: Path, jobs: int) -> RunTable:
+    """Make the runs of a study that are not done yet, and return the table of all."""
+    with progress("running") as watch, workers(jobs):
+        keep(study, out, watch)
+    return read_table(out)
 
 
 def _finish(out: Path, files: list[Path], *tables: Table) -> None:
@@ -62,9 +70,7 @@ def slip(
     from tactile_hand_ros.report.style import save
 
     kinds = folder_for_results(out, formats)
-    with progress("holding") as watch, workers(jobs):
-        s.run_study(runs, seed, out, watch)
-    table = read_table(out)
+    table = _kept(s.study_of(runs, seed), out, jobs)
     files = save(s.figure(table), out, "study_detection", kinds)
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
     _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
@@ -110,9 +116,7 @@ def loads(
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
-    with progress("loading") as watch, workers(jobs):
-        load_study.run_loads(runs, seed, out, reserves, watch, hand)
-    curve = load_study.trade_offs(read_table(out))
+    curve = load_study.trade_offs(_kept(load_study.study_of(runs, seed, reserves, hand), out, jobs))
     files = save(load_study.figure(curve), out, "study_loads", kinds)
     _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))
 
@@ -186,10 +190,9 @@ def stalls(
     from studies import stalls as s
 
     check_writable(out)
-    with progress("stalling") as watch, workers(jobs):
-        s.run_stalls(out, watch)
+    table = _kept(s.study_of(), out, jobs)
     title = "moved [mm] / slid [mm] / peak of the grasp force [N]"
-    _finish(out, [], (title, s.COLUMNS, s.rows(read_table(out))))
+    _finish(out, [], (title, s.COLUMNS, s.rows(table)))
 
 
 app = typer.Typer(

@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import tactile_hand_ros
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
@@ -24,7 +21,7 @@ from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.table import Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
 """As without a guard: the last torque acts for a second."""
@@ -141,11 +138,10 @@ def run_one(point: Point) -> dict[str, Any]:
     return {**measured, "outcome": LOST if watch.is_lost else REACHED}
 
 
-def run_stalls(folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
-    """Make all runs that are not done yet, where `workers` says, and write their table."""
+def study_of() -> Study:
+    """Return all cases with both guards and all faults as a study."""
     space = {"case": tuple(CASES), "guard": tuple(GUARDS), "fault": tuple(FAULTS)}
-    study = Study({name: Choice(values) for name, values in space.items()}, "grid", run_one)
-    return keep(study, folder, {"version": tactile_hand_ros.__version__}, watch)
+    return Study({name: Choice(values) for name, values in space.items()}, "grid", run_one)
 
 
 COLUMNS = ("", "guard", *FAULTS)

@@ -48,7 +48,7 @@ def run_campaign(
     with Hands() as hands, workers(1 if is_live else jobs):
         run = hands.run_one if is_live else run_one
         study = Study({"injection": Choice(tuple(runs))}, "grid", run)
-        keep(study, folder, {"injections": [run.key for run in runs]}, watch)
+        keep(study, folder, watch)
 
 
 def run_one(point: Point) -> dict[str, Any]:

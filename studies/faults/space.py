@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import random
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 SPREAD = 0.2
@@ -112,11 +112,6 @@ class Injection:
     def delay(self) -> float:
         """By how much the fault begins later than the first moment of its situation, s."""
         return random.Random(self.seed).uniform(0.0, SPREAD)
-
-    @property
-    def key(self) -> str:
-        """Return what distinguishes the run from all others of a campaign."""
-        return "/".join(map(str, astuple(self)))
 
 
 def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:

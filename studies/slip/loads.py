@@ -8,9 +8,8 @@ has announced. What no hand could hold follows from linear programming and does 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of
-from tactile_hand_ros.sweep.table import Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,31 +204,23 @@ def _minimum(case: LoadCase, factors: Sequence[float]) -> float:
     return max(minimum_against(contacts, position, w, case.friction) for w in wrenches)
 
 
-def run_loads(
+def study_of(
     runs: int,
     seed: int,
-    folder: Path,
     reserves: Mapping[str, tuple[float, ...]] = RESERVES,
-    watch: Callable[[Tally], None] = lambda _: None,
     hand: str = "paper",
-) -> Tally:
-    """Let the same loads act on grasps with each reserve, where `workers` says; write the table.
+) -> Study:
+    """Return the same loads on grasps with each reserve as a study.
 
     Args:
         runs: Number of loads.
         seed: The same seed gives the same loads.
-        folder: Of the results; holds those of an earlier, unfinished call.
         reserves: Floors and fractions of the reserve.
-        watch: Called after each run.
         hand: Hand, of `RANGES`.
-
-    Raises:
-        StudyError: If the folder holds another study or cannot be written.
     """
     space = {"case": Choice(tuple(sample_loads(runs, seed, hand)))}
     space |= {name: Choice(values) for name, values in reserves.items()}
-    description = {"loads": runs, "seed": seed, "hand": hand, "reserves": dict(reserves)}
-    return keep(Study(space, "grid", run_one), folder, description, watch)
+    return Study(space, "grid", run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:

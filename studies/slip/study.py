@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,7 +30,7 @@ from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval, rank
-from tactile_hand_ros.sweep.table import Table, Tally, keep
+from tactile_hand_ros.sweep.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,19 +173,10 @@ def all_cases(runs: int, seed: int) -> list[SlipCase]:
     return held + [pull_of(case) for case in same] + cases
 
 
-def run_study(
-    runs: int, seed: int, folder: Path, watch: Callable[[Tally], None] = lambda _: None
-) -> Tally:
-    """Make all runs that are not done yet, where `workers` says, and write their table.
-
-    Args:
-        runs: Number of runs with an event.
-        seed: The same seed gives the same numbers, on any number of cores.
-        folder: Of the results; holds those of an earlier, unfinished call.
-        watch: Called after each run.
-    """
-    study = Study({"case": Choice(tuple(all_cases(runs, seed)))}, "grid", run_one)
-    return keep(study, folder, {"runs": runs, "seed": seed}, watch)
+def study_of(runs: int, seed: int) -> Study:
+    """Return the study: so many runs with an event, and a few that hold for longer."""
+    cases = Choice(tuple(all_cases(runs, seed)))
+    return Study({"case": cases}, "grid", run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:

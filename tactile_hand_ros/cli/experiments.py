@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -22,10 +21,6 @@ from tactile_hand_ros.cli.output import (
     steps,
 )
 from tactile_hand_ros.command_options import with_options
-from tactile_hand_ros.errors import TactileHandError
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.sweep.sweep import Sweep
 
 
 def scenarios() -> None:
@@ -49,18 +44,11 @@ def show(
     print(resolved(load_scenario(scenario)), end="")
 
 
-ClusterOption = Annotated[
-    str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786, or its scheduler file.")
-]
-
-
 @dataclass(frozen=True)
 class SweepOptions:
     """The options of `tactile-hand sweep`."""
 
-    target: Annotated[
-        str, typer.Argument(metavar="SCENARIO", help="Scenario, or the folder of a study.")
-    ]
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")]
     over: Annotated[
         list[str],
         typer.Option(
@@ -77,98 +65,53 @@ class SweepOptions:
     metric: Annotated[
         list[str],
         typer.Option(
-            help="outcome, slip, error, peak_force, margin, settling_time or module:function; may "
-            "be repeated. By default all that have a name."
+            help="outcome, slip, error, peak_force, margin or settling_time; may be repeated. By "
+            "default all."
         ),
     ] = field(default_factory=list)
     seed: SeedOption = 0
     jobs: JobsOption = -1
-    cluster: ClusterOption = ""
+    cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = ""
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
     formats: FormatOption = None
-
-    @property
-    def folder(self) -> Path:
-        """Where the results are: the folder of a study where one is given."""
-        return Path(self.target) if self.is_study else self.out
-
-    @property
-    def is_study(self) -> bool:
-        """Whether the target is the folder of a study that already exists."""
-        return (Path(self.target) / "study.json").is_file()
-
-    def requested(self) -> Sweep:
-        """Return the requested sweep.
-
-        Raises:
-            TactileHandError: If the options do not go together, or a value is refused.
-        """
-        from tactile_hand_ros.config.plain_yaml import parse_changes
-        from tactile_hand_ros.sweep.sweep import make_sweep, read_sweep
-
-        if self.is_study:
-            if self.over or self.changes or self.metric:
-                raise TactileHandError(
-                    f"{self.folder} is the folder of a study, which defines what it varies; leave "
-                    "--over, --set and --metric away."
-                )
-            return read_sweep(self.folder)
-        return make_sweep(
-            self.target,
-            self.over,
-            parse_changes(self.changes),
-            self.metric,
-            sampler=self.sampler,
-            runs=self.runs,
-            seed=self.seed,
-        )
 
 
 @with_options
 def sweep(options: SweepOptions) -> None:
     """Run a scenario over ranges of its parameters; table, summary and figure.
 
-    Give the folder of a study alone to continue it.
+    After an interruption the same command continues.
     """
-    wanted, folder = options.requested(), options.folder
-    formats = folder_for_results(folder, options.formats)
-    _run(wanted, folder, options.jobs, options.cluster)
-    _show(wanted, folder, formats)
-
-
-def _run(wanted: Sweep, out: Path, jobs: int, cluster: str) -> None:
-    from tactile_hand_ros.sweep.engine import workers
-
-    with workers(jobs, cluster), progress(wanted.base.name) as watch:
-        try:
-            tally = wanted.carry_out(out, watch)
-        except KeyboardInterrupt:
-            print(f"interrupted; {_again(out)}", file=sys.stderr)
-            raise
-        except TactileHandError as error:
-            raise TactileHandError(f"{error} {_again(out)}") from None
-    print(tally)
-
-
-def _again(out: Path) -> str:
-    return f"What is done is in {out}; `tactile-hand sweep {out}` continues."
-
-
-def _show(wanted: Sweep, out: Path, formats: tuple[str, ...]) -> None:
+    from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.report.style import save
     from tactile_hand_ros.sweep import results as tables
-    from tactile_hand_ros.sweep.figures import figure
-    from tactile_hand_ros.sweep.table import read_table
+    from tactile_hand_ros.sweep.engine import workers
+    from tactile_hand_ros.sweep.sweep import make_sweep
+    from tactile_hand_ros.sweep.table import keep, read_table
 
-    results = tables.Results(wanted, read_table(out))
-    drawn = figure(results)
+    out = options.out
+    study = make_sweep(
+        options.scenario,
+        options.over,
+        parse_changes(options.changes),
+        options.metric,
+        sampler=options.sampler,
+        runs=options.runs,
+        seed=options.seed,
+    )
+    formats = folder_for_results(out, options.formats)
+    with workers(options.jobs, options.cluster), progress(options.scenario) as watch:
+        tally = keep(study, out, watch)
+    print(tally)
+    results = tables.Results(study, read_table(out))
+    drawn = tables.figure(results)
     pictures = [] if drawn is None else save(drawn, out, "metrics", formats)[:1]
     page = tables.write_summary(results, out, pictures)
     print_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results))
     print_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results))
     if rows := tables.effect_rows(results):
         print_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10])
-    print(f"{page}, runs.parquet and runs.csv")
+    print(f"{page} and runs.csv")
 
 
 def reproduce(

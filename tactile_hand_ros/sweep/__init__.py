@@ -30,7 +30,7 @@ def run(
         over: Parameters as on the command line, such as ``plant.object.mass=0.05..0.5``.
         changes: Values that stay the same, by dotted key.
         folder: Of the results; an unfinished sweep in it is continued.
-        metrics: What is asked of each run; everything that has a name by default.
+        metrics: What is asked of each run; all by default.
         sampler: By default a grid of choices, a Latin hypercube where there is a range.
         runs: Number of runs.
         seed: Of the sampler and of all runs.
@@ -45,11 +45,11 @@ def run(
     from tactile_hand_ros.sweep.engine import workers
     from tactile_hand_ros.sweep.results import Results
     from tactile_hand_ros.sweep.sweep import make_sweep
-    from tactile_hand_ros.sweep.table import read_table
+    from tactile_hand_ros.sweep.table import keep, read_table
 
     asked = make_sweep(
         scenario, over, changes or {}, metrics, sampler=sampler, runs=runs, seed=seed
     )
     with workers(jobs):
-        asked.carry_out(Path(folder))
+        keep(asked, Path(folder))
     return Results(asked, read_table(Path(folder)))

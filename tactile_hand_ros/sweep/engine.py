@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import logging
 import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.sweep.space import SAMPLERS, Space
 
-_PATIENCE = 10.0  # s, longest wait for a scheduler, and for its first worker
-
+_PATIENCE = 10.0  # s, longest wait for a scheduler
 
 REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
 OUTCOMES = (REACHED, MISSED, LOST, FAILED)
@@ -57,6 +55,7 @@ class Study:
         run: Makes one run; pickled, and called in other processes.
         runs: Number of runs; a grid comes as close as it can.
         seed: Of the sampler and of all runs.
+        description: What else sets the study apart from others, plain data for JSON.
     """
 
     space: Space
@@ -64,6 +63,7 @@ class Study:
     run: Callable[[Point], Any]
     runs: int = 0
     seed: int = 0
+    description: Mapping[str, Any] = field(default_factory=dict)
 
     @functools.cached_property
     def fractions(self) -> Any:
@@ -148,42 +148,24 @@ def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
 
     Args:
         jobs: Number of processes of this machine; -1 for one on each core.
-        cluster: Address or scheduler file of a Dask cluster instead.
+        cluster: Address of the scheduler of a Dask cluster instead.
 
     Raises:
         MissingLibraryError: If joblib or Dask is not installed.
-        StudyError: If there is no such cluster, or it has no worker.
+        StudyError: If there is no such cluster.
     """
     joblib = optional("joblib", "Running on several cores")
     if not cluster:
         with joblib.parallel_config(n_jobs=jobs):
             yield
         return
-    with contextlib.closing(_connected(cluster)) as client:
-        with joblib.parallel_config(backend="dask", client=client, n_jobs=-1):
-            yield
-
-
-def _connected(cluster: str) -> Any:
     distributed = optional("distributed", "Running on a Dask cluster")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say it in a sentence
-    is_file = cluster.endswith(".json")
-    place = {"scheduler_file" if is_file else "address": cluster}
     try:
-        if is_file and not Path(cluster).is_file():  # it would be waited for without end
-            raise FileNotFoundError("no such file")
-        client = distributed.Client(**place, timeout=_PATIENCE, set_as_default=False)
+        client = distributed.Client(cluster, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise StudyError(
-            f"no Dask scheduler answers at {cluster} ({reason}); start one with `dask scheduler`, "
-            "and name its address with the port, as tcp://127.0.0.1:8786, or its scheduler file."
+            f"no Dask scheduler answers at {cluster} ({error}); start one with `dask scheduler`, "
+            "and name its address with the port, as tcp://127.0.0.1:8786."
         ) from None
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-    except OSError:
-        client.close()
-        raise StudyError(
-            f"the scheduler at {cluster} has no worker; start some: dask worker {cluster}."
-        ) from None
-    return client
+    with client, joblib.parallel_config(backend="dask", client=client, n_jobs=-1):
+        yield

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sweep shows: fractions, medians and sensitivities, as numbers and as a page of text."""
+"""What a sweep shows: fractions, medians and sensitivities, as numbers, a page and a figure."""
 
 from __future__ import annotations
 
-import functools
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from tactile_hand_ros import files
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED
-from tactile_hand_ros.sweep.metrics import measures
-from tactile_hand_ros.sweep.space import Choice, Space
+from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
+from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED, Study
+from tactile_hand_ros.sweep.space import Choice, Range
 from tactile_hand_ros.sweep.statistics import fraction_of, median_interval
-from tactile_hand_ros.sweep.sweep import Sweep
+from tactile_hand_ros.sweep.sweep import ScenarioRun
 from tactile_hand_ros.sweep.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
@@ -31,13 +35,19 @@ class Results:
     """The finished runs of a sweep.
 
     Attributes:
-        sweep: What was asked.
+        study: What was asked.
         table: All columns.
+        parameters: The parameters that are numbers, by path.
+        metrics: The columns that were asked for.
+        scenario: Name of the scenario.
     """
 
-    def __init__(self, sweep: Sweep, table: Table) -> None:
-        """Take a sweep and its table."""
-        self.sweep, self.table = sweep, table
+    def __init__(self, study: Study, table: Table) -> None:
+        """Take a sweep of `make_sweep` and its table."""
+        self.study, self.table = study, table
+        self.parameters = {path: p for path, p in study.space.items() if _is_number(p)}
+        assert isinstance(study.run, ScenarioRun)
+        self.metrics, self.scenario = list(study.run.columns), study.run.base.name
 
     def column(self, name: str) -> Any:
         """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
@@ -45,16 +55,6 @@ class Results:
             return (self.table["outcome"] == REACHED).astype(float)
         found = self.table.get(name)  # a metric that no run knows has no column
         return np.full(len(self.table["outcome"]), math.nan) if found is None else found
-
-    @functools.cached_property
-    def parameters(self) -> Space:
-        """The parameters that are numbers, by path."""
-        return {path: p for path, p in self.sweep.space.items() if _is_number(p)}
-
-    @property
-    def metrics(self) -> list[str]:
-        """The columns that were asked for."""
-        return list(measures(self.sweep.metrics))
 
     def fractions(self) -> list[tuple[str, int, int, Interval]]:
         """Return outcome, count, number of runs, and fraction with Wilson's interval."""
@@ -119,11 +119,11 @@ def effect_rows(results: Results) -> list[list[str]]:
 
 def write_summary(results: Results, folder: Path, pictures: Sequence[Path]) -> Path:
     """Write the summary of a sweep with its figures; return the file."""
-    sweep = results.sweep
+    study = results.study
     text = [
-        f"# {sweep.base.name} over {', '.join(sweep.space)}\n",
-        f"{sweep.runs} runs asked for, sampler {sweep.sampler}, seed {sweep.seed}. Each row of "
-        "`runs.parquet` and `runs.csv` is a run.\n",
+        f"# {results.scenario} over {', '.join(study.space)}\n",
+        f"{study.runs} runs asked for, sampler {study.sampler}, seed {study.seed}. Each row of "
+        "`runs.csv` is a run.\n",
         tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
         tables.markdown(METRIC_COLUMNS, metric_rows(results)),
         tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
@@ -146,3 +146,43 @@ def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, 
     if math.isnan(values[0]):
         return "unknown", ""
     return text(values[0]), f"{text(values[1])} to {text(values[2])}"
+
+
+_MOST_PARAMETERS = 4  # that fit next to each other
+
+
+def figure(results: Results) -> Figure | None:
+    """Draw all runs, colored by outcome; None without a parameter of numbers."""
+    paths = list(results.parameters)[:_MOST_PARAMETERS]
+    if not paths or not len(results.table["outcome"]):
+        return None
+    names = [name for name in results.metrics if np.isfinite(results.column(name)).any()]
+    names = names or [REACHED]
+    with look():
+        made = new_figure(PAGE if len(paths) > 1 else 0.6 * PAGE, 0.5 + 1.5 * len(names))
+        panels = made.subplots(len(names), len(paths), squeeze=False, sharey="row", sharex="col")
+        for row, name in enumerate(names):
+            for column, path in enumerate(paths):
+                _draw(panels[row, column], results, path, name)
+            panels[row, 0].set_ylabel(_label(name))
+        for column, path in enumerate(paths):
+            panels[-1, column].set_xlabel(path)
+        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return made
+
+
+def _draw(axes: Axes, results: Results, path: str, name: str) -> None:
+    x, y, outcomes = results.column(path), results.column(name), results.table["outcome"]
+    for number, outcome in enumerate(OUTCOMES):
+        came = outcomes == outcome
+        axes.plot(x[came], y[came], ".", color=finger_color(number), markersize=2.5, label=outcome)
+    parameter = results.parameters[path]
+    if isinstance(parameter, Range) and parameter.is_log:
+        axes.set_xscale("log")
+
+
+def _label(name: str) -> str:
+    """Return a column as people write it: its unit in brackets, in short lines."""
+    words, _, unit = name.rpartition("_")
+    words, unit = (words, f" [{unit}]") if unit in ("m", "rad", "N", "s") else (name, "")
+    return textwrap.fill(words.replace("_", " ") + unit, 18)

@@ -24,13 +24,11 @@ def fraction_of(count: int, n: int) -> tuple[float, float, float]:
 
     Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
     """
-    z = 1.96
     if not n:
         return math.nan, math.nan, math.nan
-    p = count / n
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return p, max(0.0, middle - half), min(1.0, middle + half)
+    test = optional("scipy.stats", "An interval").binomtest(count, n)
+    interval = test.proportion_ci(method="wilson")
+    return count / n, float(interval.low), float(interval.high)
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:

@@ -1,81 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep as a study: a scenario over ranges of its parameters, measured run by run."""
+"""A sweep: the study of a scenario over ranges of its parameters, and what is asked of each run."""
 
 from __future__ import annotations
 
-import functools
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.compiled import ensure_compiled
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.explanation import did_you_mean
-from tactile_hand_ros.config.model import leaves, validate
+from tactile_hand_ros.config.model import leaves
+from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.run.metrics import metrics
+from tactile_hand_ros.run.metrics import START_S, Metrics, metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
-from tactile_hand_ros.sweep.engine import Point, Study, StudyError
-from tactile_hand_ros.sweep.metrics import METRICS, measures, outcome
-from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Range, Space, parse_parameter
-from tactile_hand_ros.sweep.table import Tally, keep, read_description
+from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
+from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Range, parse_parameter
+
+Measure = Callable[[Record, Scenario, Metrics], float]
 
 
-def measured(scenario: Scenario, asked: Sequence[str]) -> dict[str, Any]:
-    """Run a scenario through the closed loop; return what is asked, see `measures`, and outcome."""
-    record = ClosedLoop(scenario).run()
-    found = metrics(record, scenario)
-    numbers = {name: measure(record, scenario, found) for name, measure in measures(asked).items()}
-    return {**numbers, "outcome": outcome(record, found)}
+def outcome(record: Record, metrics: Metrics) -> str:
+    """Return what became of a run, one of `OUTCOMES`."""
+    if np.isnan(record.true_positions[-1]).any():
+        return LOST
+    return REACHED if metrics.goal_reached else MISSED
 
 
-_compile_once = functools.cache(ensure_compiled)
+def true_position_error(record: Record, scenario: Scenario, metrics: Metrics) -> float:
+    """Return the final distance of the true contact centroid from p_d, m."""
+    del scenario, metrics
+    apart = record.desired_position[-1] - record.true_positions[-1].mean(axis=0)
+    return float(np.linalg.norm(apart))
+
+
+def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> float:
+    """Return the minimum 1 - beta / mu of any contact after the start, with the true forces and mu.
+
+    It is 1 without tangential force and 0 for a contact that is about to slip.
+    """
+    del metrics
+    friction = np.full(len(record), scenario.plant.object.friction)
+    for change in sorted(scenario.plant.friction_changes, key=lambda change: change.start):
+        friction[record.times > change.start] = change.friction
+    touching = np.isfinite(record.true_positions[:, :, 0])
+    touching &= (record.times >= START_S)[:, None]
+    beta = np.where(touching, required_friction(record.true_forces), np.nan)
+    with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # where nothing touches at all
+        minimum = float(np.nanmin(1.0 - beta / friction[:, None]))
+    return minimum if math.isfinite(minimum) else math.nan
+
+
+def _of(name: str) -> Measure:
+    return lambda record, scenario, metrics: float(getattr(metrics, name))
+
+
+METRICS: Mapping[str, Mapping[str, Measure]] = {
+    "outcome": {},
+    "slip": {"max_slip_distance_m": _of("max_slip_distance_m")},
+    "error": {
+        "final_position_error_m": _of("final_position_error_m"),
+        "final_true_position_error_m": true_position_error,
+        "final_rotation_error_rad": _of("final_rotation_error_rad"),
+    },
+    "peak_force": {"peak_normal_force_N": _of("peak_normal_force_N")},
+    "margin": {"least_friction_margin": friction_margin},
+    "settling_time": {"settling_time_s": _of("settling_time_s")},
+}
+"""By the name on the command line, the columns that a metric gives."""
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """What the user asked for; called with a point, it makes that run.
+class ScenarioRun:
+    """Makes the runs of a sweep: called with a point, it returns what is asked of that run.
 
     Attributes:
-        sampler: Name of one of `SAMPLERS`.
-        runs: Number of runs.
-        seed: Of the sampler and of all runs.
-        over: Parameters as on the command line.
-        metrics: What is asked of each run, see `measures`.
-        scenario: Plain data of the scenario, with what stays fixed.
+        base: The scenario, before anything is varied.
+        metrics: What is asked of each run, of `METRICS`.
     """
 
-    sampler: str
-    runs: int
-    seed: int
-    over: Sequence[str]
+    base: Scenario
     metrics: Sequence[str]
-    scenario: Mapping[str, Any]
-
-    @functools.cached_property
-    def base(self) -> Scenario:
-        """The scenario, before anything is varied."""
-        return validate(Scenario, self.scenario, "the scenario of the sweep")
-
-    @functools.cached_property
-    def space(self) -> Space:
-        """What is varied."""
-        whole = {path for path, field in leaves(Scenario).items() if field.annotation is int}
-        return dict(parse_parameter(each, whole) for each in self.over)
 
     @property
-    def study(self) -> Study:
-        """The sweep as a study."""
-        return Study(self.space, self.sampler, self, self.runs, self.seed)
+    def columns(self) -> dict[str, Measure]:
+        """The columns that were asked for, in their order."""
+        return {name: m for asked in self.metrics for name, m in METRICS[asked].items()}
 
     def __call__(self, point: Point) -> dict[str, Any]:
-        """Make a run and return what was asked of it."""
-        _compile_once()
+        """Make a run."""
         scenario = self.scenario_of(point)
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
-        return measured(scenario, self.metrics)
+        record = ClosedLoop(scenario).run()
+        found = metrics(record, scenario)
+        numbers = {name: m(record, scenario, found) for name, m in self.columns.items()}
+        return {**numbers, "outcome": outcome(record, found)}
 
     def scenario_of(self, point: Point) -> Scenario:
         """Return the scenario of a run.
@@ -84,33 +110,6 @@ class Sweep:
             ConfigurationError: If a value is refused.
         """
         return self.base.changed({"seed": point.seed, **point.values})
-
-    def check(self) -> None:
-        """Try both ends of every parameter, before anything is run.
-
-        Raises:
-            ConfigurationError: If a path is unknown, a range empty or a value refused.
-        """
-        measures(self.metrics)
-        if self.sampler not in SAMPLERS:
-            hint = did_you_mean(self.sampler, SAMPLERS)
-            raise ConfigurationError(f"--sampler is '{self.sampler}'{hint}")
-        for path, parameter in self.space.items():
-            ends = map(parameter.value, (0.0, 1.0))
-            for value in parameter.values if isinstance(parameter, Choice) else ends:
-                self.base.changed({path: value})
-
-    def carry_out(self, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
-        """Make all runs that are not done yet and write the table of all that are.
-
-        Args:
-            folder: Of the results; holds those of an earlier, unfinished call.
-            watch: Called after each run.
-
-        Raises:
-            StudyError: If the folder holds another study or cannot be written, or processes die.
-        """
-        return keep(self.study, folder, asdict(self), watch)
 
 
 def make_sweep(
@@ -122,14 +121,14 @@ def make_sweep(
     sampler: str = "",
     runs: int = 100,
     seed: int = 0,
-) -> Sweep:
-    """Return a sweep, checked.
+) -> Study:
+    """Return a sweep as a study, checked: both ends of every parameter are tried.
 
     Args:
         scenario: Name or file.
         over: Parameters, see `parse_parameter`.
         fixed: Values that stay the same, by path.
-        metrics: What is asked; everything that has a name by default.
+        metrics: What is asked, of `METRICS`; all by default.
         sampler: Name of one of `SAMPLERS`; by default a grid of choices, a Latin hypercube where
             there is a range.
         runs: Number of runs.
@@ -138,26 +137,26 @@ def make_sweep(
     Raises:
         ConfigurationError: If a name, path, range or value cannot be used.
     """
-    data = plain(load_scenario(scenario, fixed))
+    base, asked = load_scenario(scenario, fixed), tuple(metrics or METRICS)
     if not over:
         raise ConfigurationError(
             "nothing is varied; give --over such as --over plant.object.mass=0.05..0.5."
         )
-    made = Sweep(sampler or "grid", runs, seed, tuple(over), tuple(metrics or METRICS), data)
-    if not sampler and any(isinstance(p, Range) for p in made.space.values()):
-        made = replace(made, sampler="latin")
-    made.check()
-    return made
+    whole = {path for path, field in leaves(Scenario).items() if field.annotation is int}
+    space = dict(parse_parameter(each, whole) for each in over)
+    has_range = any(isinstance(parameter, Range) for parameter in space.values())
+    sampler = sampler or ("latin" if has_range else "grid")
+    _check_name("--sampler", sampler, SAMPLERS)
+    for name in asked:
+        _check_name("--metric", name, METRICS)
+    for path, parameter in space.items():
+        ends = map(parameter.value, (0.0, 1.0))
+        for value in parameter.values if isinstance(parameter, Choice) else ends:
+            base.changed({path: value})
+    description = {"scenario": plain(base), "metrics": list(asked)}
+    return Study(space, sampler, ScenarioRun(base, asked), runs, seed, description)
 
 
-def read_sweep(folder: Path) -> Sweep:
-    """Return the sweep whose results a folder holds.
-
-    Raises:
-        StudyError: If it holds none.
-    """
-    found = read_description(folder)
-    try:
-        return Sweep(**{field.name: found[field.name] for field in fields(Sweep)})
-    except KeyError:
-        raise StudyError(f"{folder} holds another kind of study, expected a sweep.") from None
+def _check_name(option: str, name: str, valid: Mapping[str, Any]) -> None:
+    if name not in valid:
+        raise ConfigurationError(f"{option} is '{name}'{did_you_mean(name, valid)}")

@@ -5,14 +5,10 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.sweep.engine import Point
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.closed_loop.record import Record
-    from tactile_hand_ros.scenario.scenario import Scenario
 
 
 def product(point: Point) -> dict[str, Any]:
@@ -33,8 +29,3 @@ def deadly(point: Point) -> dict[str, Any]:
 def broken(point: Point) -> dict[str, Any]:
     """Fail with a defect."""
     return {"xy_m": [][point.index], "outcome": "reached"}
-
-
-def mean_torque_Nm(record: Record, scenario: Scenario) -> float:
-    """Return a metric of one's own."""
-    return float(abs(record.torque).mean())

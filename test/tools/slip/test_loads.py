@@ -8,12 +8,12 @@ from studies.slip.loads import (
     LoadCase,
     rows,
     run_load,
-    run_loads,
     sample_loads,
+    study_of,
     trade_offs,
 )
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.sweep.table import read_table
+from tactile_hand_ros.sweep.table import keep, read_table
 
 # A light object, hit by a pulse that twists it out of a pinch.
 PULSE = LoadCase(
@@ -61,9 +61,9 @@ def test_the_curve_counts_only_what_can_be_survived():
 
 def test_a_study_has_a_run_for_each_load_and_reserve_and_is_not_mixed_with_another(tmp_path):
     reserves = {"floor": (0.0, 0.6), "fraction": (0.2,)}
-    assert run_loads(2, 7, tmp_path, reserves).done == 4
+    assert keep(study_of(2, 7, reserves), tmp_path).done == 4
     found, first = read_table(tmp_path), run_load(sample_loads(2, 7)[0], 0.0)
     assert {name: found[name][0] for name in first} == first
     assert found["floor"].tolist() == [0.0, 0.6, 0.0, 0.6] and set(found["fraction"]) == {0.2}
     with pytest.raises(TactileHandError, match="holds another study: seed is 7 there and 8 here"):
-        run_loads(2, 8, tmp_path, reserves)
+        keep(study_of(2, 8, reserves), tmp_path)

@@ -18,7 +18,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.scenario.scenario import load_scenario, plain
 from tactile_hand_ros.sweep.engine import workers
-from tactile_hand_ros.sweep.table import read_table
+from tactile_hand_ros.sweep.table import keep, read_table
 
 CASE = SlipCase(
     index=0,
@@ -154,7 +154,7 @@ def test_the_papers_manipulation_gives_no_false_alarm() -> None:
 def test_a_small_study_gives_its_tables_and_figure(tmp_path: Path) -> None:
     """Two events, one pull and one run held for each knowledge of the friction."""
     with workers(2):
-        tally = study.run_study(2, 0, tmp_path)
+        tally = keep(study.study_of(2, 0), tmp_path)
     assert (tally.done, tally.outcomes["failed"]) == (5, 0)
     table = read_table(tmp_path)
     assert [row[1] for row in study.rows(table)][-4:] == ["1", "2", "1", "1"]

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
 import numpy as np
-import pyarrow.csv
 import pytest
 
 from tactile_hand_ros.cli import main
@@ -15,12 +15,13 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import load_scenario, plain
-from tactile_hand_ros.sweep.figures import figure
-from tactile_hand_ros.sweep.metrics import friction_margin, outcome
-from tactile_hand_ros.sweep.results import Results, effect_rows
-from tactile_hand_ros.sweep.sweep import make_sweep
+from tactile_hand_ros.sweep.results import Results, effect_rows, figure
+from tactile_hand_ros.sweep.sweep import friction_margin, make_sweep, outcome
 
 MASS, FRICTION = "plant.object.mass=0.001..0.1:log", "plant.object.friction=0.2..1"
+
+WORDS = ["sweep", "paper", "--over", MASS, "--over", FRICTION, "--set", "duration=0.05"]
+WORDS += ["--runs", "24", "--metric", "slip", "--jobs", "1", "--format", "png"]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -35,37 +36,38 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a small sweep."""
     out = tmp_path_factory.mktemp("sweeps") / "sweep"
-    words = ["--over", MASS, "--over", FRICTION, "--set", "duration=0.05", "--runs", "24"]
-    words += ["--metric", "slip", "--metric", "support.trials:mean_torque_Nm"]
-    fixed = ["--jobs", "1", "--format", "png", "--out", str(out)]
-    assert main(["sweep", "paper", *words, *fixed]) == 0
+    assert main([*WORDS, "--out", str(out)]) == 0
     return out
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    """Return the rows of the table."""
+    return list(csv.DictReader((folder / "runs.csv").read_text().splitlines()))
 
 
 def test_a_sweep_leaves_table_summary_and_figures(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
-    assert {"study.json", "runs.parquet", "runs.csv", "summary.md", "metrics.png"} <= names
-    table = pyarrow.csv.read_csv(folder / "runs.csv")
-    assert table.num_rows == 24
+    assert {"study.json", "runs.csv", "summary.md", "metrics.png"} <= names
+    assert len(rows_of(folder)) == 24
     assert "| missed | 24 of 24 | 100.0 % |" in (folder / "summary.md").read_text()
 
 
 def test_a_row_is_its_run_again_to_the_bit(folder: Path) -> None:
-    row = pyarrow.csv.read_csv(folder / "runs.csv").to_pylist()[17]
-    changes = {name: row[name] for name in ("plant.object.mass", "plant.object.friction", "seed")}
+    row = rows_of(folder)[17]
+    changes = {name: float(row[name]) for name in ("plant.object.mass", "plant.object.friction")}
+    changes["seed"] = int(row["seed"])
     scenario = load_scenario("paper", {"duration": 0.05, **changes})
     record = ClosedLoop(scenario).run()
-    assert float(np.nanmax(record.true_slid)) == row["max_slip_distance_m"]
-    assert float(abs(record.torque).mean()) == row["mean_torque_Nm"]
+    assert float(np.nanmax(record.true_slid)) == float(row["max_slip_distance_m"])
 
 
 def test_a_finished_sweep_only_shows_its_results(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = (folder / "runs.parquet").read_bytes()
-    assert main(["sweep", str(folder), "--format", "png"]) == 0
+    before = (folder / "runs.csv").read_bytes()
+    assert main([*WORDS, "--out", str(folder)]) == 0
     assert "24 of 24 runs" in capsys.readouterr().out
-    assert (folder / "runs.parquet").read_bytes() == before
+    assert (folder / "runs.csv").read_bytes() == before
 
 
 def test_bad_input_is_refused_in_a_sentence(
@@ -81,11 +83,9 @@ def test_bad_input_is_refused_in_a_sentence(
     assert "did you mean 'paper'" in sweep("papr", f"--over={MASS}")
     assert "did you mean 'latin'" in sweep("paper", f"--over={MASS}", "--sampler=latn")
     assert "did you mean 'slip'" in sweep("paper", f"--over={MASS}", "--metric=slp")
-    assert "expected module:function" in sweep("paper", f"--over={MASS}", "--metric=no.such:f")
     assert "0 processes cannot work" in refused(
         capsys, "sweep", "paper", f"--over={MASS}", f"--out={tmp_path / 'x'}", "--jobs=0"
     )
-    assert "defines what it varies" in refused(capsys, "sweep", folder, f"--over={MASS}")
     assert "another study: runs is 24 there" in refused(
         capsys, "sweep", "paper", f"--over={MASS}", f"--out={folder}"
     )
@@ -94,10 +94,10 @@ def test_bad_input_is_refused_in_a_sentence(
 
 def test_paths_lead_into_lists_and_whole_numbers_stay_whole() -> None:
     made = make_sweep("gravity", ["gravity.2=-9.81..-1", "seed=1..5"], {}, ["outcome"], runs=10)
-    points = [made.study.point(index) for index in range(10)]
+    points = [made.point(index) for index in range(10)]
     assert {type(point.values["seed"]) for point in points} == {int}
     assert sorted(point.values["seed"] for point in points) == sorted([1, 2, 3, 4, 5] * 2)
-    scenario = made.scenario_of(points[0])
+    scenario = made.run.scenario_of(points[0])
     assert scenario.gravity == (0.0, 0.0, points[0].values["gravity.2"])
     assert scenario.seed == points[0].values["seed"] == scenario.tactile_sensor.seed
     with pytest.raises(ConfigurationError, match="'gravity' has no '3' in it"):
@@ -128,7 +128,7 @@ def test_the_parameter_that_matters_is_found() -> None:
     """Slip = mass + 0.01 friction, put into a table by hand."""
     over = ["plant.object.mass=1..2", "plant.object.friction=1..2"]
     made = make_sweep("paper", over, {}, ["slip"], runs=64)
-    points = [made.study.point(index).values for index in range(64)]
+    points = [made.point(index).values for index in range(64)]
     table = {path: np.array([point[path] for point in points]) for path in made.space}
     table["max_slip_distance_m"] = (
         table["plant.object.mass"] + 0.01 * table["plant.object.friction"]
