@@ -261,42 +261,37 @@ class _Cursor:
         if self._at > len(self._data):
             raise ValueError(f"{len(self._data)} bytes, but at least {self._at} announced")
 
+    def joint_state(self) -> None:
+        self.header()
+        for _ in range(self.length()):
+            self.text()
+        for name in ("position", "velocity", "effort"):
+            self.doubles(name, self.length())
 
-def _joint_state(cursor: _Cursor) -> None:
-    cursor.header()
-    for _ in range(cursor.length()):
-        cursor.text()
-    for name in ("position", "velocity", "effort"):
-        cursor.doubles(name, cursor.length())
+    def pose_array(self) -> None:
+        self.header()
+        self.doubles("poses", 7 * self.length())
 
+    def pose(self) -> None:
+        self.header()
+        self.doubles("pose", 7)
 
-def _pose_array(cursor: _Cursor) -> None:
-    cursor.header()
-    cursor.doubles("poses", 7 * cursor.length())
+    def imu(self) -> None:
+        self.header()
+        self.doubles("orientation", 4)
+        self.doubles("rates, accelerations and covariances", 33)
 
-
-def _pose(cursor: _Cursor) -> None:
-    cursor.header()
-    cursor.doubles("pose", 7)
-
-
-def _imu(cursor: _Cursor) -> None:
-    cursor.header()
-    for name, count in (("orientation", 4), ("unknown", 33)):
-        cursor.doubles(name, count)
-
-
-def _wrench(cursor: _Cursor) -> None:
-    cursor.header()
-    cursor.doubles("wrench", 6)
+    def wrench(self) -> None:
+        self.header()
+        self.doubles("wrench", 6)
 
 
 PARSERS: dict[str, Callable[[_Cursor], None]] = {
-    "sensor_msgs/msg/Imu": _imu,
-    "sensor_msgs/msg/JointState": _joint_state,
-    "geometry_msgs/msg/PoseArray": _pose_array,
-    "geometry_msgs/msg/PoseStamped": _pose,
-    "geometry_msgs/msg/WrenchStamped": _wrench,
+    "sensor_msgs/msg/Imu": _Cursor.imu,
+    "sensor_msgs/msg/JointState": _Cursor.joint_state,
+    "geometry_msgs/msg/PoseArray": _Cursor.pose_array,
+    "geometry_msgs/msg/PoseStamped": _Cursor.pose,
+    "geometry_msgs/msg/WrenchStamped": _Cursor.wrench,
 }
 """The types that can be read, by name."""
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import queue
 import signal
@@ -13,7 +12,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from tactile_hand_ros.errors import TactileHandError, nearest
+from tactile_hand_ros.errors import TactileHandError
 
 EXIT_REFUSED = 2
 _ENDS: dict[signal.Signals, Any] = {
@@ -22,14 +21,6 @@ _ENDS: dict[signal.Signals, Any] = {
     signal.SIGHUP: signal.SIG_DFL,
 }
 """Signals that end a command, and what is done about each where nothing else was chosen."""
-
-_ADVICE = {
-    errno.ENOSPC: "; free some space or write elsewhere",
-    errno.EDQUOT: "; free some space or write elsewhere",
-    errno.EACCES: "; check the permissions",
-    errno.EPERM: "; check the permissions",
-    errno.EROFS: "; write elsewhere",
-}
 
 
 def run_command(program: str, command: Callable[[], Any]) -> int:
@@ -210,7 +201,7 @@ def os_sentence(error: OSError) -> str:
         f"'{error.filename}' cannot be used" if error.filename else "it cannot be read or written"
     )
     reason = error.strerror or str(error) or type(error).__name__
-    return f"{where}: {reason}{_ADVICE.get(error.errno or 0, '')}."
+    return f"{where}: {reason}."
 
 
 def _explained(error: Exception) -> tuple[str, int | None]:
@@ -225,27 +216,10 @@ def _explained(error: Exception) -> tuple[str, int | None]:
             f"({str(error).splitlines()[0]}); has this shell sourced another ROS? Start a new one.",
             EXIT_REFUSED,
         )
-    return _usage(error)
-
-
-def _usage(error: Any) -> tuple[str, int | None]:
-    """Return what is wrong with the options, as Click reports it; no code for other errors."""
-    if isinstance(error.__cause__, EOFError):  # Typer wraps it
-        return "a file or the input ended too early.", EXIT_REFUSED
-    if not hasattr(error, "format_message") or not hasattr(error, "exit_code"):
-        return "", None
-    message = error.format_message().rstrip(".")
-    if not message:  # without any argument help was printed instead
+    if hasattr(error, "show") and hasattr(error, "exit_code"):  # wrong usage, or help was asked for
+        error.show()
         return "", int(error.exit_code)
-    if hasattr(error, "possibilities"):
-        message = f"there is no option {error.option_name}"
-        every = [name for each in error.ctx.command.params for name in each.opts]
-        message += nearest(error.option_name, [name for name in every if name[:1] == "-"])
-    elif not message.endswith("?"):
-        message += "."
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else ""
-    return f"{message} See `{path} --help`." if path else message, int(error.exit_code)
+    return "", None
 
 
 def _print_any_character() -> None:

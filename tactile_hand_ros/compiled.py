@@ -36,8 +36,6 @@ Rows = NDArray[np.void]
 Row = Any
 """One of them: a view, so that writing to it changes the array."""
 
-_SILENCE = 10.0  # s between two lines while code is compiled
-
 DISABLE = "TACTILE_HAND_INTERPRETED"
 """Environment variable that switches Numba off."""
 
@@ -81,13 +79,9 @@ def ensure_compiled(pause: Callable[[float], None] = time.sleep) -> None:
     # compiles for itself.
     command = [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
-    started = told = time.monotonic()
     try:
         while process.poll() is None:
             pause(0.1)
-            if time.monotonic() - told > _SILENCE:
-                told = time.monotonic()
-                print(f"still compiling after {told - started:.0f} s", file=sys.stderr)
     finally:
         process.kill()
         process.wait()
@@ -154,7 +148,6 @@ def _compiler() -> Callable[[Any], Any]:
             try:
                 return super().load_overload(sig, target_context)
             except Exception:  # unpickling damaged bytes may raise anything
-                _warn_of_damage(Path(self.cache_path).parent)
                 with contextlib.suppress(OSError):
                     self.flush()
                 return None
@@ -177,15 +170,3 @@ def _compiler() -> Callable[[Any], Any]:
         return made
 
     return compile_one
-
-
-_warned = False
-
-
-def _warn_of_damage(folder: Path) -> None:
-    """Warn once: where one file is damaged, others may be."""
-    global _warned
-    if not _warned:
-        text = f"{folder}: damaged machine code is compiled again"
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
-    _warned = True

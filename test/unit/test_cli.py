@@ -36,7 +36,10 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     """Run a command that must be refused and return its one sentence."""
     assert main([str(a) for a in arguments]) == 2
     printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1 and "Traceback" not in printed.err
+    lines = printed.err.splitlines()
+    if lines[0].startswith("Usage: "):
+        lines = lines[3:]
+    assert printed.out == "" and len(lines) == 1 and "Traceback" not in printed.err
     return printed.err
 
 
@@ -133,8 +136,8 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
     assert "Missing argument" in refused(capsys, "show")
     assert "Did you mean 'run'" in refused(capsys, "rum")
-    assert "did you mean '--pacing'" in refused(capsys, "run", "--pacin", "realtime")
-    assert "`tactile-hand run --help`" in refused(capsys, "run", "paper", "twice")
+    assert "--pacing" in refused(capsys, "run", "--pacin", "realtime")
+    assert "'tactile-hand run --help'" in refused(capsys, "run", "paper", "twice")
     assert "0 processes cannot work" in refused(capsys, "reproduce", "--jobs", "0")
 
 

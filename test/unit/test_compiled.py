@@ -89,16 +89,12 @@ def test_the_same_source_runs_without_numba(control: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["*.nbi", "*.nbc"])
 @pytest.mark.parametrize("damage", [b"", b"not what Numba wrote"])
-def test_damaged_files_are_compiled_again_with_one_warning(
-    control: Path, kind: str, damage: bytes
-) -> None:
+def test_damaged_files_are_compiled_again(control: Path, kind: str, damage: bytes) -> None:
     assert run(control, CALL) == ("20.0", "")
     files = list(control.parent.rglob(kind))
     for file in files:
         file.write_bytes(damage)
-    output, warnings = run(control, CALL)
-    assert files and output == "20.0" and warnings.count("RuntimeWarning") == 1
-    assert run(control, CALL) == ("20.0", "")
+    assert files and run(control, CALL) == ("20.0", "")
 
 
 def test_it_is_complete_after_a_warm_up_of_these_sources(control: Path) -> None:
@@ -188,7 +184,6 @@ def test_waiting_for_the_compiler_can_be_given_up(
 ) -> None:
     """A Ctrl-C in that time is answered immediately, and the compiler ends."""
     monkeypatch.setattr(module, "is_complete", lambda: False)
-    monkeypatch.setattr(module, "_SILENCE", 0.0)
     waits: list[float] = []
 
     def pause(seconds: float) -> None:
@@ -198,6 +193,4 @@ def test_waiting_for_the_compiler_can_be_given_up(
 
     with pytest.raises(KeyboardInterrupt):
         module.ensure_compiled(pause)
-    told = capsys.readouterr().err.splitlines()
-    assert told[0].startswith("compiling the numeric code, once")
-    assert told[1:] == 2 * ["still compiling after 0 s"]
+    assert capsys.readouterr().err.startswith("compiling the numeric code, once")
