@@ -22,6 +22,7 @@ RECORD_KEY = "serialized_metadata"
 OfferedQos = Mapping[str, Any]
 """What one publisher offers, nested as in the metadata."""
 
+
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*")
 
 
@@ -124,24 +125,21 @@ def _duration(duration: Any) -> dict[str, int]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lays text out as yaml-cpp does: lists inside mappings are indented, texts have one line."""
-
-    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
-        super().increase_indent(flow, False)
+    """Quotes texts that could be taken for something else, and repeats what occurs twice."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+def _quoted(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     style = None if _PLAIN.fullmatch(text) else '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
-_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(str, _quoted)
 
 
 def dump(tree: Any) -> str:
-    """Return YAML text in the layout of rosbag2, without a newline at the end."""
+    """Return YAML text that rosbag2 reads, without a newline at the end."""
     text = yaml.dump(tree, Dumper=_Dumper, sort_keys=False, width=float("inf"), allow_unicode=True)
     return text.strip()

@@ -80,7 +80,8 @@ def _recompute(request: ReplayRequest) -> None:
     result = r.recompute(run, values)
     print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
     if values in ({}, recorded) and not result.same:
-        print("The same configuration gave other answers" + r.reason(run), file=sys.stderr)
+        text = "The same configuration gave other answers: messages were lost, see `tactile-hand "
+        print(f"{text}summary`, or code or libraries are of other versions.", file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
 
 

@@ -144,8 +144,6 @@ def reproduce(
     files += r.write(results, out, kinds[0])
     for result in results:
         console().print(r.claim_table(result))
-        title = f"what the laws do, layout {result.layout}"
-        print_table(title, r.LAW_COLUMNS, r.law_rows(result))
     print_files(files, out)
 
 

@@ -19,7 +19,6 @@ from tactile_hand_ros.report.style import (
     axis_color,
     finger_color,
     label_panel,
-    law_color,
     look,
     new_figure,
     pretty,
@@ -143,68 +142,6 @@ def _draw_friction(axes: Axes, records: Mapping[str, Record], finger: int) -> No
             linestyle=_LINES[number % len(_LINES)],
             linewidth=1.5 if number == 0 else 1.1,
         )
-
-
-def law_figure(records: Mapping[str, Record]) -> Figure:
-    """Draw what several laws make of one task: errors and the sum of the normal forces.
-
-    Args:
-        records: Runs by the name of their law; a run ends in the picture when it loses a contact.
-    """
-    with look():
-        figure = new_figure(PAGE, 2.3)
-        panels = figure.subplots(1, 3, sharex=True)
-        for number, record in enumerate(records.values()):
-            _draw_law(panels, record, number)
-        titles = ("position error", "orientation error", "sum of normal forces")
-        labels = (r"$|p_d - p|$ [m]", r"$|r_d|$ [rad]", r"$\sum f_n$ [N]")
-        for i, axes in enumerate(panels):
-            label_panel(axes, "abc"[i], titles[i])
-            axes.set_ylabel(labels[i])
-            axes.set_xlabel("time [s]")
-            if i < 2 and _any_positive(axes):
-                axes.set_yscale("log")
-        panels[2].set_ylim(bottom=0.0)
-        longest = max(records.values(), key=len)
-        if len(longest) > 1:
-            panels[0].set_xlim(longest.times[0], longest.times[-1])
-        handles = [
-            _handle(law_color(i), _LAW_LINES[i % len(_LAW_LINES)], f"law {name}", 1.6)
-            for i, name in enumerate(records)
-        ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    return figure
-
-
-def _any_positive(axes: Axes) -> bool:
-    """Return whether a logarithmic axis has something to show."""
-    return any((np.asarray(line.get_ydata(), dtype=float) > 0.0).any() for line in axes.lines)
-
-
-_LAW_LINES: tuple[LineStyle, ...] = ("-", (0, (3, 2)), "-")
-
-
-def _draw_law(panels: Sequence[Axes], record: Record, number: int) -> None:
-    lost = np.flatnonzero(derived.contact_lost(record))
-    end = int(lost[0]) if len(lost) else len(record)
-    # (14) is wide and below, so that (10) can be seen where both do the same.
-    style: dict[str, Any] = {
-        "color": law_color(number),
-        "linestyle": _LAW_LINES[number % len(_LAW_LINES)],
-        "linewidth": 2.4 if number == 2 else 1.4,
-        "zorder": 3 if number == 2 else 4,
-    }
-    curves = (
-        np.linalg.norm(derived.position_error(record), axis=1),
-        np.linalg.norm(derived.rotation_error(record), axis=1),
-        derived.contact_forces(record)[:, :, 1].sum(axis=1),
-    )
-    for axes, curve in zip(panels, curves, strict=True):
-        axes.plot(record.times[1:end], curve[1:end], **style)
-        if end < len(record) and end > 1:
-            axes.plot(
-                record.times[end - 1], curve[end - 1], "x", color=style["color"], ms=6, mew=1.6
-            )
 
 
 def _joints_per_finger(record: Record) -> int:

@@ -86,14 +86,12 @@ def hand_tree(
     """
     try:
         root = ElementTree.fromstring(description)
-    except ElementTree.ParseError as error:
-        raise HandModelError(
-            f"robot_description is not valid XML ({error}); expected a URDF"
-        ) from error
-    links = _links(root, list(joint_names))
+        links = _links(root, list(joint_names))
+        drawn = _drawn_tips(root, links)
+    except (ElementTree.ParseError, AttributeError, ValueError) as error:
+        raise HandModelError(f"robot_description is not a valid URDF ({error})") from error
     index = {link["name"]: i for i, link in enumerate(links)}
-    given = {name: tip for name, tip in tips.items() if name in index}
-    found = given or _drawn_tips(root, links)
+    found = {name: tip for name, tip in tips.items() if name in index} or drawn
     ends = [
         {"link": index[name], "finger": finger, "radius": radius}
         for name, (finger, radius) in found.items()
@@ -118,11 +116,8 @@ def _links(root: ElementTree.Element, joint_names: list[str]) -> list[dict[str, 
     return links
 
 
-def _end(joint: ElementTree.Element, tag: str) -> str:
-    element = joint.find(tag)
-    if element is None:
-        raise HandModelError(f"joint '{joint.get('name')}' has no <{tag}>; expected a URDF")
-    return str(element.get("link"))
+def _end(joint: Any, tag: str) -> str:
+    return str(joint.find(tag).get("link"))
 
 
 def _link(
@@ -144,20 +139,8 @@ def _link(
 
 def _numbers(element: ElementTree.Element | None, name: str, default: str) -> list[float]:
     text = default if element is None else element.get(name, default)
-    values = [_number(word) for word in text.split()]
-    if len(values) != 3:
-        raise HandModelError(f"the URDF has {name}='{text}', expected three numbers")
-    return values
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise HandModelError(f"the URDF has '{text}', expected a number")
-    return value
+    x, y, z = map(float, text.split())
+    return [x, y, z]
 
 
 def _quaternion(rpy: list[float]) -> list[float]:
@@ -175,5 +158,5 @@ def _drawn_tips(
     for link in root.findall("link"):
         sphere = link.find(".//sphere")
         if sphere is not None and link.get("name") in ends:
-            found[str(link.get("name"))] = ("", _number(sphere.get("radius", "0.01")))
+            found[str(link.get("name"))] = ("", float(sphere.get("radius", "0.01")))
     return found

@@ -22,8 +22,6 @@ INK, FAINT = "#222222", "#8a8a8a"
 # Okabe and Ito (2008): first the fingers, then the axes, so that no color means two things.
 _FINGERS = ("#0072B2", "#D55E00", "#009E73", "#7A5195", "#8C6D1F", "#444444")
 _AXES = ("#CC79A7", "#E69F00", "#56B4E9")
-# Tol's muted wine, sand and indigo, for the three laws.
-_LAWS = ("#882255", "#C9A227", "#332288")
 JOINT_LINES = ("-", "--", ":", "-.")
 
 _PARAMETERS: dict[str, Any] = {
@@ -66,11 +64,6 @@ def finger_color(index: int) -> str:
 def axis_color(index: int) -> str:
     """Return the color of x, y or z."""
     return _AXES[index]
-
-
-def law_color(index: int) -> str:
-    """Return the color of the laws (8), (10) and (14), by their order."""
-    return _LAWS[index % len(_LAWS)]
 
 
 def pretty(name: str) -> str:

@@ -264,31 +264,6 @@ def _true_orientation(outcomes: Outcomes) -> Judged:
     )
 
 
-LAWS = {"(8)": "kawamura", "(10)": "contact", "(14)": "optimal"}
-"""The experiment with each law on the same task."""
-
-
-def law_numbers(run: ExperimentRun) -> dict[str, float]:
-    """Return what a law does on the paper's task, with units in the names.
-
-    NaN stands for errors when the grasp was lost, and for a contact that is never lost. The rolling
-    is how far a contact moved over the object before a contact was lost, the stiffness the mean
-    pull at the contacts per metre of position error.
-    """
-    m = run.metrics
-    stiffness = np.diag(translational_stiffness(run.scenario, "contacts"))
-    return {
-        "final_position_error_m": m.final_position_error_m,
-        "final_rotation_error_rad": m.final_rotation_error_rad,
-        "first_contact_loss_s": m.first_contact_loss_s,
-        "peak_joint_rate_rad_per_s": m.peak_joint_rate_rad_per_s,
-        "normal_force_sum_N": m.normal_force_sum_N,
-        "worst_required_friction": float(np.max(list(m.final_required_friction.values()))),
-        "largest_rolling_m": _largest(_until_loss(run)),
-        "stiffness_N_per_m": float(stiffness.mean()),
-    }
-
-
 def _until_loss(run: ExperimentRun) -> derived.Array:
     """Return how far contacts rolled over the object, as long as all of them touched."""
     lost = np.flatnonzero(derived.contact_lost(run.record))

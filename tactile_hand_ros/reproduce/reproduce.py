@@ -9,18 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
+from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
-from tactile_hand_ros.report.tables import markdown, number, plain, rich_table
-from tactile_hand_ros.reproduce.claims import (
-    LAWS,
-    Claim,
-    ClaimVerdict,
-    Outcomes,
-    judge,
-    law_numbers,
-)
+from tactile_hand_ros.report.tables import markdown, plain, rich_table
+from tactile_hand_ros.reproduce.claims import Claim, ClaimVerdict, Outcomes, judge
 from tactile_hand_ros.reproduce.experiments import (
     EXPERIMENTS,
     ExperimentRun,
@@ -46,13 +39,11 @@ class Reproduction:
         layout: Layout of the hand's fingers.
         outcomes: All experiments by key.
         claims: What the paper claims and what was measured.
-        laws: What the laws (8), (10) and (14) do on the same task, see `law_numbers`.
     """
 
     layout: str
     outcomes: Outcomes
     claims: list[Claim]
-    laws: dict[str, dict[str, float]]
 
 
 def reproduce(
@@ -77,15 +68,7 @@ def reproduce(
     for (key, layout, _), run in zip(tasks, in_parallel(_run, tasks), strict=True):
         found[layout][key] = run
         progress(pretty(f"{layout}: {key}"))
-    return [
-        Reproduction(
-            layout,
-            outcomes,
-            judge(outcomes),
-            {name: law_numbers(outcomes[key]) for name, key in LAWS.items()},
-        )
-        for layout, outcomes in found.items()
-    ]
+    return [Reproduction(layout, runs, judge(runs)) for layout, runs in found.items()]
 
 
 def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
@@ -95,7 +78,7 @@ def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
 def draw(
     result: Reproduction, folder: Path, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
-    """Draw Fig. 2, 3 and 4 and the comparison of the laws; return the files.
+    """Draw Fig. 2, 3 and 4; return the files.
 
     Args:
         result: One layout.
@@ -109,7 +92,6 @@ def draw(
         "fig4": friction_figure(
             {"tangential forces penalised": runs["optimal"], "nominal, W = I": runs["nominal"]}
         ),
-        "laws": law_figure({name: runs[key] for name, key in LAWS.items()}),
     }
     return [
         file
@@ -143,64 +125,33 @@ Table I, in-process (`tactile-hand reproduce`). The paper does not print where t
 stand: `three_faces` and `pinch` are two readings of it.
 """
 
-_LAWS = """What the laws do on the same task. Under (8) and (10) k_f multiplies lengths, so that
-the same number is another force than under (14). Rolling is how far a contact moved over the
-object, stiffness how hard the contacts are pulled per metre of position error.
-"""
-
 _FIGURES = {
     "fig2": "Fig. 2: hand and object at the start and at the end",
     "fig3": "Fig. 3: joint rates, position, orientation error, normal forces",
     "fig4": "Fig. 4: the friction coefficient that each contact needs, under both weightings",
-    "laws": "The laws (8), (10) and (14) on the same task; a cross marks a lost contact",
 }
 
 
 def _section(result: Reproduction, picture: str) -> str:
     pictures = [f"![{text}]({name}_{result.layout}.{picture})\n" for name, text in _FIGURES.items()]
     claims = markdown(CLAIM_COLUMNS, claim_rows(result.claims))
-    laws = markdown(LAW_COLUMNS, law_rows(result))
-    return "\n".join([f"## Layout {result.layout}\n", claims, _LAWS, laws, *pictures])
+    return "\n".join([f"## Layout {result.layout}\n", claims, *pictures])
 
 
 def _plain(result: Reproduction) -> dict[str, Any]:
     return {
         "claims": [{**asdict(claim), "verdict": claim.verdict.value} for claim in result.claims],
-        "laws": [{"law": name, **numbers} for name, numbers in result.laws.items()],
         "metrics": {key: outcome.metrics.to_dict() for key, outcome in result.outcomes.items()},
     }
 
 
 CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
-_LAW_NUMBERS = {
-    "final_position_error_m": ("position error", 1e3, "mm"),
-    "final_rotation_error_rad": ("|r_d|", 1.0, "rad"),
-    "first_contact_loss_s": ("contact lost", 1.0, "s"),
-    "peak_joint_rate_rad_per_s": ("peak joint rate", 1.0, "rad/s"),
-    "normal_force_sum_N": ("sum of f_n", 1.0, "N"),
-    "worst_required_friction": ("worst beta", 1.0, ""),
-    "largest_rolling_m": ("rolling", 1e3, "mm"),
-    "stiffness_N_per_m": ("stiffness", 1.0, "N/m"),
-}
-"""Name, factor and unit of each of `law_numbers`."""
-LAW_COLUMNS = ("law", *LAWS)
 _COLORS = {ClaimVerdict.HOLDS: "green", ClaimVerdict.PARTLY: "yellow", ClaimVerdict.FAILS: "red"}
 
 
 def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
     """Return claims as text, columns as in `CLAIM_COLUMNS`."""
     return [[c.source, c.statement, c.measured, c.verdict.value] for c in claims]
-
-
-def law_rows(result: Reproduction) -> list[list[str]]:
-    """Return the comparison of laws as text, columns as in `LAW_COLUMNS`."""
-    rows = []
-    for name, (head, factor, unit) in _LAW_NUMBERS.items():
-        cells = [number(factor * result.laws[law][name], unit) for law in LAWS]
-        if name == "first_contact_loss_s":
-            cells = [cell.replace("unknown", "never") for cell in cells]
-        rows.append([head, *cells])
-    return rows
 
 
 def claim_table(result: Reproduction) -> Table:

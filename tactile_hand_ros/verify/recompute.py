@@ -22,14 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.bag.provenance import versions
 from tactile_hand_ros.closed_loop.loop import Chain
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
-from tactile_hand_ros.errors import BagError, GraspError, counted
+from tactile_hand_ros.errors import BagError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -142,21 +141,6 @@ def scenario_of(run: Run) -> Scenario:
             "`scenario`, or put scenario.yaml next to the bag."
         )
     return run.scenario
-
-
-def reason(run: Run) -> str:
-    """Return in words what may be the reason that a run is not reproduced."""
-    data = run.summary.custom_data
-    others = [
-        f"{name} {data[f'version_{name}']} then, {version} now"
-        for name, version in versions().items()
-        if data.get(f"version_{name}", version) != version
-    ]
-    if others:
-        return f": {'; '.join(others)}."
-    if run.lost_messages:
-        return f": {counted(run.lost_messages, 'message')} of the hand were lost while recording."
-    return "; changed code, or a node that was started again, may be the reason."
 
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:

@@ -204,7 +204,7 @@ def test_reproduce_writes_figures_and_report(
     printed = capsys.readouterr().out
     assert "does not hold" in printed and "layout pinch" in printed
     names = {file.name for file in tmp_path.iterdir()}
-    figures = {f"{name}_pinch.png" for name in ("fig2", "fig3", "fig4", "laws")}
+    figures = {f"{name}_pinch.png" for name in ("fig2", "fig3", "fig4")}
     assert names == figures | {"reproduction.md", "reproduction.json"}
     report = (tmp_path / "reproduction.md").read_text()
     assert all(name in report for name in figures)

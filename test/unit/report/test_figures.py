@@ -10,10 +10,11 @@ import pytest
 from PIL import Image
 from support.recorded import random_record
 
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.report.figures import friction_figure, law_figure, motion_figure
+from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
-from tactile_hand_ros.report.style import DPI, PAGE, finger_color, law_color, save
+from tactile_hand_ros.report.style import DPI, PAGE, axis_color, finger_color, save
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -43,7 +44,6 @@ def test_every_figure_can_be_drawn(name: str, tmp_path: Path) -> None:
         "fig2": grasp_figure(record, load_scenario("paper")),
         "fig3": motion_figure(record),
         "fig4": friction_figure({"one": record, "other": record}),
-        "laws": law_figure({"(8)": record, "(14)": record}),
     }
     for title, figure in figures.items():
         for file in save(figure, tmp_path, title, formats):
@@ -52,7 +52,7 @@ def test_every_figure_can_be_drawn(name: str, tmp_path: Path) -> None:
         with Image.open(file) as picture:
             assert abs(picture.width - PAGE * DPI) <= 1
             assert len(picture.convert("L").getcolors()) > 10  # not an empty page
-    assert len(list(tmp_path.iterdir())) == 4 * len(formats)
+    assert len(list(tmp_path.iterdir())) == 3 * len(formats)
 
 
 def test_lines_are_the_numbers_of_the_record() -> None:
@@ -87,14 +87,10 @@ def test_same_record_gives_same_files(tmp_path: Path) -> None:
 def test_no_color_means_two_things() -> None:
     fingers = {finger_color(i) for i in range(6)}
     assert len(fingers) == 6
-    assert len({law_color(i) for i in range(3)} | fingers) == 9
+    assert len({axis_color(i) for i in range(3)} | fingers) == 9
 
 
 def test_strong_forces_stay_in_the_picture() -> None:
-    from tactile_hand_ros.closed_loop.loop import ClosedLoop
-    from tactile_hand_ros.report.scene import grasp_figure
-    from tactile_hand_ros.scenario.scenario import load_scenario
-
     scenario = load_scenario("paper", {"duration": 0.01, "targets": []})
     record = ClosedLoop(scenario).run()
     record.forces[:, 0] = (0.0, 240.0, 0.0)
