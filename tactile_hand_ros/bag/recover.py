@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import yaml
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
@@ -17,7 +16,7 @@ from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, 
 from tactile_hand_ros.bag.reader import check_regular, find_bag, read_messages, summarize
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
-from tactile_hand_ros.errors import BagError, counted
+from tactile_hand_ros.errors import BagError
 
 LARGEST = 2**28
 """Largest record and chunk that are read [B]; what announces more is damaged."""
@@ -25,18 +24,15 @@ LARGEST = 2**28
 _MAGIC = b"\x89MCAP0\r\n"
 
 
-@dataclass(frozen=True)
-class RecoveredBag:
+class Recovery(NamedTuple):
     """The result of a recovery.
 
     Attributes:
-        source: The broken bag.
-        target: The new one.
-        metadata: File and topics of the new bag.
+        target: The new bag.
+        metadata: Its file and topics.
         left: Bytes that were cut off or damaged.
     """
 
-    source: Path
     target: Path
     metadata: BagMetadata
     left: int
@@ -46,18 +42,8 @@ class RecoveredBag:
         """Number of messages that were recovered."""
         return self.metadata.message_count
 
-    @property
-    def sentence(self) -> str:
-        """The outcome in words."""
-        topics = sum(1 for topic in self.metadata.topics if topic.message_count)
-        lost = f"{counted(self.left, 'byte')} could not be used" if self.left else "nothing is lost"
-        return (
-            f"recovered {counted(self.messages, 'message')} on {counted(topics, 'topic')} to "
-            f"{self.target}; {lost}; {self.source} was not touched"
-        )
 
-
-def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
+def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
     """Write all complete chunks of a bag, of any recorder, to a new bag.
 
     Args:
@@ -75,7 +61,7 @@ def recover(bag: Path | str, out: Path | str | None = None) -> RecoveredBag:
     try:
         for file in files:
             copy.add(file)
-        return RecoveredBag(source, target, copy.close(), copy.left)
+        return Recovery(target, copy.close(), copy.left)
     except BaseException:  # half a bag would only be in the way of the next attempt
         shutil.rmtree(target, ignore_errors=True)
         raise
@@ -175,15 +161,13 @@ class _Copy:
         return self._writer.close()
 
     def _keep(self, record: Metadata) -> None:
-        """Copy a metadata record; of rosbag2's own, what the messages do not contain."""
-        if record.name != RECORD_NAME:
+        """Copy a metadata record; of rosbag2's own, the custom data, which no message contains."""
+        if record.name == RECORD_NAME:
+            tree = yaml.safe_load(record.metadata[RECORD_KEY])
+            custom = {str(key): str(text) for key, text in tree["custom_data"].items()}
+            self._writer.custom_data |= custom
+        else:
             self._writer.add_metadata(record.name, record.metadata)
-            return
-        tree = _mapping(record.metadata.get(RECORD_KEY, ""))
-        custom = tree.get("custom_data")
-        if isinstance(custom, dict):
-            self._writer.custom_data |= {str(key): str(text) for key, text in custom.items()}
-        self._writer.ros_distro = str(tree.get("ros_distro") or self._writer.ros_distro)
 
 
 def _offers(text: str) -> list[OfferedQos]:
@@ -192,11 +176,3 @@ def _offers(text: str) -> list[OfferedQos]:
         return [dict(offer) for offer in dump_qos_v9(parse_qos(text))]
     except Exception:  # text of others, which may be anything
         return []
-
-
-def _mapping(text: str) -> dict[Any, Any]:
-    try:
-        tree = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return {}
-    return tree if isinstance(tree, dict) else {}

@@ -133,7 +133,9 @@ def recover(
     if out is None and r.is_whole(found):
         print(f"{found} is whole, there is nothing to recover")
         return
-    print(r.recover(found, out).sentence)
+    new = r.recover(found, out)
+    lost = f"{counted(new.left, 'byte')} could not be used" if new.left else "nothing is lost"
+    print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
 
 
 COMMANDS = (recover, replay)

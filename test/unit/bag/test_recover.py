@@ -115,7 +115,6 @@ def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
     got = {m.data for m in read_messages(recovery.target)}
     assert got < set(sent) and sent[100] not in got
     assert len(got) > COUNT - 60 and recovery.left > 500
-    assert f"{recovery.left} bytes could not be used" in recovery.sentence
 
 
 def test_a_chunk_that_announces_too_much_is_left_out(tmp_path: Path) -> None:
@@ -173,10 +172,8 @@ def test_topic_and_times_are_kept(tmp_path: Path) -> None:
     assert (topic.name, topic.type, topic.type_hash) == ("/a", STRING, HASH)
     assert topic.offers == (LATCHED,) and topic.message_count == 2
     assert (recovery.metadata.start, recovery.metadata.duration) == (1000, 2)
-    assert recovery.sentence == (
-        f"recovered 3 messages on 2 topics to {tmp_path}/run_recovered; nothing is lost; "
-        f"{tmp_path}/run was not touched"
-    )
+    assert (recovery.target, recovery.messages) == (tmp_path / "run_recovered", 3)
+    assert recovery.left == 0
     with (recovery.target / recovery.metadata.path).open("rb") as stream:
         times = [(m.log_time, m.publish_time) for _, _, m in make_reader(stream).iter_messages()]
     assert times == [(1000, 900), (1001, 901), (1002, 902)]
@@ -204,7 +201,6 @@ def foreign_file(file: Path, offers: str = "", schema: int = 1, encoding: str = 
 def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -> None:
     recovery = recover(foreign_file(tmp_path / "x.mcap"))
     assert recovery.target == tmp_path / "x_recovered"
-    assert recovery.metadata.ros_distro == "kilted"
     custom = {"count": "2", "at_1": "1", "at_2": "2", "recovered_bytes_left": "0"}
     assert summarize(recovery.target).custom_data == custom
     with (recovery.target / recovery.metadata.path).open("rb") as stream:
