@@ -25,7 +25,6 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternions_of_rows
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.miscalibration import Miscalibration
 from tactile_hand_ros.simulation.plant import Plant, PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 
@@ -130,9 +129,8 @@ class SensingChain(Chain):
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
     """Build the blocks of a scenario for the nominal hand of its controllers."""
     c = scenario.tactile_sensor
-    miscalibration = None if c.calibration.is_right else Miscalibration(c.calibration, hand)
     return SensingChain(
-        TactileSensor(c, hand.radii, None if miscalibration is None else miscalibration.step),
+        TactileSensor(c, hand.radii, hand),
         SlipRegulator(scenario.slip_regulator, hand.fingers),
         ForceOptimizer(scenario.force_optimizer, hand.fingers),
         Controller(scenario.manipulation_controller),

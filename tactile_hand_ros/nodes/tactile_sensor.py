@@ -25,7 +25,6 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.simulation.miscalibration import Miscalibration
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
 
 Array = NDArray[np.float64]
@@ -66,15 +65,14 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
-        miscalibrated = None
+        known = None
         if not self.config.calibration.is_right:
             # Only a skin that is miscalibrated needs the model, which takes long to load.
             from tactile_hand_ros.hand.hand import Hand
 
             known = Hand.load(self.config.hand, self.config.layout)
-            miscalibrated = Miscalibration(self.config.calibration, known).step
             declared += (streams.joints(known.joint_names),)
-        self._sensor = TactileSensor(self.config, np.array(hand.radii), miscalibrated)
+        self._sensor = TactileSensor(self.config, np.array(hand.radii), known)
         self._rehearse(len(fingers))
         self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
         if not composed:

@@ -12,6 +12,9 @@ The cone is the exact circular one and sticking means w_t = 0 to rounding. Where
 and however singular W; see docs/physics.md. A penetration (c < 0) cannot always be left: fingers
 may jam the object. Then it may not grow, which is c = 0. One in a hundred arbitrary problems with a
 singular W or a huge mu is not solved; the outcome says so.
+
+The laws hold where a function of p vanishes, whose root Newton's method finds (Alart and Curnier
+1991).
 """
 
 from __future__ import annotations
@@ -23,14 +26,6 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.simulation.alart_curnier import (
-    TOLERANCE,
-    Laws,
-    contact_laws,
-    into_cones,
-    newton,
-    residual,
-)
 
 Array = NDArray[np.float64]
 
@@ -41,8 +36,15 @@ RELAXED = 1
 UNSOLVED = 2
 """Outcome: no impulses were found that obey the laws; those applied take energy and add none."""
 
-_STIFFNESSES = (1.0, 0.1, 10.0)
-_FRICTION_PARTS = (4, 16, 64)  # steps in which friction grows to its value
+_TOLERANCE = 1e-10  # of the residual
+_ROUNDING = 1e-9  # of the impulse that stops a contact: an open one would seem to touch
+_EXACT = 1e-14
+_MAX_STEPS = 40
+_MAX_HALVINGS = 8
+_SINGULAR = 1e-13  # of the largest pivot: what is less is rounding
+_IMMOVABLE = 1e-8  # of the largest diagonal of W: less counts as much
+# Where Newton's method fails: other factors of r, and numbers of steps in which friction grows.
+_ATTEMPTS = ((1.0, 1), (0.1, 1), (10.0, 1), (1.0, 4), (1.0, 16), (1.0, 64))
 
 
 class ContactImpulses(NamedTuple):
@@ -69,8 +71,8 @@ def solve_contacts(
     """Solve the contact laws of one step.
 
     Sticking of all contacts is tried first, since it needs one linear solve. Where that leaves a
-    cone, a semi-smooth Newton method (Alart and Curnier 1991) finds the modes of all contacts
-    together; where it fails, it starts again elsewhere. What counts is the residual of the laws.
+    cone, a semi-smooth Newton method finds the modes of all contacts together; where it fails, it
+    starts again elsewhere. What counts is the residual of the laws.
 
     Args:
         delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
@@ -80,80 +82,27 @@ def solve_contacts(
         guess: Impulses of the last step, shape (c, 3), N s.
     """
     offset = free.copy()
-    for i in range(len(friction)):
-        offset[3 * i + 1] += closing[i]
+    offset[1::3] += closing
     factor, regular = factorize(delassus)
     if regular:
         stuck = -offset
         substitute(factor, stuck.reshape(-1, 1))
         if _inside(stuck, friction):
             return _answer(delassus, free, stuck, 0.0, EXACT)
-    laws = contact_laws(delassus, offset, friction)
-    best, _ = newton(laws, guess.copy().reshape(-1), 1.0)
-    left = into_cones(laws, best)
-    if not left < TOLERANCE:
+    laws = _contact_laws(delassus, offset, friction)
+    best = _newton(laws, guess.copy().reshape(-1), 1.0)
+    left = _into_cones(laws, best)
+    if not left < _TOLERANCE:
         best, left = _search(laws, best, left)
-    if left < TOLERANCE:
+    if left < _TOLERANCE:
         return _answer(delassus, free, best, left, EXACT)
     if closing.min() < 0.0:
         kept = free.copy()
-        for i in range(len(friction)):
-            kept[3 * i + 1] += max(closing[i], 0.0)
-        relaxed = contact_laws(delassus, kept, friction)
-        other, remains = _search(relaxed, best, np.inf)
-        if remains < TOLERANCE:
-            return _answer(delassus, free, other, residual(laws, other), RELAXED)
+        kept[1::3] += np.maximum(closing, 0.0)
+        other, remains = _search(_contact_laws(delassus, kept, friction), best, np.inf)
+        if remains < _TOLERANCE:
+            return _answer(delassus, free, other, _residual(laws, other), RELAXED)
     return _answer(delassus, free, _without_gain(laws, best), left, UNSOLVED)
-
-
-@compiled
-def _search(laws: Laws, best: Array, left: float) -> tuple[Array, float]:
-    """Start Newton's method from zero: with other factors of r, then with friction that grows.
-
-    Args:
-        laws: The laws.
-        best: Impulses known so far, shape (3c,), N s.
-        left: Their residual.
-
-    Returns:
-        The impulses with the smallest residual that were found, shape (3c,), N s, and the residual.
-    """
-    n = len(laws.offset)
-    for stiffness in _STIFFNESSES:
-        p, _ = newton(laws, np.zeros(n), stiffness)
-        found = into_cones(laws, p)
-        if found < left:
-            best, left = p, found
-        if left < TOLERANCE:
-            return best, left
-    for parts in _FRICTION_PARTS:
-        p = np.zeros(n)
-        for part in range(1, parts + 1):
-            friction = laws.friction * (part / parts)
-            weaker = Laws(laws.delassus, laws.offset, friction, laws.mobility, laws.size)
-            p, _ = newton(weaker, p, 1.0)
-        found = into_cones(laws, p)
-        if found < left:
-            best, left = p, found
-        if left < TOLERANCE:
-            break
-    return best, left
-
-
-@compiled
-def _without_gain(laws: Laws, p: Array) -> Array:
-    """Return p, shortened where its work p b + p W p / 2 on the two bodies would be positive."""
-    work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
-    if not work < 0.0:
-        return np.zeros(len(p))
-    fraction: float = min(1.0, -2.0 * work / max(stopping, 1e-300))
-    return fraction * p
-
-
-@compiled
-def _answer(delassus: Array, free: Array, p: Array, left: float, outcome: int) -> ContactImpulses:
-    velocities: Array = delassus @ p + free
-    return ContactImpulses(p.reshape(-1, 3), velocities.reshape(-1, 3), left, outcome)
 
 
 @compiled
@@ -163,3 +112,207 @@ def _inside(p: Array, friction: Array) -> bool:
         if not n >= 0.0 or x * x + z * z > (friction[i] * n) ** 2:
             return False
     return True
+
+
+@compiled
+def _answer(delassus: Array, free: Array, p: Array, left: float, outcome: int) -> ContactImpulses:
+    velocities: Array = delassus @ p + free
+    return ContactImpulses(p.reshape(-1, 3), velocities.reshape(-1, 3), left, outcome)
+
+
+class _Laws(NamedTuple):
+    """What the impulses p of a step must obey: 0 <= p_n, 0 <= w_n and so on with w = W p + b.
+
+    Attributes:
+        delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
+        offset: b, velocities without contact impulses, closing speeds included, shape (3c,), m/s.
+        friction: mu, shape (c,).
+        mobility: r, shape (3c,), kg: turns velocities into impulses; any r > 0 leaves the
+            roots where they are.
+        size: Impulses that stop the contacts one by one, shape (3c,), N s.
+    """
+
+    delassus: Array
+    offset: Array
+    friction: Array
+    mobility: Array
+    size: Array
+
+
+@compiled
+def _contact_laws(delassus: Array, offset: Array, friction: Array) -> _Laws:
+    """Return the laws with the inverse diagonal of W as mobility."""
+    largest = np.diag(delassus).max()
+    least = _IMMOVABLE * largest if largest > 0.0 else 1.0
+    r = np.empty(len(offset))
+    for x in range(0, len(offset), 3):
+        tangential = 0.5 * (delassus[x, x] + delassus[x + 2, x + 2])
+        r[x] = r[x + 2] = 1.0 / max(tangential, least)
+        r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], least)
+    return _Laws(delassus, offset, friction, r, r * max(np.abs(offset).max(), 1e-300))
+
+
+@compiled
+def _search(laws: _Laws, best: Array, left: float) -> tuple[Array, float]:
+    """Start from zero in several ways; return the best impulses known so far and their residual."""
+    for stiffness, parts in _ATTEMPTS:
+        p = np.zeros(len(laws.offset))
+        for part in range(1, parts + 1):
+            friction = laws.friction * (part / parts)
+            weaker = _Laws(laws.delassus, laws.offset, friction, laws.mobility, laws.size)
+            p = _newton(weaker, p, stiffness)
+        found = _into_cones(laws, p)
+        if found < left:
+            best, left = p, found
+        if left < _TOLERANCE:
+            break
+    return best, left
+
+
+@compiled
+def _without_gain(laws: _Laws, p: Array) -> Array:
+    """Return p, shortened where its work p b + p W p / 2 on the two bodies would be positive."""
+    work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
+    if not work < 0.0:
+        return np.zeros(len(p))
+    fraction: float = min(1.0, -2.0 * work / max(stopping, 1e-300))
+    return fraction * p
+
+
+@compiled
+def _residual(laws: _Laws, p: Array) -> float:
+    """Return the largest violation of the laws, in units of the fastest velocity without impulses.
+
+    It judges velocities where contacts stick and impulses where they are open, so that neither
+    huge impulses nor huge velocities hide the other.
+    """
+    return float(np.abs(_violation(laws, p, 1.0)).max())
+
+
+@compiled
+def _into_cones(laws: _Laws, p: Array) -> float:
+    """Bring p exactly into the cones, where it is but for rounding, and return its residual."""
+    for i in range(len(laws.friction)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        if not p[n] > _ROUNDING * laws.size[n]:
+            p[x] = p[n] = p[z] = 0.0
+        limit, length = laws.friction[i] * p[n], np.hypot(p[x], p[z])
+        if length > limit:
+            p[x], p[z] = p[x] * (limit / length), p[z] * (limit / length)
+    return _residual(laws, p)
+
+
+@compiled
+def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
+    """Return the best iterate of Newton's method from impulses p on, shape (3c,), N s.
+
+    The stiffness is a factor of r: where one fails, another may not.
+    """
+    best, least = p, np.inf
+    for _ in range(_MAX_STEPS):
+        value = _violation(laws, p, stiffness)
+        worst = np.abs(value).max()
+        if not worst < np.inf:
+            break
+        before = least
+        if worst < least:
+            best, least = p, worst
+        # Convergence is quadratic: one more step is worth it until rounding stops it.
+        if least < _EXACT or (least < _TOLERANCE and worst > 0.1 * before):
+            break
+        step = _eliminate(_slope(laws, p, stiffness), -value)
+        # Halve the step until the merit falls; take the full step when it never does.
+        length, merit = 1.0, value @ value
+        following = p + step
+        for _ in range(_MAX_HALVINGS):
+            trial = p + length * step
+            left = _violation(laws, trial, stiffness)
+            if left @ left < (1.0 - 1e-4 * length) * merit:
+                following = trial
+                break
+            length *= 0.5
+        p = following
+    return best
+
+
+@compiled
+def _violation(laws: _Laws, p: Array, stiffness: float) -> Array:
+    """Return F(p) / size, which vanishes where both laws hold.
+
+    F_n = p_n - max(0, a_n) and F_t = p_t - proj(a_t) onto the disc of radius mu max(0, a_n), with
+    a = p - r w.
+    """
+    w, b, mu, r, _ = laws
+    aim = p - stiffness * r * (w @ p + b)
+    out = p.copy()
+    for i in range(len(mu)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        normal = max(aim[n], 0.0)
+        radius, length = mu[i] * normal, np.hypot(aim[x], aim[z])
+        shrink = radius / length if length > radius else 1.0
+        out[x] -= shrink * aim[x]
+        out[n] -= normal
+        out[z] -= shrink * aim[z]
+    return out / laws.size
+
+
+@compiled
+def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
+    """Return an element of the generalised Jacobian of F / size at p."""
+    w, b, mu, mobility, _ = laws
+    r = stiffness * mobility
+    aim = p - r * (w @ p + b)
+    out = np.diag(1.0 / laws.size)
+    for i in range(len(mu)):
+        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        if aim[n] <= 0.0:  # open: all impulses vanish
+            continue
+        dx, dn, dz = -r[x] * w[x], -r[n] * w[n], -r[z] * w[z]
+        dx[x] += 1.0
+        dn[n] += 1.0
+        dz[z] += 1.0
+        length, radius = np.hypot(aim[x], aim[z]), mu[i] * aim[n]
+        if length > radius:  # slip along u
+            ux, uz = aim[x] / length, aim[z] / length
+            along = ux * dx + uz * dz
+            spread = radius / length
+            dx = spread * (dx - ux * along) + mu[i] * ux * dn
+            dz = spread * (dz - uz * along) + mu[i] * uz * dn
+        out[x] -= dx / laws.size[x]
+        out[n] -= dn / laws.size[n]
+        out[z] -= dz / laws.size[z]
+    return out
+
+
+@compiled
+def _eliminate(matrix: Array, right: Array) -> Array:
+    """Return the solution of a system of n equations; both arguments are overwritten.
+
+    Where the matrix is singular, the unknowns that the other equations leave free are zero.
+    """
+    n = len(right)
+    order = np.arange(n)
+    rank, first = n, 0.0
+    for i in range(n):
+        row, column = divmod(np.argmax(np.abs(matrix[i:, i:])), n - i)
+        row, column = i + row, i + column
+        largest = abs(matrix[row, column])
+        first = max(first, largest)
+        if not largest > _SINGULAR * first:
+            rank = i
+            break
+        right[i], right[row] = right[row], right[i]
+        order[i], order[column] = order[column], order[i]
+        matrix[i], matrix[row] = matrix[row].copy(), matrix[i].copy()
+        matrix[:, i], matrix[:, column] = matrix[:, column].copy(), matrix[:, i].copy()
+        for a in range(i + 1, n):
+            share = matrix[a, i] / matrix[i, i]
+            right[a] -= share * right[i]
+            matrix[a, i + 1 :] -= share * matrix[i, i + 1 :]
+    out = np.zeros(n)
+    for i in range(rank - 1, -1, -1):
+        total = right[i]
+        for b in range(i + 1, rank):
+            total -= matrix[i, b] * out[order[b]]
+        out[order[i]] = total / matrix[i, i]
+    return out

@@ -9,14 +9,12 @@ it moves over both bodies as the fingertip rolls; the acceleration form of (6) i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, mirrored
@@ -28,10 +26,10 @@ from tactile_hand_ros.rotations import (
 from tactile_hand_ros.simulation.contact_step import (
     Body,
     HandTerms,
-    StepResult,
+    Motion,
+    at_rest,
     contact_geometry,
     half_step,
-    no_past,
     observed,
     step,
 )
@@ -95,7 +93,6 @@ class Plant:
         solid: The object's shape.
         friction: Coulomb friction of each finger now, shape (k,).
         time: Simulated time, s.
-        contact_residual: Largest relative violation of the contact laws in the last step.
         relaxed_steps: Steps since the start in which a penetration could not be left.
         unsolved_steps: Steps since the start in which the contact laws were not met.
     """
@@ -112,25 +109,21 @@ class Plant:
         self._gravity = np.array(config.gravity)
         self.hand = self.known = Hand.load(config.hand, config.layout, self._gravity)
         self._reach = _REACH
-        if not config.calibration.is_right:
-            self._differ(config)
+        c = config.calibration
+        if not c.is_right:
+            self._gravity = rotation_from_vector(c.gravity_rotation) @ self._gravity
+            true = config.hand, config.layout, self._gravity
+            self.hand = Hand.load(*true, link_lengths=c.link_lengths, tip_radii=c.tip_radii)
+            self._reach = _REACH_BY_TOUCH
         self.solid = config.object.solid()
-        self._mass = config.object.mass
-        self._inertia = config.object.inertia_about(self.solid)
-        self._weight = np.concatenate([self._mass * self._gravity, np.zeros(3)])
+        inertia = config.object.inertia_about(self.solid)
+        self._body = Body(self.solid.shape, config.object.mass, inertia)
+        self._weight = np.concatenate([config.object.mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(
             config.encoder, config.effort_noise, config.time_step, config.seed
         )
         self.reset()
-
-    def _differ(self, config: PlantConfig) -> None:
-        """Replace hand and gravity by those that the hand does not know."""
-        c = config.calibration
-        self._gravity = rotation_from_vector(c.gravity_rotation) @ self._gravity
-        true = config.hand, config.layout, self._gravity
-        self.hand = Hand.load(*true, link_lengths=c.link_lengths, tip_radii=c.tip_radii)
-        self._reach = _REACH_BY_TOUCH
 
     def _expand(self, given: list[float]) -> Array:
         m, k = self.hand.joints, self.hand.fingers
@@ -149,35 +142,27 @@ class Plant:
         c = self.config.object
         self.time = 0.0
         self._steps = 0
-        self._theta = self._initial_joints.copy()
-        self._v = np.zeros(self.hand.joints + 6)
-        self._position = np.array(c.position)
-        self._rotation = rotation_from_vector(c.rotation)
-        self._close_gaps()
-        k = self.hand.fingers
-        self.friction = np.full(k, c.friction)
+        rotation = rotation_from_vector(c.rotation)
+        start = self._initial_joints, np.array(c.position), rotation
+        self._now = self._closed(at_rest(*start, self.hand.fingers))
+        self.friction = np.full(self.hand.fingers, c.friction)
         self._torque = np.zeros(self.hand.joints)
-        self._past = no_past(k, self._v)
         self._turn_palm(0.0)
-        self.contact_residual = 0.0
         self.relaxed_steps = self.unsolved_steps = 0
-        self._sliding = np.zeros((k, 2))
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
         self._joint_sensor.reset()
         self._sense_joints()
         return self.state
 
     def _sense_joints(self) -> None:
-        rates = self._v[: self.hand.joints]
-        self._joints = self._joint_sensor.step(self._theta, rates, self._torque)
+        rates = self._now.velocities[: self.hand.joints]
+        self._joints = self._joint_sensor.step(self._now.theta, rates, self._torque)
 
-    def _close_gaps(self) -> None:
+    def _closed(self, now: Motion) -> Motion:
         """Move the fingers so that tips near the object touch it exactly."""
         for _ in range(20):
-            tips = self.hand.tip_positions(self._theta)
-            _, frames, gaps = contact_geometry(
-                self.solid.shape, self._position, self._rotation, tips, self.hand.radii
-            )
+            place = now.position, now.rotation, self.hand.tip_positions(now.theta)
+            _, frames, gaps = contact_geometry(self.solid.shape, *place, self.hand.radii)
             if gaps.min() < -self._reach:
                 finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
@@ -186,10 +171,12 @@ class Plant:
                 )
             missing = np.where(np.abs(gaps) <= self._reach, gaps, 0.0)
             if np.abs(missing).max() < 1e-15:
-                return
+                break
             moves = frames[:, :, 1] * missing[:, None]
-            jacobian = self.hand.fingertips(self._theta).linear.reshape(-1, self.hand.joints)
-            self._theta = self._theta + np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
+            jacobian = self.hand.fingertips(now.theta).linear.reshape(-1, self.hand.joints)
+            turn = np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
+            now = now._replace(theta=now.theta + turn)
+        return now
 
     def advance(self, torque: Array) -> PlantState:
         """Move one tick ahead while the joints keep a torque, shape (m,), N m; see `drive`."""
@@ -216,7 +203,7 @@ class Plant:
             self._torque = before + (self._acting - before) / (i + 1)
             self._step(c.time_step)
             self._sense_joints()
-        if not self._v.dot(self._v) < _FASTEST**2:  # NaN is not, either
+        if not self._now.velocities.dot(self._now.velocities) < _FASTEST**2:  # NaN is not, either
             raise DivergedError(
                 f"the simulation has diverged at {self.time:.3f} s, joints or object are faster "
                 f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
@@ -227,55 +214,48 @@ class Plant:
     def _step(self, h: float) -> None:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
-        m, v = self.hand.joints, self._v
-        theta, ahead = half_step(h, self._theta, v, self._past.velocities)
-        wrench, turning = self._weight, self._turn_palm(self.time + 0.5 * h)
-        terms = self.hand.raw_dynamics(theta, ahead[:m])
+        now, m, middle = self._now, self.hand.joints, self.time + 0.5 * h
+        theta, ahead = half_step(h, now)
+        turning = self._turn_palm(middle)
+        terms, wrench = self.hand.raw_dynamics(theta, ahead[:m]), self._weight
         if turning is not None:
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
             terms = terms._replace(bias=terms.bias + turns)
-            body_motion = self._position, ahead[m : m + 3], ahead[m + 3 :]
-            inertia = self._rotation @ self._inertia @ self._rotation.T
-            wrench = self._weight + apparent_wrench(turning, (self._mass, inertia), body_motion)
-        hand = HandTerms(self._theta, *terms, self._acting, self.hand.radii)
+            body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
+            inertia = now.rotation @ self._body.inertia @ now.rotation.T
+            wrench = wrench + apparent_wrench(turning, (self._body.mass, inertia), body_motion)
         if self.config.disturbances:
-            wrench = external_wrench(self.config.disturbances, self.time + 0.5 * h) + wrench
-        body = Body(
-            self._position, self._rotation, ahead[m + 3 :], self._mass, self._inertia, wrench
-        )
-        after = self._within_limits(h, v, hand, body)
-        self._v = after.velocities
-        self._theta, self._position, self._rotation = after.theta, after.position, after.rotation
-        self._past, self._sliding = after.past, after.sliding
-        self.contact_residual = after.residual
-        self.relaxed_steps += after.outcome == RELAXED
-        self.unsolved_steps += after.outcome == UNSOLVED
+            wrench = external_wrench(self.config.disturbances, middle) + wrench
+        hand = HandTerms(*terms, self._acting, self.hand.radii)
+        self._now = self._within_limits(h, hand, wrench)
+        self.relaxed_steps += self._now.outcome == RELAXED
+        self.unsolved_steps += self._now.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
 
-    def _within_limits(self, h: float, v: Array, hand: HandTerms, body: Body) -> StepResult:
+    def _within_limits(self, h: float, hand: HandTerms, wrench: Array) -> Motion:
         """Return a step at whose end no joint is beyond a limit that it was not beyond before.
 
         A joint that would pass its limit has met a stop, whose impulse acts on it alone and takes
         its rate: energy is lost. The step is taken again with that joint at rest, as if its inertia
         had no end. It may leave the stop in any later step.
         """
+        now, m = self._now, self.hand.joints
         lower, upper = self.hand.position_limits
-        rest = self.solid.shape, self.friction, self._past
-        stopped = np.zeros(self.hand.joints, dtype=np.bool_)
+        stopped = np.zeros(m, dtype=np.bool_)
         while True:
-            after = step(h, v, hand, body, *rest)
-            passed = ((after.theta > upper) & (after.theta > self._theta)) | (
-                (after.theta < lower) & (after.theta < self._theta)
+            after = step(h, now, hand, self._body, wrench, self.friction)
+            passed = ((after.theta > upper) & (after.theta > now.theta)) | (
+                (after.theta < lower) & (after.theta < now.theta)
             )
             passed &= ~stopped
             if not passed.any():
                 return after
             stopped |= passed
-            inertia, rates = mirrored(hand.inertia), v[: self.hand.joints]
+            inertia, v = mirrored(hand.inertia), now.velocities
             back = np.linalg.inv(inertia)[:, passed]
-            impulse = np.linalg.solve(back[passed], rates[passed])
-            v = np.concatenate([rates - back @ impulse, v[self.hand.joints :]])
+            impulse = np.linalg.solve(back[passed], v[:m][passed])
+            now = now._replace(velocities=np.concatenate([v[:m] - back @ impulse, v[m:]]))
             inertia[passed, passed] += _ENDLESS * inertia.diagonal().max()
             hand = hand._replace(inertia=inertia)
 
@@ -287,7 +267,7 @@ class Plant:
         gravity = turning.rotation.T @ self._gravity
         self.known.gravity = turning.rotation.T @ np.array(self.config.gravity)
         self.hand.gravity = gravity
-        self._weight = np.concatenate([self._mass * gravity, np.zeros(3)])
+        self._weight = np.concatenate([self._body.mass * gravity, np.zeros(3)])
         return turning
 
     @property
@@ -298,48 +278,38 @@ class Plant:
     @property
     def state(self) -> PlantState:
         """Hand and object now; a step replaces its arrays and never writes into them."""
-        m, h = self.hand.joints, self.config.time_step
-        tips = self.hand.tip_positions(self._theta)
-        points, frames, gaps, impulses = observed(
-            self.solid.shape,
-            self._position,
-            self._rotation,
-            tips,
-            self.hand.radii,
-            self._past,
-        )
+        now, m = self._now, self.hand.joints
+        tips = self.hand.tip_positions(now.theta)
+        seen = observed(self.solid.shape, now, tips, self.hand.radii)
+        points, frames, gaps, impulses = seen
         return PlantState(
-            self._theta,
-            self._v[:m],
+            now.theta,
+            now.velocities[:m],
             self._torque,
             self._joints,
-            self._position,
-            self._rotation,
-            self._v[m : m + 3],
-            self._v[m + 3 :],
+            now.position,
+            now.rotation,
+            now.velocities[m : m + 3],
+            now.velocities[m + 3 :],
             Contacts(points, frames),
-            impulses / h,
-            self._sliding,
-            self._past.slid,
+            impulses / self.config.time_step,
+            now.sliding,
+            now.slid,
             gaps,
             self._palm,
         )
 
     @property
+    def contact_residual(self) -> float:
+        """Largest relative violation of the contact laws in the last step."""
+        return self._now.residual
+
+    @property
     def body_inertia(self) -> Array:
         """Inertia of the object, linear above angular, palm axes, shape (6, 6), kg and kg m^2."""
-        out = self._mass * np.eye(6)
-        out[3:, 3:] = self._rotation @ self._inertia @ self._rotation.T
+        out = self._body.mass * np.eye(6)
+        out[3:, 3:] = self._now.rotation @ self._body.inertia @ self._now.rotation.T
         return out
-
-    def energy(self) -> float:
-        """Return kinetic and potential energy of links and object in J."""
-        m = self.hand.joints
-        v, w = self._v[m : m + 3], self._rotation.T @ self._v[m + 3 :]
-        body = 0.5 * self._mass * (v @ v) + 0.5 * w @ self._inertia @ w
-        links = self.hand.kinetic_energy(self._theta, self._v[:m])
-        height = -self._mass * (self._gravity @ self._position)
-        return float(body + links + self.hand.potential_energy(self._theta) + height)
 
 
 def sliding_speeds(state: PlantState) -> Array:
@@ -350,14 +320,4 @@ def sliding_speeds(state: PlantState) -> Array:
 def true_reading(state: PlantState) -> TactileReading:
     """Return the true contacts of a plant's state as they travel on topics."""
     positions, rotations = state.contacts.positions, state.contacts.rotations
-    return TactileReading(positions, *_felt(positions, rotations, state.forces))
-
-
-@compiled
-def _felt(positions: Array, rotations: Array, forces: Array) -> tuple[Array, Array]:
-    """Return quaternions and forces of contacts, without a force where there is no contact."""
-    felt = forces.copy()
-    for i in range(len(felt)):
-        if not math.isfinite(positions[i, 0]):
-            felt[i] = 0.0
-    return quaternions_of_rows(rotations.reshape(-1, 9)), felt
+    return TactileReading(positions, quaternions_of_rows(rotations.reshape(-1, 9)), state.forces)

@@ -12,12 +12,12 @@ from pydantic import model_validator
 
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.command_guard import GuardConfig
+from tactile_hand_ros.rotations import Vector
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.palm_motion import PalmTurn
 from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
-Vector = tuple[float, float, float]
 _MOST_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
 _MOST_VERTICES = 500  # each contact is looked for on all faces, at each step
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
-from tactile_hand_ros.rotations import quaternions_of_rows, rows_of_quaternions
+from tactile_hand_ros.rotations import (
+    Vector,
+    quaternion_from_rotation,
+    quaternions_of_rows,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    rows_of_quaternions,
+)
+
+if TYPE_CHECKING:  # a skin that is right does without the model
+    from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 
 class VibrationConfig(Config):
@@ -123,14 +132,30 @@ class TactileReading:
         """Contact points and frames."""
         return Contacts.from_poses(self.positions, self.quaternions)
 
-    def where(self, choose: NDArray[np.bool_], other: TactileReading) -> TactileReading:
-        """Return the chosen fingers of this one and the rest of another, `choose` of shape (k,)."""
-        rows = choose[:, None]
-        return TactileReading(
-            np.where(rows, self.positions, other.positions),
-            np.where(rows, self.quaternions, other.quaternions),
-            np.where(rows, self.forces, other.forces),
-        )
+
+def miscalibrated(
+    config: CalibrationConfig, known: Hand, theta: Array, true: TactileReading
+) -> TactileReading:
+    """Return contacts p = p_f + r n and forces with the known p_f and r and a turned n.
+
+    Args:
+        config: The errors.
+        known: The hand as its controllers know it.
+        theta: Joint angles, shape (m,), rad.
+        true: The true contacts.
+    """
+    centres, tips = known.tip_positions(theta), known.tip_rotations(theta)
+    turns = tips @ rotation_from_vector(config.skin_rotation) @ np.swapaxes(tips, 1, 2)
+    frames = turns @ rotation_from_quaternion(true.quaternions)
+    normals = frames[:, :, 1]
+    seen = np.array([contact_frame(n) for n in normals])
+    forces = np.swapaxes(seen, 1, 2) @ frames @ true.forces[:, :, None]
+    touches = np.isfinite(true.positions[:, :1])
+    return TactileReading(
+        centres + known.radii[:, None] * normals,
+        quaternion_from_rotation(seen),
+        np.where(touches, forces[:, :, 0], 0.0),
+    )
 
 
 _MEMORY = np.dtype(
@@ -155,18 +180,17 @@ class TactileSensor:
         self,
         config: TactileSensorConfig,
         radii: Array,
-        miscalibrated: Callable[[Array, TactileReading], TactileReading] | None = None,
+        known: Hand | None = None,
     ) -> None:
         """Build the skin of fingertips.
 
         Args:
             config: Its parameters.
             radii: Radii of the fingertips, shape (k,), m.
-            miscalibrated: Turns joint angles and true contacts into those that a wrong calibration
-                gives; None for a right one.
+            known: The hand as its controllers know it; only needed where its calibration is wrong.
         """
         self._radii = np.asarray(radii, dtype=float)
-        self._miscalibrated = miscalibrated
+        self._known = None if config.calibration.is_right else known
         self._at_rest = np.zeros(len(self._radii))
         self.configure(config)
         self.reset()
@@ -204,8 +228,8 @@ class TactileSensor:
             sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
             theta: Joint angles, shape (m,), rad; only needed with a wrong calibration.
         """
-        if self._miscalibrated is not None and theta is not None:
-            true = self._miscalibrated(theta, true)
+        if self._known is not None and theta is not None:
+            true = miscalibrated(self.config.calibration, self._known, theta, true)
         sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
         if sample != self._sample:
             count = 1 if self._sample < 0 else sample - self._sample
@@ -237,9 +261,13 @@ class TactileSensor:
         speeds = self._at_rest if sliding is None else sliding
         numbers, radii = self._numbers, self._radii
         measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
-        reading, dropout = TactileReading(*measured), self.config.dropout
         last = self._waiting[-1][1] if self._waiting else self._held
-        return reading if last is None or dropout == 0.0 else last.where(luck < dropout, reading)
+        if last is not None and self.config.dropout > 0.0:
+            lost = (luck < self.config.dropout)[:, None]
+            before = last.positions, last.quaternions, last.forces
+            merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
+            return TactileReading(*merged)
+        return TactileReading(*measured)
 
 
 @compiled
@@ -254,18 +282,9 @@ def _measured(
     noise: Array,
     elapsed: float,
 ) -> tuple[Array, Array, Array]:
-    """Return positions, quaternions and forces of a sample, whatever was lost of it.
+    """Return positions, quaternions and forces of a sample, `elapsed` seconds after the last one.
 
-    Args:
-        memory: What the skin remembers of each finger.
-        config: Numbers of a `TactileSensorConfig`.
-        radii: Radii of the fingertips, shape (k,), m.
-        positions: True contact points, shape (k, 3), m.
-        quaternions: True contact frames, shape (k, 4).
-        forces: True forces in contact frames, shape (k, 3), N.
-        sliding: Sliding speeds, shape (k,), m/s.
-        noise: Of unit variance, for location, vibration, drift and force, shape (4, k, 3).
-        elapsed: Time since the last sample, s.
+    The noise, of unit variance, is for location, vibration, drift and force, shape (4, k, 3).
     """
     c = config[0]
     positions, quaternions, felt = positions.copy(), quaternions.copy(), forces.copy()

@@ -37,29 +37,22 @@ class Shape(NamedTuple):
 
 
 @compiled
-def closest_point(shape: Shape, point: Array, normal: Array) -> tuple[float, bool]:
-    """Find where a solid is closest to a point.
-
-    Args:
-        shape: The solid.
-        point: In the frame of the solid, shape (3,), m.
-        normal: Written: outward unit vector from the solid to the point, shape (3,).
+def closest_point(shape: Shape, point: Array) -> tuple[float, Array]:
+    """Find where a solid is closest to a point, shape (3,), m, in the frame of the solid.
 
     Returns:
-        Signed distance in m, negative inside, and whether a face is closest rather than an edge or
-        a corner.
+        Signed distance in m, negative inside, and the outward unit vector from the solid to the
+        point, shape (3,).
     """
     heights = shape.normals @ point - shape.offsets
     face = int(np.argmax(heights))
     # The nearest plane is the nearest face only if the foot of the perpendicular lies in it.
     if heights[face] <= 0.0 or _above(shape, face, point):
-        normal[:] = shape.normals[face]
-        return heights[face], True
+        return heights[face], shape.normals[face]
     for other in range(len(heights)):
         if heights[other] > 0.0 and _above(shape, other, point):
-            normal[:] = shape.normals[other]
-            return heights[other], True
-    return _closest_on_edges(shape, point, normal), False
+            return heights[other], shape.normals[other]
+    return _closest_on_edges(shape, point)
 
 
 @compiled
@@ -72,8 +65,8 @@ def _above(shape: Shape, face: int, point: Array) -> bool:
 
 
 @compiled
-def _closest_on_edges(shape: Shape, point: Array, normal: Array) -> float:
-    best = np.inf
+def _closest_on_edges(shape: Shape, point: Array) -> tuple[float, Array]:
+    best, nearest = np.inf, point
     for i in range(len(shape.edge_starts)):
         along = shape.edge_vectors[i]
         apart = point - shape.edge_starts[i]
@@ -81,9 +74,8 @@ def _closest_on_edges(shape: Shape, point: Array, normal: Array) -> float:
         apart = apart - min(max(s, 0.0), 1.0) * along
         distance = np.sqrt(apart @ apart)
         if distance < best:
-            best = distance
-            normal[:] = apart / distance
-    return best
+            best, nearest = distance, apart
+    return best, nearest / best
 
 
 class ConvexPolyhedron:

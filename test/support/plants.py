@@ -53,3 +53,13 @@ def momentum(plant: Plant, state: PlantState) -> tuple[Array, Array]:
     config = plant.config.object
     inertia = state.rotation @ config.inertia_about(config.solid()) @ state.rotation.T
     return config.mass * state.velocity, inertia @ state.spin
+
+
+def energy_of(plant: Plant) -> float:
+    """Return kinetic and potential energy of links and object, J."""
+    state, c = plant.state, plant.config.object
+    linear, angular = momentum(plant, state)
+    body = 0.5 * (linear @ state.velocity + angular @ state.spin)
+    links = plant.hand.kinetic_energy(state.theta, state.rates)
+    height = -c.mass * (np.array(plant.config.gravity) @ state.position)
+    return float(body + links + plant.hand.potential_energy(state.theta) + height)

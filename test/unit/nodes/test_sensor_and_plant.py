@@ -19,9 +19,8 @@ from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.miscalibration import Miscalibration
 from tactile_hand_ros.simulation.plant import Plant, true_reading
-from tactile_hand_ros.simulation.skin import TactileReading
+from tactile_hand_ros.simulation.skin import TactileReading, miscalibrated
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
@@ -52,7 +51,7 @@ def test_noise_is_live_and_repeats_when_the_ticks_start_over(here: Process) -> N
 
 def test_a_wrong_calibration_moves_contacts_with_the_joints(here: Process) -> None:
     node = here.make(TactileSensorNode, **{"calibration.skin_rotation": [0.0, 0.0, 0.1]})
-    expected = Miscalibration(node.config.calibration, HAND).step(STATE.theta, TRUE)
+    expected = miscalibrated(node.config.calibration, HAND, STATE.theta, TRUE)
     np.testing.assert_allclose(sense(node, 5).positions, expected.positions)
     assert np.abs(expected.positions - TRUE.positions).max() > 1e-4
 

@@ -54,7 +54,7 @@ def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world(
         return palm.rotation @ place, moved, turned
 
     at, speed, angular = momentum(0.0)
-    h, steps = 1e-5, 40_000
+    h, steps = 2e-4, 2000
     for i in range(steps):  # midpoints, so that errors are of second order
         turning = palm_turning(TURNS, (i + 0.5) * h)
         middle = place + 0.5 * h * velocity
@@ -66,9 +66,9 @@ def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world(
         velocity, spin = faster, spin + h * np.linalg.solve(half, torque)
         frame = rotation_from_vector(h * spin) @ frame
     there, still, kept = momentum(h * steps)
-    assert_allclose(there, at + h * steps * speed, atol=2e-5)
-    assert_allclose(still, speed, atol=1e-4)
-    assert_allclose(kept, angular, atol=1e-6)
+    assert_allclose(there, at + h * steps * speed, atol=2e-4)
+    assert_allclose(still, speed, atol=1e-3)
+    assert_allclose(kept, angular, atol=1e-5)
 
 
 def test_fingers_at_rest_feel_the_slope_of_the_centrifugal_potential():

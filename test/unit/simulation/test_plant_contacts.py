@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.equations import grasp_map
 from support.hands import tip_rotations
-from support.plants import forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
+from support.plants import energy_of, forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
 
 from tactile_hand_ros.simulation.plant_config import Disturbance
 
@@ -114,12 +114,12 @@ def work_and_energy(step):
     """Return what a stuck grasp gained in energy, and the work that the joints did."""
     world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0))
     pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
-    torque, start, before = torque_for(world, pushes), world.state.theta, world.energy()
+    torque, start, before = torque_for(world, pushes), world.state.theta, energy_of(world)
     for _ in range(round(0.25 / step)):
         state = world.advance(torque)
     assert state.contacts.touching.all() and not (np.abs(state.sliding) > 1e-9).any()
     assert np.linalg.norm(state.position - [0.0, 0.0, 0.4098]) > 0.005
-    return world.energy() - before, torque @ (state.theta - start)
+    return energy_of(world) - before, torque @ (state.theta - start)
 
 
 def test_a_stuck_grasp_neither_gains_nor_loses_energy():

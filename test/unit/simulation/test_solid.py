@@ -19,13 +19,6 @@ BOX = ConvexPolyhedron.box(np.array([0.2, 0.4, 0.6]))
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
 
-def nearest(solid, point):
-    """Return normal, distance and whether a face is nearest."""
-    normal = np.empty(3)
-    distance, on_face = closest_point(solid.shape, np.asarray(point, dtype=float), normal)
-    return normal, distance, on_face
-
-
 def dodecahedron(decimals=None):
     """Return a dodecahedron, as a user would type its corners with a few decimals."""
     corners = [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
@@ -73,7 +66,7 @@ def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
     for triangle, plane in zip(corners[hull.simplices], hull.equations, strict=True):
         for _ in range(10):
             point = random.dirichlet([1.0, 1.0, 1.0]) @ triangle + 0.05 * plane[:3]
-            normal, distance, _ = nearest(solid, point)
+            distance, normal = closest_point(solid.shape, point)
             assert distance == pytest.approx(0.05, abs=1e-7)
             np.testing.assert_allclose(normal, plane[:3], atol=1e-4)
 
@@ -92,12 +85,12 @@ def test_what_spans_no_solid_is_refused(points):
 
 
 def test_many_corners_take_no_minutes():
-    """3000 took more than one."""
-    points = np.random.default_rng(1).normal(size=(3000, 3))
+    """The planes of a face were once compared pair by pair: 3000 corners took more than one."""
+    points = np.random.default_rng(1).normal(size=(1000, 3))
     start = time.process_time()
     solid = ConvexPolyhedron(points / np.linalg.norm(points, axis=1)[:, None])
-    assert time.process_time() - start < 10.0
-    assert len(solid.normals) == 5996
+    assert time.process_time() - start < 3.0
+    assert len(solid.normals) == 1996
 
 
 def test_the_object_is_a_box_unless_corners_are_given():
@@ -151,25 +144,26 @@ def test_a_uniform_body_off_its_centre_is_refused():
 random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-@settings(max_examples=100)
-@given(random_numbers, st.integers(4, 30), normals, st.floats(0.15, 1.0))
+@settings(max_examples=60)
+@given(random_numbers, st.integers(4, 30), normals, st.floats(0.0, 1.0))
 def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how_far):
+    """Outside they are those of the nearest point, inside those of the nearest face."""
     solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
-    inside = solid.vertices.mean(axis=0)
-    point = inside + how_far * direction + 0.02 * random.standard_normal(3)
-    if (solid.normals @ point < solid.offsets).all():
+    inside = random.dirichlet(np.ones(len(solid.vertices))) @ solid.vertices
+    point = inside + how_far * direction
+    distance, normal = closest_point(solid.shape, point)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    heights = solid.normals @ point - solid.offsets
+    if (heights < 0.0).all():
+        assert distance == heights.max()
+        np.testing.assert_array_equal(normal, solid.normals[heights.argmax()])
         return
     expected = nearest_point(solid.vertices, point)
-    normal = np.empty(3)
-    distance, on_face = closest_point(solid.shape, point, normal)
     assert distance == pytest.approx(np.linalg.norm(point - expected), abs=1e-9)
     np.testing.assert_allclose(point - distance * normal, expected, atol=1e-6)
-    assert np.linalg.norm(normal) == pytest.approx(1.0)
-    if on_face:
-        assert np.abs(solid.normals - normal).max(axis=1).min() < 1e-12
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(random_numbers, normals)
 def test_box_against_clipping(random, direction):
     """The nearest point of a box is the point, clipped to it."""
@@ -178,18 +172,6 @@ def test_box_against_clipping(random, direction):
     clipped = np.clip(point, -half, half)
     if (clipped == point).all():
         return
-    normal = np.empty(3)
-    distance, _ = closest_point(ConvexPolyhedron.box(2.0 * half).shape, point, normal)
+    distance, normal = closest_point(ConvexPolyhedron.box(2.0 * half).shape, point)
     assert distance == pytest.approx(np.linalg.norm(point - clipped), abs=1e-12)
     np.testing.assert_allclose(normal, (point - clipped) / distance, atol=1e-9)
-
-
-@settings(max_examples=50)
-@given(random_numbers, st.integers(4, 30))
-def test_inside_the_nearest_face_counts(random, corners):
-    solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
-    shares = random.dirichlet(np.ones(len(solid.vertices)))
-    point = shares @ solid.vertices
-    normal = np.empty(3)
-    depth, on_face = closest_point(solid.shape, point, normal)
-    assert on_face and depth == pytest.approx((solid.normals @ point - solid.offsets).max())
