@@ -157,7 +157,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report = ControllerReport(self, self._controller.hand)
         self._tick: int | None = None
         self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
-        self._unanswered: tuple[int, Joints] | None = None
         self._answer: tuple[int, Command] | None = None
         self._changes = AppliedChanges(self, names.CONTROLLER, requests=True, commands=True)
         self._changes.begin(self.config)
@@ -323,7 +322,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         Raises:
             TickFailedError: If this and the hold that should take its place have failed.
         """
-        self._unanswered, self._answer = (stamp, Joints(theta, rates, applied)), None
+        self._answer = None
         try:
             with self.answering():
                 if self._desired.fresh:
@@ -336,18 +335,20 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 command = self._send(stamp, command)
                 self._desired.after(stamp)
                 self._report.note(command, theta, contacts)
-        except TickFailedError:
-            command = self._safe_answer()
+        except TickFailedError as failure:
+            command = self._safe_answer(stamp, Joints(theta, rates, applied), failure)
         return command
 
-    def _safe_answer(self) -> Command:
-        """Return what the safe state has answered.
+    def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
+        """Return what was answered before a failure; without an answer, hold the hand.
 
         Raises:
-            TickFailedError: If that has failed, too.
+            TickFailedError: If that fails, too.
         """
         if self._answer is None:
-            raise TickFailedError("neither an answer nor a hold")
+            self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
+        if self._answer is None:
+            raise failure
         return self._answer[1]
 
     def _publish_rejection(self) -> None:
@@ -365,12 +366,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._send(stamp, command)
             self.diagnostics.tick()
         self._report.note(command)
-
-    def to_safe_state(self, reason: str) -> None:
-        """Hold the hand at the tick that has failed."""
-        if self._unanswered is not None:
-            (stamp, joints), self._unanswered = self._unanswered, None
-            self.on_blind_tick(stamp, joints, reason)
 
     def on_repeat(self) -> None:
         """Give the last answer again, or that which was not sent: in lockstep time waits for it."""
@@ -406,7 +401,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._answer = stamp, command
         if self._is_unsent:
             return command
-        self._unanswered = None
         self._command_publisher.publish(stamp, torque)
         self._changes.take_effect(stamp)
         if command.pose is not None:

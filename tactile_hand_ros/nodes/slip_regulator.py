@@ -51,8 +51,6 @@ HAPTIC_PERIOD_NS = 20_000_000
 
 Array = NDArray[np.float64]
 
-_SLIP = int(ContactState.SLIP)
-
 
 class GripState(NamedTuple):
     """What the regulator has estimated of each contact, arrays of shape (k,)."""
@@ -63,7 +61,7 @@ class GripState(NamedTuple):
 
 
 class RegulatorReport:
-    """Counts slips and notices when no permitted grasp force can hold.
+    """Reports the grip of each finger and notices when no permitted grasp force can hold.
 
     What the object needs is a matter of the modes `shared` and `auto`; in `user` the user decides.
     """
@@ -75,8 +73,7 @@ class RegulatorReport:
         self.reset()
 
     def reset(self) -> None:
-        """Start counting at zero."""
-        self._grip, self._slips = ([0] * len(self._fingers) for _ in range(2))
+        """Start over."""
         self._limited, self._unholdable, self._maximum_needed = Mostly(), Mostly(), 0.0
         self._watch = SlipMonitor()
 
@@ -89,12 +86,7 @@ class RegulatorReport:
         state: GripState,
     ) -> None:
         """Note a tick: what was measured, in contact frames, and what the regulator made of it."""
-        grip = state.grip
-        self._watch.note(stamp, contacts, forces, state.friction, grip, state.evidence)
-        before, self._grip = self._grip, grip.tolist()
-        if self._grip != before:
-            for finger, (old, new) in enumerate(zip(before, self._grip, strict=True)):
-                self._slips[finger] += new == _SLIP != old
+        self._watch.note(stamp, contacts, forces, state.friction, state.grip, state.evidence)
         is_automatic = regulator.config.mode != "user"
         # At the limit because of a slip that is over, nothing is missing.
         self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
@@ -108,20 +100,17 @@ class RegulatorReport:
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
         put("needed_force_n", regulator.needed)
-        put("slips", sum(self._slips))
         facts = zip(
             self._fingers,
             regulator.learned_friction,
-            self._grip,
+            regulator.state,
             regulator.slip_likelihood,
-            self._slips,
             strict=True,
         )
-        for name, friction, grip, evidence, slips in facts:
+        for name, friction, grip, evidence in facts:
             put(f"friction {name}", float(friction))
             put(f"grip {name}", ContactState(grip).name.lower())
             put(f"slip_evidence {name}", float(evidence))
-            put(f"slips {name}", slips)
         watch = self._watch
         put("A3 load_n", watch.load)
         put("A4 slip_margin", watch.evidence)
@@ -165,9 +154,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     evidence for slip since the last one, both 0 to 1). With the stamp of the first tick that they
     change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N)
     and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f, the one that the
-    object needs, friction, grip and number of slips of each finger, and the worst margins of that
-    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time
-    left to stop a slip).
+    object needs, friction and grip of each finger, and the worst margins of that second: A3 (load),
+    A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to stop a
+    slip).
 
     A node that is late answers the newest ticks only, but uses all of them.
 

@@ -250,7 +250,7 @@ class TactileNode(Node, Generic[C]):
             yield
         except Exception as error:
             self.survive("ticks", error)
-            raise TickFailedError(shortened(error)) from error
+            raise TickFailedError(described(error)) from error
         self.diagnostics.tick()
         self.diagnostics.latency(time.perf_counter() - began)
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -57,9 +56,6 @@ NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
 _TURN = 0.005
 """Time for which ticks follow each other before messages and services get their turn [s]."""
-
-_ANNOUNCE_PERIOD = 0.1
-"""Shortest time between two announcements of what the guard does [s]."""
 
 
 class PlantTopics:
@@ -153,7 +149,6 @@ class PlantDriver:
         self._resent = self._too_old = 0
         self._newest_answer = -1
         self._senders = SenderCheck()
-        self._announced, self._announced_at = "", -math.inf
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand, turns=bool(c.palm_motion))
         self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
@@ -304,19 +299,7 @@ class PlantDriver:
                 self._stop(str(error))
                 return
         self._publish()
-        self._announce_hold()
-
-    def _announce_hold(self) -> None:
-        """Publish each start and stop of a hold; in diagnostics at most ten times a second."""
         self._publish_hold()
-        reason = self._run.guard.reason
-        if reason == self._announced:
-            return
-        now = time.monotonic()
-        if now - self._announced_at >= _ANNOUNCE_PERIOD:
-            self._announced, self._announced_at = reason, now
-            self._diagnostics.judge("hold", bool(reason), f"{reason}; the joints are held")
-            self._node.publish_diagnostics()
 
     def _publish_hold(self) -> None:
         held = self._run.guard.holding
@@ -377,12 +360,7 @@ class PlantDriver:
             self._watcher.cancel()  # until it starts again
             return
         now = time.monotonic()
-        if run.refusing:
-            if run.reason == CONFLICT and not self._senders.in_conflict:
-                self._answered_at = now
-                self._resume()
-            return
-        if not self._waits or self._torque is not None:
+        if run.refusing or not self._waits or self._torque is not None:
             return
         if now - self._answered_at >= c.command_timeout:
             self._on_long_silence()
@@ -416,6 +394,8 @@ class PlantDriver:
         put("answered_ns", self._newest_answer)
         put("resent_ticks", self._resent)
         guard = self._run.guard
+        held = f"{guard.reason}; the joints are held"
+        self._diagnostics.judge("hold", bool(guard.reason), held)
         put("held_ticks", guard.held)
         put("command_age_ticks", guard.age)
         for reason, count in guard.holds.items():

@@ -176,7 +176,9 @@ def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
 def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
     stage.watch()
     stage.send("tactile/contacts", contacts_message(TOUCH[:2], TURNS[:2], 5))  # of two fingers
-    stage.send("ground_truth/object_pose", pose_message([0.0] * 3, [0.0] * 4, 5))  # no rotation
+    for turn in (STRAIGHT, [0.0] * 4):  # the second is no rotation
+        stage.send("ground_truth/object_pose", pose_message([0.0] * 3, turn, 5))
+        assert ("object" in stage.show()) == (turn is STRAIGHT)
     assert set(stage.show()) == {"all"}
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 5))
     wrong = force_message([0.0, np.inf, 0.0], 5, "finger_1_contact")

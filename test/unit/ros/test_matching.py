@@ -72,9 +72,11 @@ def test_a_set_more_than_a_second_back_is_a_restart(stamp, restarts):
     matcher = StampMatcher(("a", "b"))
     for key in ("a", "b"):
         matcher.put(key, 5 * SECOND, "old")
+    matcher.put("b", 6 * SECOND, "of before")
     assert matcher.put("b", stamp, "new") is None
     assert matcher.put("a", stamp, "new") == (("new", "new") if restarts else None)
     assert matcher.last == (stamp if restarts else 5 * SECOND)
+    assert matcher.missing(6 * SECOND) == ([] if restarts else ["a"])
 
 
 def test_a_little_way_back_only_the_first_stamp_of_all_restarts():

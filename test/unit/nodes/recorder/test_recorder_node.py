@@ -26,6 +26,7 @@ import tactile_hand_ros
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import node as recorder_module
+from tactile_hand_ros.nodes.recorder import writer_process
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
 from tactile_hand_ros.ros.middleware import isolated_domain, private_context
@@ -184,6 +185,14 @@ def test_what_is_missing_is_a_warning_and_in_the_bag(
     found = summarize(stage.bag)
     assert int(found.custom_data["lost_messages"]) == 101 - found.counts["/left/a"]
     assert found.custom_data["lost_messages/left/a"] == found.custom_data["lost_messages"]
+
+
+def test_what_the_writer_refuses_is_lost_too(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage.record()
+    stage.meet("/left/a")
+    monkeypatch.setattr(writer_process, "_MAX_WAITING", -1)
+    stage.publish("/left/a", 1, 2)
+    stage.spin_until(lambda: stage.report()["lost_messages"] == "2")
 
 
 def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
