@@ -136,23 +136,16 @@ class Diagnostics:
         return DiagnosticStatus(level=level, name=self.name, message=message, values=pairs)
 
     def _worst(self, now: float, ticks: int) -> tuple[bytes, str]:
-        if self._faults:
-            text, level = max(self._faults.values(), key=lambda fault: fault[1])
-            if level >= ERROR:
-                return level, text
-        recent = _latest(self._errors, now)
-        if recent is not None:
-            source, entry = recent
-            return ERROR, f"{counted(entry.count, 'error')} in {source}: {entry.reason}"
-        if self._faults:
-            return level, text
-        recent = _latest(self._rejections, now)
-        if recent is not None:
-            topic, entry = recent
-            return WARN, f"{counted(entry.count, 'message')} on {topic} rejected: {entry.reason}"
-        if self._ticks and not ticks:
+        """Return level and text of the worst; of equals, a fault comes before what is recent."""
+        found = [(level, text) for text, level in self._faults.values()]
+        for source, entry in _latest(self._errors, now):
+            found.append((ERROR, f"{counted(entry.count, 'error')} in {source}: {entry.reason}"))
+        for topic, entry in _latest(self._rejections, now):
+            count = counted(entry.count, "message")
+            found.append((WARN, f"{count} on {topic} rejected: {entry.reason}"))
+        if not found and self._ticks and not ticks:
             return STALE, f"no new tick, {self._ticks} so far"
-        return OK, "running"
+        return max(found, key=lambda each: each[0], default=(OK, "running"))
 
     def _percentiles(self) -> dict[str, str]:
         count = min(self._latency_count, _WINDOW)
@@ -165,10 +158,10 @@ class Diagnostics:
         }
 
 
-def _latest(entries: dict[str, _Rejections], now: float) -> tuple[str, _Rejections] | None:
-    """Return the newest entry of the last `WARN_SECONDS`."""
+def _latest(entries: dict[str, _Rejections], now: float) -> list[tuple[str, _Rejections]]:
+    """Return the newest entry, none if it is older than `WARN_SECONDS`."""
     recent = [item for item in entries.items() if now - item[1].last < WARN_SECONDS]
-    return max(recent, key=lambda item: item[1].last, default=None)
+    return sorted(recent, key=lambda item: item[1].last)[-1:]
 
 
 class Mostly:

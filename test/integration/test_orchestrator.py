@@ -284,18 +284,6 @@ def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path)
     assert summary["metrics"]["ticks"] > 50
 
 
-def test_nothing_outlives_a_killed_orchestrator(start: Start, tmp_path: Path) -> None:
-    """Not even a node that does not react; the recorder still finishes its bag."""
-    orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
-    wait_until_running(tmp_path, orchestrator)
-    processes = family(orchestrator)
-    member(processes, "slip_regulator").suspend()
-    orchestrator.send(signal.SIGKILL)
-    assert orchestrator.wait() == -signal.SIGKILL
-    assert_gone(processes)
-    assert Run(latest(tmp_path)).metrics.ticks > 50
-
-
 def broken_prefix(folder: Path, name: str, program: str) -> dict[str, str]:
     """Return an environment in which one executable of the package is another program."""
     index = folder / "share" / "ament_index" / "resource_index" / "packages"
