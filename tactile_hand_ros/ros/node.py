@@ -60,7 +60,6 @@ class TickPublisher:
     subscription.
 
     Attributes:
-        node: The node that publishes.
         kind: Message class.
         topic: Full name of the topic.
         qos_profile: Quality of service that it offers.
@@ -77,7 +76,7 @@ class TickPublisher:
         """
         self._encode = encode
         self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
-        self.node, self.kind = node, kind
+        self.kind = kind
         self.topic: str = self._publisher.topic_name
         self.qos_profile: QoSProfile = self._publisher.qos_profile
         self._taps: list[Callable[[bytes], None]] = []

@@ -43,8 +43,8 @@ def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
     publisher.publish(1.0)
     publisher.repeat()
     assert not publisher.wanted and encode.encoded == []
-    facts = publisher.topic, publisher.kind, publisher.node, publisher.qos_profile.depth
-    assert facts == ("/left/number", Float64, node, qos.PUBLISHED_DEPTH)
+    facts = publisher.topic, publisher.kind, publisher.qos_profile.depth
+    assert facts == ("/left/number", Float64, qos.PUBLISHED_DEPTH)
 
 
 def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> None:
