@@ -119,7 +119,6 @@ class ChildProcess:
         stderr: Any,
         *,
         env: Mapping[str, str] | None = None,
-        cwd: str | os.PathLike[str] | None = None,
     ) -> None:
         """Start it.
 
@@ -128,7 +127,6 @@ class ChildProcess:
             stdout: File for the standard output.
             stderr: File for the standard error, or ``subprocess.STDOUT``.
             env: Variables to set or change.
-            cwd: Working directory.
         """
         self.command = [os.fspath(part) for part in command]
         self._process = subprocess.Popen(
@@ -137,7 +135,6 @@ class ChildProcess:
             stdout=stdout,
             stderr=stderr,
             env={**child_environment(), "PYTHONUNBUFFERED": "1", **(env or {})},
-            cwd=cwd,
             start_new_session=True,
         )
 
@@ -185,13 +182,12 @@ class CapturedProcess(ChildProcess):
         command: Sequence[str | os.PathLike[str]],
         *,
         env: Mapping[str, str] | None = None,
-        cwd: str | os.PathLike[str] | None = None,
     ) -> None:
         """Start it; see `ChildProcess`."""
         self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
         # With a fault handler, SIGABRT prints where a process hangs.
         env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
-        super().__init__(command, *self._files, env=env, cwd=cwd)
+        super().__init__(command, *self._files, env=env)
 
     @property
     def stdout(self) -> str:

@@ -256,7 +256,7 @@ class TickInputs:
             self._note_alone(stamp, value)
 
     def _is_unconfirmed(self, stamp: int) -> bool:
-        """Return whether a trigger is far ahead, and none before it has been at or before it."""
+        """Return whether a trigger [ns] is far ahead and confirms none that was so before."""
         newest, ahead = self._newest, self._ahead
         if newest is not None and stamp - newest > _SECOND and (ahead is None or stamp < ahead):
             self._ahead = stamp
