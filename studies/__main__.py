@@ -22,11 +22,9 @@ if __name__ == "__main__":
 import typer
 
 from tactile_hand_ros.cli.output import (
-    FormatOption,
     JobsOption,
     SeedOption,
     check_writable,
-    folder_for_results,
     print_files,
     print_table,
     progress,
@@ -63,15 +61,14 @@ def slip(
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
-    formats: FormatOption = None,
 ) -> None:
     """Measure how fast slip is found and stopped, and at what grasp force."""
     from studies.slip import study as s
     from tactile_hand_ros.report.style import save
 
-    kinds = folder_for_results(out, formats)
+    check_writable(out)
     table = _kept(s.study_of(runs, seed), out, jobs)
-    files = save(s.figure(table), out, "study_detection", kinds)
+    files = save(s.figure(table), out, "study_detection")
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
     _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
 
@@ -103,7 +100,6 @@ def loads(
         typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
     ] = None,
     hand: Annotated[Literal["paper", "human"], typer.Option(help="Which is loaded.")] = "paper",
-    formats: FormatOption = None,
 ) -> None:
     """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
 
@@ -112,12 +108,12 @@ def loads(
     from studies.slip import loads as load_study
     from tactile_hand_ros.report.style import save
 
-    kinds = folder_for_results(out, formats)
+    check_writable(out)
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
     curve = load_study.trade_offs(_kept(load_study.study_of(runs, seed, reserves, hand), out, jobs))
-    files = save(load_study.figure(curve), out, "study_loads", kinds)
+    files = save(load_study.figure(curve), out, "study_loads")
     _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))
 
 

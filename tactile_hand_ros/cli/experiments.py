@@ -10,11 +10,10 @@ from typing import Annotated
 import typer
 
 from tactile_hand_ros.cli.output import (
-    FormatOption,
     JobsOption,
     SeedOption,
+    check_writable,
     console,
-    folder_for_results,
     print_files,
     print_table,
     progress,
@@ -73,7 +72,6 @@ class SweepOptions:
     jobs: JobsOption = -1
     cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = ""
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
-    formats: FormatOption = None
 
 
 @with_options
@@ -99,13 +97,13 @@ def sweep(options: SweepOptions) -> None:
         runs=options.runs,
         seed=options.seed,
     )
-    formats = folder_for_results(out, options.formats)
+    check_writable(out)
     with workers(options.jobs, options.cluster), progress(options.scenario) as watch:
         tally = keep(study, out, watch)
     print(tally)
     results = tables.Results(study, read_table(out))
     drawn = tables.figure(results)
-    pictures = [] if drawn is None else save(drawn, out, "metrics", formats)[:1]
+    pictures = [] if drawn is None else save(drawn, out, "metrics")[:1]
     page = tables.write_summary(results, out, pictures)
     print_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results))
     print_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results))
@@ -125,23 +123,22 @@ def reproduce(
         float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
     ] = None,
     jobs: JobsOption = -1,
-    formats: FormatOption = None,
 ) -> None:
     """Draw the paper's figures and print its claims next to what was measured."""
     from tactile_hand_ros.reproduce import reproduce as r
-    from tactile_hand_ros.reproduce.experiments import EXPERIMENTS, LAYOUTS
+    from tactile_hand_ros.reproduce.claims import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.sweep.engine import workers
 
     layouts = list(dict.fromkeys(layout or LAYOUTS))
-    kinds = folder_for_results(out, formats)
+    check_writable(out)
     with steps("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
         results = r.reproduce(layouts, duration, advance)
     with steps("drawing", len(results)) as advance:
         files = []
         for result in results:
-            files += r.draw(result, out, kinds)
+            files += r.draw(result, out)
             advance(result.layout)
-    files += r.write(results, out, kinds[0])
+    files += r.write(results, out)
     for result in results:
         console().print(r.claim_table(result))
     print_files(files, out)

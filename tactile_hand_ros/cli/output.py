@@ -26,10 +26,6 @@ BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag fol
 NamespaceOption = Annotated[
     str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
 ]
-FormatOption = Annotated[
-    list[str] | None,
-    typer.Option("--format", help="png, svg or pdf; may be repeated. By default png and svg."),
-]
 
 
 def _number_of_processes(jobs: int) -> int:
@@ -53,29 +49,12 @@ def check_writable(folder: Path) -> None:
     """Create a folder for results, before any work is done for it.
 
     Raises:
-        TactileHandError: If that is not possible.
+        OSError: If it cannot be created.
+        TactileHandError: If it is read-only.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        writable = os.access(folder, os.W_OK)
-    except OSError as error:
-        reason = error.strerror
-    else:
-        reason = "" if writable else "it is read-only"
-    if reason:
-        raise TactileHandError(f"Nothing can be written to {folder} ({reason}); choose another.")
-
-
-def folder_for_results(folder: Path, formats: list[str] | None) -> tuple[str, ...]:
-    """Create a folder for results and return the formats of its figures, before any work is done.
-
-    Raises:
-        TactileHandError: If a format is unknown or the folder cannot be written to.
-    """
-    if unknown := set(formats or ()) - {"png", "svg", "pdf"}:
-        raise TactileHandError(f"Format is '{unknown.pop()}', expected png, svg or pdf.")
-    check_writable(folder)
-    return tuple(dict.fromkeys(formats or ("png", "svg")))
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise TactileHandError(f"Nothing can be written to {folder}; choose another folder.")
 
 
 def console(stderr: bool = False) -> Console:

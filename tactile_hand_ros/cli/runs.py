@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tactile_hand_ros.cli.output import (
-    FormatOption,
     NamespaceOption,
     check_writable,
     console,
-    folder_for_results,
     print_table,
 )
 from tactile_hand_ros.errors import TactileHandError
@@ -34,7 +32,6 @@ def figures(
     out: Annotated[
         Path | None, typer.Option(help="Folder; by default figures/ in the run.")
     ] = None,
-    formats: FormatOption = None,
     namespace: NamespaceOption = None,
 ) -> None:
     """Draw the paper's Fig. 2, 3 and 4 from a recorded run, as PNG and SVG."""
@@ -43,14 +40,14 @@ def figures(
 
     opened = _open(run, namespace)
     folder = out or opened.folder / "figures"
-    kinds = folder_for_results(folder, formats)
+    check_writable(folder)
     drawn = {"fig3": motion_figure(opened.record), "fig4": friction_figure({"": opened.record})}
     if opened.scenario is not None:
         from tactile_hand_ros.report.scene import grasp_figure
 
         drawn["fig2"] = grasp_figure(opened.record, opened.scenario)
     for name, figure in sorted(drawn.items()):
-        for file in save(figure, folder, name, kinds):
+        for file in save(figure, folder, name):
             print(file)
     if opened.scenario is None:
         text = "No scenario is known, so Fig. 2 (hand and object in space) was left out."

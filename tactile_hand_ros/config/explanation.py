@@ -44,11 +44,11 @@ def _place(location: Iterable[int | str]) -> str:
 def _sentence(finding: Any, model: type[BaseModel]) -> str:
     """Return pydantic's finding as a sentence with place, value, what it should be and its unit."""
     location, kind, told = finding["loc"], finding["type"], finding["msg"].rstrip(".")
-    place = _place(location) or "the content"
-    field = _walk(model, location)[1]
+    place, (fields, field) = _place(location) or "the content", _walk(model, location)
     unit = f" [{unit_of(field)}]" if field is not None and unit_of(field) else ""
     if kind == "extra_forbidden":
-        return _unknown_key(location, model)
+        where = f" in {_place(location[:-1])}" if len(location) > 1 else ""
+        return f"unknown key '{location[-1]}'{where}{did_you_mean(str(location[-1]), fields)}"
     if kind == "missing":
         return f"{place} is missing, expected the {field.description if field else 'value'}{unit}."
     if kind == "value_error":
@@ -56,29 +56,21 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
         return f"{place} is refused: {reason}." if location else f"{reason}."
     _, should, expected = told.partition(" should ")
     told = f"but{should}{expected}" if should else told
-    return f"{place} is {value_text(finding.get('input'))}, {told}{unit}."
+    return f"{place} is {_value_text(finding['input'])}, {told}{unit}."
 
 
-def value_text(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """Return a value as text of at most 60 characters; references may make it huge."""
     value = value.value if isinstance(value, enum.Enum) else value
     try:
-        text = repr(value) if isinstance(value, str) else _SHORT.repr(value)
+        return shortened(repr(value) if isinstance(value, str) else _SHORT.repr(value), 60)
     except ValueError:  # a number of thousands of digits
         return "a number that is too long"
-    return shortened(text, 60)
 
 
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel = 3
 _SHORT.maxother = 100
-
-
-def _unknown_key(location: tuple[int | str, ...], model: type[BaseModel]) -> str:
-    parent, _ = _walk(model, location[:-1])
-    valid = list(parent.model_fields) if _is_model(parent) else []
-    where = f" in {_place(location[:-1])}" if len(location) > 1 else ""
-    return f"unknown key '{location[-1]}'{where}{did_you_mean(str(location[-1]), valid)}"
 
 
 def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
@@ -90,21 +82,21 @@ def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
     return f"{hint} Valid are: {', '.join(names)}." if names else hint
 
 
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _walk(model: type[BaseModel], location: Iterable[int | str]) -> tuple[Any, FieldInfo | None]:
-    """Follow a location to its type and the field that declares it; unknown steps are skipped."""
-    annotation: Any = model
-    field: FieldInfo | None = None
+def _walk(
+    model: Any, location: Iterable[int | str]
+) -> tuple[Mapping[str, FieldInfo], FieldInfo | None]:
+    """Follow a location to all fields in its place and its own; unknown steps are skipped."""
+    annotation, fields, field = model, dict[str, FieldInfo](), None
     for part in location:
         if isinstance(part, int):
-            annotation = element_type(annotation)
-        elif _is_model(annotation) and part in annotation.model_fields:
-            field = annotation.model_fields[part]
+            annotation, fields = element_type(annotation), {}
+            continue
+        is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
+        fields = annotation.model_fields if is_model else {}
+        if part in fields:
+            field = fields[part]
             annotation = field.annotation
-    return annotation, field
+    return fields, field
 
 
 def allowed(annotation: Any, field: FieldInfo) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from tactile_hand_ros.errors import ConfigurationError
 
-ENVIRONMENT = "TACTILE_HAND_CONFIG"
 _INDEX = Path("share", "ament_index", "resource_index")
 _MARK = _INDEX / "packages" / "tactile_hand_ros"
 _SHARE = Path("share") / "tactile_hand_ros" / "config"
@@ -19,10 +18,9 @@ _SHARE = Path("share") / "tactile_hand_ros" / "config"
 def config_directory() -> Path:
     """Find the directory with ``hands/`` and ``scenarios/``.
 
-    The first that exists of: the environment variable ``TACTILE_HAND_CONFIG`` (which must exist
-    when set), ``config/`` beside the package (a source tree), ``share/tactile_hand_ros/config`` of
-    every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace), the same below ``sys.prefix`` (a
-    virtual environment).
+    The first that exists of: ``config/`` beside the package (a source tree),
+    ``share/tactile_hand_ros/config`` of every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace),
+    the same below ``sys.prefix`` (a virtual environment).
 
     Returns:
         Absolute path of the directory.
@@ -30,32 +28,17 @@ def config_directory() -> Path:
     Raises:
         ConfigurationError: No such directory.
     """
-    chosen = os.environ.get(ENVIRONMENT)
-    if chosen:
-        return _chosen_directory(Path(chosen))
     candidates = list(_candidates())
     for candidate in candidates:
         if candidate.is_dir():
             return candidate.resolve()
     searched = ", ".join(str(candidate) for candidate in candidates)
-    raise ConfigurationError(
-        f"No configuration directory in {searched}: install the package or set {ENVIRONMENT}."
-    )
+    raise ConfigurationError(f"No configuration directory in {searched}: install the package.")
 
 
 def scenario_names() -> list[str]:
     """Return the names of the scenarios that come with the package, sorted."""
     return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
-
-
-def _chosen_directory(path: Path) -> Path:
-    """Insist on what the user named; a silent fall-back would run with other values."""
-    if not path.is_dir():
-        raise ConfigurationError(
-            f"{ENVIRONMENT} is '{path}', which is not a directory: name one with hands/ and"
-            " scenarios/, or unset it."
-        )
-    return path.resolve()
 
 
 def _candidates() -> Iterator[Path]:

@@ -100,23 +100,19 @@ def label_panel(axes: Axes, letter: str, title: str) -> None:
 _METADATA: dict[str, dict[str, Any]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
-    ".pdf": {"CreationDate": None},
 }
 
 
-def save(
-    figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png", "svg")
-) -> list[Path]:
-    """Write a figure and return the files.
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and as SVG, and return the files.
 
     Args:
         figure: The figure.
         folder: Where to; created if it does not exist.
         name: Name without suffix.
-        formats: Suffixes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.{suffix}" for suffix in formats]
+    files = [folder / f"{name}.{suffix}" for suffix in ("png", "svg")]
     with look():
         for file in files:
             figure.savefig(file, dpi=DPI, metadata=_METADATA.get(file.suffix))

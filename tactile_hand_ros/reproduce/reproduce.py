@@ -3,24 +3,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
 from tactile_hand_ros.report.tables import markdown, plain, rich_table
-from tactile_hand_ros.reproduce.claims import Claim, ClaimVerdict, Outcomes, judge
-from tactile_hand_ros.reproduce.experiments import (
+from tactile_hand_ros.reproduce.claims import (
     EXPERIMENTS,
+    Claim,
+    ClaimVerdict,
     ExperimentRun,
+    Outcomes,
+    judge,
     run_experiment,
     scenario_of,
 )
-from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.sweep.engine import in_parallel
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 REPORT = "reproduction.md"
-DATA = "reproduction.json"
 
 
 @dataclass(frozen=True)
@@ -75,15 +75,12 @@ def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
     return run_experiment(*task)
 
 
-def draw(
-    result: Reproduction, folder: Path, formats: tuple[str, ...] = ("png", "svg")
-) -> list[Path]:
+def draw(result: Reproduction, folder: Path) -> list[Path]:
     """Draw Fig. 2, 3 and 4; return the files.
 
     Args:
         result: One layout.
         folder: Where to.
-        formats: Suffixes of the files.
     """
     runs = {key: outcome.record for key, outcome in result.outcomes.items()}
     figures = {
@@ -96,26 +93,21 @@ def draw(
     return [
         file
         for name, figure in figures.items()
-        for file in save(figure, folder, f"{name}_{result.layout}", formats)
+        for file in save(figure, folder, f"{name}_{result.layout}")
     ]
 
 
-def write(results: Sequence[Reproduction], folder: Path, picture: str = "png") -> list[Path]:
-    """Write the report as Markdown and all numbers as JSON; return the files.
+def write(results: Sequence[Reproduction], folder: Path) -> list[Path]:
+    """Write the report as Markdown; return the files.
 
     Args:
         results: All layouts.
         folder: Where to, next to the figures.
-        picture: Suffix of the figures that the report shows.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    report, data = folder / REPORT, folder / DATA
-    report.write_text(
-        "\n".join([_HEAD, *(_section(r, picture) for r in results)]), encoding="utf-8"
-    )
-    content = {result.layout: json_ready(_plain(result)) for result in results}
-    data.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    return [report, data]
+    report = folder / REPORT
+    report.write_text("\n".join([_HEAD, *map(_section, results)]), encoding="utf-8")
+    return [report]
 
 
 _HEAD = """# The paper's results, reproduced
@@ -132,17 +124,10 @@ _FIGURES = {
 }
 
 
-def _section(result: Reproduction, picture: str) -> str:
-    pictures = [f"![{text}]({name}_{result.layout}.{picture})\n" for name, text in _FIGURES.items()]
+def _section(result: Reproduction) -> str:
+    pictures = [f"![{text}]({name}_{result.layout}.png)\n" for name, text in _FIGURES.items()]
     claims = markdown(CLAIM_COLUMNS, claim_rows(result.claims))
     return "\n".join([f"## Layout {result.layout}\n", claims, *pictures])
-
-
-def _plain(result: Reproduction) -> dict[str, Any]:
-    return {
-        "claims": [{**asdict(claim), "verdict": claim.verdict.value} for claim in result.claims],
-        "metrics": {key: outcome.metrics.to_dict() for key, outcome in result.outcomes.items()},
-    }
 
 
 CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")

@@ -8,8 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactile_hand_ros.reproduce.claims import translational_stiffness
-from tactile_hand_ros.reproduce.experiments import LAYOUTS, ExperimentRun, run_experiment
+from tactile_hand_ros.reproduce.claims import (
+    LAYOUTS,
+    ExperimentRun,
+    run_experiment,
+    translational_stiffness,
+)
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.scenario.scenario import load_scenario
 

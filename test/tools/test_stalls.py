@@ -42,9 +42,9 @@ def test_a_stall_costs_no_object(name):
     assert watch.peak < 1.2 * guarded.loop.scenario.slip_regulator.maximum
 
 
-@pytest.mark.parametrize("name", ["a sudden pull", "the weight comes on"])
-def test_the_same_stall_without_the_guard_drops_it(name):
-    watch, _ = stalled(name, LAST_TORQUE, 0.6)
+@pytest.mark.parametrize(("name", "lasts"), [("a sudden pull", 0.3), ("the weight comes on", 0.6)])
+def test_the_same_stall_without_the_guard_drops_it(name, lasts):
+    watch, _ = stalled(name, LAST_TORQUE, lasts)
     assert watch.is_lost
 
 

@@ -125,7 +125,6 @@ def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'paper'" in refused(capsys, "show", "papr")
     assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
-    assert "expected png, svg or pdf" in refused(capsys, "figures", run, "--format", "gif")
     assert "expected two or more to compare" in refused(capsys, "compare", run)
     out = f"--out={run / 'x'}"
     assert "no layout 'fist'" in refused(capsys, "reproduce", "--layout=fist", out)
@@ -199,18 +198,15 @@ def test_reproduce_writes_figures_and_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A tenth of a second is no experiment, and the verdict says so."""
-    arguments = ["--layout", "pinch", "--duration", "0.1", "--jobs", "1", "--format", "png"]
+    arguments = ["--layout", "pinch", "--duration", "0.1", "--jobs", "1"]
     assert main(["reproduce", "--out", str(tmp_path), *arguments]) == 0
     printed = capsys.readouterr().out
     assert "does not hold" in printed and "layout pinch" in printed
     names = {file.name for file in tmp_path.iterdir()}
     figures = {f"{name}_pinch.png" for name in ("fig2", "fig3", "fig4")}
-    assert names == figures | {"reproduction.md", "reproduction.json"}
+    assert names == {*figures, *(name.replace("png", "svg") for name in figures), "reproduction.md"}
     report = (tmp_path / "reproduction.md").read_text()
-    assert all(name in report for name in figures)
-    data = json.loads((tmp_path / "reproduction.json").read_text())
-    assert data["pinch"]["claims"][0]["verdict"] == "does not hold"
-    assert data["pinch"]["metrics"]["optimal"]["ticks"] == 51
+    assert all(name in report for name in figures) and "| does not hold |" in report
 
 
 def test_interrupted_reproduction_leaves_nothing(tmp_path: Path) -> None:

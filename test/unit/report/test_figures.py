@@ -38,21 +38,24 @@ RECORDS = {
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_every_figure_can_be_drawn(name: str, tmp_path: Path) -> None:
-    """Of a good record in both formats."""
-    record, formats = RECORDS[name], ("png", "svg") if name == "good" else ("png",)
+    record = RECORDS[name]
     figures = {
         "fig2": grasp_figure(record, load_scenario("paper")),
         "fig3": motion_figure(record),
         "fig4": friction_figure({"one": record, "other": record}),
     }
+    if name != "good":
+        for figure in figures.values():
+            figure.draw_without_rendering()
+        return
     for title, figure in figures.items():
-        for file in save(figure, tmp_path, title, formats):
+        for file in save(figure, tmp_path, title):
             assert file.stat().st_size > 5000
     for file in tmp_path.glob("*.png"):
         with Image.open(file) as picture:
             assert abs(picture.width - PAGE * DPI) <= 1
             assert len(picture.convert("L").getcolors()) > 10  # not an empty page
-    assert len(list(tmp_path.iterdir())) == 3 * len(formats)
+    assert len(list(tmp_path.iterdir())) == 6
 
 
 def test_lines_are_the_numbers_of_the_record() -> None:

@@ -10,6 +10,7 @@ import csv
 import json
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 from support import trials
@@ -118,7 +119,6 @@ def test_results_come_in_the_order_of_the_items() -> None:
 
 
 def test_a_cluster_gives_the_same_bytes(expected: bytes, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
     local = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**local) as cluster, workers(cluster=cluster.scheduler_address):
         assert kept(tmp_path / "study").done == RUNS
