@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from studies.faults import space
 from tactile_hand_ros.sweep.engine import FAILED, LOST
-from tactile_hand_ros.sweep.statistics import fraction_of
+from tactile_hand_ros.sweep.results import fraction_of
 from tactile_hand_ros.sweep.table import Table
 
 COLUMNS = (

@@ -23,8 +23,8 @@ from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
+from tactile_hand_ros.sweep.results import fraction_of
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.statistics import fraction_of
 from tactile_hand_ros.sweep.table import Table
 
 if TYPE_CHECKING:

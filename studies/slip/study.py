@@ -28,8 +28,8 @@ from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
+from tactile_hand_ros.sweep.results import fraction_of, median_interval, rank
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.statistics import fraction_of, median_interval, rank
 from tactile_hand_ros.sweep.table import Table
 
 if TYPE_CHECKING:

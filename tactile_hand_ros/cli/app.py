@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import bags, experiments, runs, steer
+from tactile_hand_ros.cli import experiments, runs, steer
 from tactile_hand_ros.command_line import prepare_for_ros, run_command
 from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -35,7 +35,6 @@ for _command in (
     *steer.COMMANDS,
     *experiments.COMMANDS,
     *runs.COMMANDS,
-    *bags.COMMANDS,
 ):
     app.command()(_command)
 # An unknown option may be a negative number.

@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand figures`, `report`, `compare` and `summary`: what a recorded run shows."""
+"""What a recorded run shows, and its bag: published, recomputed or repaired."""
 
 from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tactile_hand_ros.cli.output import (
+    EXIT_DIFFERS,
+    BagArgument,
     NamespaceOption,
+    bar,
     check_writable,
     console,
     print_table,
 )
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.command_options import with_options
+from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
+    from tactile_hand_ros.nodes.replay import Replay
     from tactile_hand_ros.run.run import Run
 
 RunArgument = Annotated[
@@ -134,4 +140,124 @@ def _print_page(file: Path) -> None:
     console().print(f"{file}  {1e-6 * file.stat().st_size:.1f} MB", soft_wrap=True, markup=False)
 
 
-COMMANDS = (figures, report, compare, summary)
+@dataclass(frozen=True)
+class ReplayRequest:
+    """The options of `tactile-hand replay`."""
+
+    bag: BagArgument = Path("runs/latest")
+    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
+    start_offset: Annotated[
+        float, typer.Option(min=0.0, help="Where to start [s after the first message].")
+    ] = 0.0
+    topics: Annotated[
+        list[str],
+        typer.Option(help="Only topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    exclude: Annotated[
+        list[str],
+        typer.Option(help="Not the topics whose whole name matches; may be repeated."),
+    ] = field(default_factory=list)
+    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
+    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
+    ] = False
+    changes: Annotated[
+        list[str],
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="With --recompute: another value of the scenario."
+        ),
+    ] = field(default_factory=list)
+
+
+@with_options
+def replay(request: ReplayRequest) -> None:
+    """Publish a bag as it was recorded, or recompute it. Ctrl-C stops it.
+
+    Exit code of --recompute as recorded: 0 if all is the same to the bit, 1 if not. A law of your
+    own is imported only if you name it here, by --set law=MODULE:CLASS.
+    """
+    if request.recompute:
+        _recompute(request)
+        return
+    if request.changes:
+        raise TactileHandError("--set was given, expected --recompute too.")
+    from tactile_hand_ros.bag.reader import find_bag
+
+    if not 0.0 < request.rate < float("inf"):
+        raise TactileHandError(f"--rate is {request.rate}, expected a number above 0.")
+    _publish(find_bag(request.bag), request)
+
+
+def _recompute(request: ReplayRequest) -> None:
+    """Ask the controllers again, and compare their answers with those in the bag."""
+    from tactile_hand_ros.config.plain_yaml import parse_changes
+    from tactile_hand_ros.run.run import Run
+    from tactile_hand_ros.verify import recompute as r
+
+    run = Run(request.bag, namespace=request.namespace or None)
+    values = parse_changes(request.changes, "force_optimizer.cones=false")
+    recorded = {"law": r.scenario_of(run).manipulation_controller.law.name}
+    result = r.recompute(run, values)
+    print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
+    if values in ({}, recorded) and not result.same:
+        text = "The same configuration gave other answers: messages were lost, see `tactile-hand "
+        print(f"{text}summary`, or code or libraries are of other versions.", file=sys.stderr)
+        raise typer.Exit(EXIT_DIFFERS)
+
+
+def _publish(bag: Path, request: ReplayRequest) -> None:
+    try:
+        from tactile_hand_ros.nodes.replay import replaying
+        from tactile_hand_ros.ros.middleware import full_namespace
+    except ModuleNotFoundError as error:
+        raise TactileHandError(
+            f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
+            "install its wheels."
+        ) from None
+
+    options = {
+        "rate": request.rate,
+        "start_offset": request.start_offset,
+        "topics": request.topics or [".*"],
+        "exclude": request.exclude,
+        "namespace": full_namespace(request.namespace).rstrip("/"),
+        "paused": request.paused,
+    }
+    with replaying(bag, **options) as player, bar("replay", player.duration) as update:
+
+        def watch(player: Replay) -> None:
+            state = "paused" if player.paused else counted(player.messages, "message")
+            text = f"{player.position:.1f} of {player.duration:.1f} s, {state}"
+            update(completed=player.position, text=text)
+
+        for topic, reason in player.skipped.items():
+            print(f"{topic} is not published: {reason}", file=sys.stderr)
+        print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
+        try:
+            player.run(watch)
+        finally:
+            print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
+
+
+def recover(
+    bag: BagArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to create; by default next to the bag.")
+    ] = None,
+) -> None:
+    """Recover a bag that was cut off, from any recorder."""
+    from tactile_hand_ros.bag import recover as r
+    from tactile_hand_ros.bag.reader import find_bag
+
+    found = find_bag(bag)
+    if out is None and r.is_whole(found):
+        print(f"{found} is whole, there is nothing to recover")
+        return
+    new = r.recover(found, out)
+    lost = f"{counted(new.left, 'byte')} could not be used" if new.left else "nothing is lost"
+    print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
+
+
+COMMANDS = (figures, report, compare, summary, recover, replay)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page itself: template, style, script and document in one file of HTML."""
+"""A run with its page: template, style, script and document in one file of HTML."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
 from tactile_hand_ros.report.facts import differing, labels
+from tactile_hand_ros.report.figures import motion_figure
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.result import RunData
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REPORT = "report.html"
 COMPARISON = "comparison.html"
@@ -119,3 +123,26 @@ def _write(text: str, file: Path) -> Path:
             f"The report {file} cannot be written ({error.strerror}); choose another place."
         ) from None
     return file
+
+
+class Result(RunData):
+    """A run: `record`, `metrics`, `events`, `assumptions`, `to_pandas()`, `plot()`, `report()`."""
+
+    def plot(self) -> Figure:
+        """Return the paper's Fig. 3 of this run: rates, position, orientation error, forces.
+
+        Raises:
+            MissingLibraryError: If matplotlib is not installed.
+        """
+        return motion_figure(self.record)
+
+    def report(self, folder: Path | str | None = None) -> Path:
+        """Write ``report.html`` and return the file.
+
+        Args:
+            folder: Where to; by default the run's folder, or the present one without a bag.
+
+        Raises:
+            TactileHandError: If the file cannot be written.
+        """
+        return write_report(self, None if folder is None else Path(folder))

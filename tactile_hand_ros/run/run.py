@@ -15,7 +15,7 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
-from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.run.events import Asked, read_asked
 from tactile_hand_ros.run.reading import (
     HandTopics,

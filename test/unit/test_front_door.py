@@ -14,7 +14,7 @@ import tactile_hand_ros
 from tactile_hand_ros import Metrics, Run, simulate, sweep
 from tactile_hand_ros.control.laws import OptimalLaw
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.report.page import Result
 
 
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)

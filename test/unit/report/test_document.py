@@ -30,8 +30,7 @@ from support.recorded import (
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.report.document import pack, run_document, shown
 from tactile_hand_ros.report.facts import differing, labels
-from tactile_hand_ros.report.page import MOST_EARLIER, write_report
-from tactile_hand_ros.report.result import Result
+from tactile_hand_ros.report.page import MOST_EARLIER, Result, write_report
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
