@@ -84,6 +84,7 @@ def each_tick() -> list[Link]:
         Link(names.CONTACTS, names.SENSOR, acting),
         Link(names.GRASP_FORCE, names.REGULATOR, (names.CONTROLLER,)),
         Link(names.GRIP_STATE, names.REGULATOR),
+        Link(names.GRIP_MARGIN, names.REGULATOR),
         Link(names.JOINT_COMMAND, names.CONTROLLER, (PLANT,)),
         Link(names.AUXILIARY_POSE, names.CONTROLLER),
     ]
@@ -91,6 +92,7 @@ def each_tick() -> list[Link]:
         links += [
             Link(names.true_wrench(finger), PLANT, (names.SENSOR,)),
             Link(names.wrench(finger), names.SENSOR, (names.REGULATOR,)),
+            Link(names.load(finger), names.REGULATOR),
             Link(names.optimal_force(finger), names.OPTIMIZER, (names.CONTROLLER,)),
         ]
     return links

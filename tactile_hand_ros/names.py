@@ -6,14 +6,16 @@ That includes the clock: without a namespace it is the `/clock` that `use_sim_ti
 hands in one domain have two times, and two senders on `/clock` would make time jump back and forth.
 Remap `clock:=/clock` on the one plant whose time counts.
 
-Two topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
+Three topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
 the tick as stamp, since ROS has no message for numbers by finger:
 
 - `ground_truth/slip`, from the plant to tactile_sensor and recorder: `position` is the distance
   that the contact has slid since the start [m], `velocity` the sliding speed [m/s].
-- `grip_state`, from slip_regulator to force_optimizer and recorder: `position` is the learned
-  friction [1], `velocity` the evidence for slip [0 to 1], `effort` the `ContactState`: 0 unknown,
-  1 stick, 2 slip.
+- `grip_state`, from slip_regulator to recorder and viewer: `position` is the learned friction [1],
+  `velocity` the evidence for slip [0 to 1], `effort` the `ContactState`: 0 unknown, 1 stick,
+  2 slip.
+- `grip_margin`, from slip_regulator to force_optimizer: `position` is the friction that may be
+  used [1], `effort` the load in any direction that may come on top [N].
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ TOUCH_REJECTED = "touch_rejected"
 CONTACTS = "tactile/contacts"
 GRASP_FORCE = "grasp_force"
 GRIP_STATE = "grip_state"
+GRIP_MARGIN = "grip_margin"
 DESIRED_POSE = "desired_pose"
 AUXILIARY_POSE = "auxiliary_pose"
 USER_GRASP_FORCE = "user_grasp_force"
@@ -72,6 +75,11 @@ def wrench(finger: str) -> str:
 def optimal_force(finger: str) -> str:
     """Return the topic of the optimal normalized force of a finger."""
     return f"optimal_force/{finger}"
+
+
+def load(finger: str) -> str:
+    """Return the topic of the load that a finger carries."""
+    return f"load/{finger}"
 
 
 def true_wrench(finger: str) -> str:

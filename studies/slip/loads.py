@@ -42,7 +42,6 @@ RESERVES = {"floor": (0.0, 0.2, 0.4, 0.6, 1.0), "fraction": (0.1, 0.2, 0.4)}
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
 _BITS = 14  # of the encoders
-_RESERVED = ("slip_regulator.reflex.need", "force_optimizer")  # who keep a reserve
 _RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
 
 
@@ -153,8 +152,8 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
         "plant.object.friction": case.friction,
         "plant.disturbances": [load],
         "slip_regulator.friction.prior": case.friction,
-        **{f"{place}.reserve.floor": floor for place in _RESERVED},
-        **{f"{place}.reserve.share": fraction for place in _RESERVED},
+        "slip_regulator.reserve.floor": floor,
+        "slip_regulator.reserve.share": fraction,
     }
     return load_scenario(RANGES[case.hand].scenario, values)
 

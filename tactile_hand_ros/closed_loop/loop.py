@@ -74,8 +74,7 @@ class Chain:
             forces: Measured forces in contact frames, shape (k, 3), N.
         """
         grasp_force = self.regulator.step(stamp, contacts, forces)
-        friction = self.regulator.learned_friction
-        optimal = self.optimizer.step(stamp, contacts, friction, forces)
+        optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
         command = self.controller.step(
             stamp, theta, rates, contacts, optimal.forces, grasp_force, forces, applied
         )
@@ -83,10 +82,8 @@ class Chain:
         return Answer(grasp_force, optimal, command)
 
     def pass_on_rejection(self) -> None:
-        """Pass on to regulator and optimizer whether the controller rejects touch."""
-        rejected = self.controller.touch_rejected
-        self.regulator.reject_touch(rejected)
-        self.optimizer.reject_touch(rejected)
+        """Pass on to the regulator whether the controller rejects touch."""
+        self.regulator.reject_touch(self.controller.touch_rejected)
 
 
 class SensingChain(Chain):

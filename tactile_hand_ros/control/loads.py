@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a grasp carries: the load in the measured forces, the margin of load, the force that holds.
+"""What a grasp carries: the load in the measured forces, the reserve, the force that holds.
 
 The law (14) presses with f = k_f f* + G~^+ w: an internal force, which balances itself and grows
 with k_f, and a load, which does not.
@@ -99,12 +99,13 @@ def required_grasp_force(
     return k if k >= 0.0 and lessened + k * sn >= -_GRAZES * abs(lessened) else math.inf
 
 
-class LoadMarginConfig(Config):
+class ReserveConfig(Config):
     """How much more than it measures a grasp is ready for."""
 
     floor: float = param(
         0.6,
-        "force on the object that may come at any time, per weight of a finger",
+        "force on the object that may come at any time, per weight of a finger: one that starts, "
+        "stops or bumps into something loads the object",
         live=True,
         ge=0.0,
     )
@@ -116,36 +117,19 @@ class LoadMarginConfig(Config):
     )
 
 
-class LoadMargin:
-    """Remembers the largest load of the recent past at each contact.
+class CarriedLoad(NamedTuple):
+    """What a grasp carries and may use: one estimate, for k_f and for f*.
 
-    What may come at any time is in proportion to the weight of a finger: when the hand starts,
-    stops or bumps into something, its own fingers load the object.
+    Attributes:
+        load: Forces that do not grow with the grasp force, contact frames, shape (k, 3), N; NaN
+            where there is no grasp.
+        friction: mu that the contacts may use, the learned one less a margin, shape (k,).
+        reserve: Load in any direction that may come on top at each contact, shape (k,), N.
     """
 
-    def __init__(self, config: LoadMarginConfig, contacts: int, finger_weight: float) -> None:
-        """Start without a past of k contacts of fingers with a weight in N."""
-        self._largest, self._weight = np.zeros(contacts), finger_weight
-        self.configure(config)
-
-    def configure(self, config: LoadMarginConfig) -> None:
-        """Take other parameters; the past stays."""
-        self._config = config
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._largest[:] = 0.0
-
-    def step(self, load: Array, dt: float) -> Array:
-        """Return the radius delta of each contact, shape (k,), N.
-
-        Args:
-            load: What the contacts carry, shape (k, 3), N.
-            dt: Time since the last tick, s.
-        """
-        c, size = self._config, np.sqrt((load * load).sum(axis=1))
-        self._largest = np.maximum(math.exp(-dt / c.memory) * self._largest, size)
-        return np.maximum(c.floor * self._weight / len(load), c.share * self._largest)
+    load: Array
+    friction: Array
+    reserve: Array
 
 
 @compiled

@@ -3,10 +3,10 @@
 
 Safe state: where (13) has no answer (a contact is missing, the contacts lie on a line, the normals
 cannot balance) it publishes NaN, never an old answer, and the reason; the controller then holds the
-hand. With `cones` it answers only ticks at which the forces of all fingers and the state of their
-grip have come too; where no f* lies inside the learned friction cones it publishes the one that
-leaves them least, and warns. Input that cannot be used is counted and dropped. When it is silent or
-crashes, the controller holds the hand after its `input_timeout`.
+hand. With `cones` it answers only ticks at which the regulator's estimates have come too; where no
+f* lies inside the learned friction cones it publishes the one that leaves them least, and warns.
+Input that cannot be used is counted and dropped. When it is silent or crashes, the controller holds
+the hand after its `input_timeout`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from std_msgs.msg import Bool
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, example_touch
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -28,19 +27,17 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 from tactile_hand_ros.nodes.common import WrenchPublishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
-from tactile_hand_ros.ros import qos, streams
+from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
-Array = NDArray[np.float64]
-
 _OUTSIDE = -1e-5
 """Cone margin below which f* is outside, and not on the edge by the solver's accuracy."""
 
 _SLIPS = (
-    "f* under the load is outside the friction cones learned so far (margin {:.3g} per unit of "
+    "f* under the load is outside the usable friction cones (margin {:.3g} per unit of "
     "grasp force): a contact may slip; raise the grasp force or take load off"
 )
 
@@ -62,10 +59,9 @@ class OptimizerReport:
     def note(self, optimal: OptimalForces) -> None:
         """Note the answer of a tick."""
         self._optimal = optimal
-        # Only where the margin of load does not hold; NaN: without cones.
-        margin = optimal.learned_margin if optimal.cone_margin < _OUTSIDE else 0.0
+        margin = optimal.cone_margin  # NaN: without cones
         self._outside.note(margin < _OUTSIDE)
-        self._worst = min(self._worst, margin)
+        self._worst = min(self._worst, margin)  # which keeps the first where the other is NaN
         self._unanswered += not optimal.ok
         if optimal.reason == self._reason:
             return
@@ -95,10 +91,10 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     """Publishes the optimal normalised forces f* of each tick.
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). With `cones` also,
-    of the same stamp: `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`,
-    N) and `grip_state` (sensor_msgs/JointState by finger, of which the learned friction counts),
-    and `touch_rejected` (std_msgs/Bool, whether the controller rejects the touch, from which
-    nothing is learned then); without, they would only cost time.
+    of the same stamp: `load/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, N),
+    `grip_margin` (sensor_msgs/JointState by finger: usable friction, reserve in N) and
+    `grasp_force` (geometry_msgs/WrenchStamped, k_f in force.y, N); without, they would only cost
+    time.
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
     without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
@@ -107,16 +103,15 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     iterations and time of the solver, and with `cones` the margin that certifies f* (the minimum
     mu f_n - |f_t| per unit of grasp force) and whether the cones have shaped it.
 
-    Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and `cone_share` are
-    live. When the stamps jump back, the solver forgets its last answer and the load.
+    Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and times are live.
+    When the stamps jump back, the solver forgets its last answer and the load.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
         """Set up the problem.
 
         Args:
-            composed: Whether a chain in this process calls `step` and `reject_touch`, so that
-                neither ticks nor `touch_rejected` are received.
+            composed: Whether a chain in this process calls `step`, so that no ticks are received.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
@@ -127,24 +122,24 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._fingers = len(fingers)
         self._optimizer = ForceOptimizer(self.config, self._fingers)
         self._report = OptimizerReport(self.diagnostics)
-        self._shapes = self.config.cones
-        self._changes = AppliedChanges(self, names.OPTIMIZER, requests=self._shapes)
+        self._changes = AppliedChanges(self, names.OPTIMIZER)
         self._publisher = WrenchPublishers(self, fingers, names.optimal_force, nan_allowed=True)
         self._rehearse()
         if composed:
             return
         declared = [streams.contacts(self._fingers)]
-        if self._shapes:
-            latched = qos.latched_qos(qos.USER_DEPTH)
-            self.subscribe(
-                Bool, names.TOUCH_REJECTED, lambda m: self.reject_touch(m.data), profile=latched
-            )
-            declared += [streams.learned_friction(fingers), streams.forces(fingers)]
+        if self.config.cones:
+            declared += [
+                streams.loads(fingers),
+                streams.grip_margin(fingers),
+                streams.grasp_force(),
+            ]
         self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self) -> None:
         contacts, forces = example_touch(self._fingers)
-        self._optimizer.step(0, contacts, np.ones(self._fingers), forces)
+        ones = np.ones(self._fingers)
+        self._optimizer.step(0, contacts, CarriedLoad(forces, ones, ones), 1.0)
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:
@@ -166,27 +161,28 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._optimizer.reset()
         self._changes.begin(self.config)
 
-    def reject_touch(self, rejected: bool) -> None:
-        """Note whether the controller rejects touch; the load is not learned from it then."""
-        if self._shapes and self._changes.state(names.TOUCH_REJECTED, rejected):
-            self._optimizer.reject_touch(rejected)
-
     def step(
         self,
         stamp: int,
         contacts: Contacts,
-        friction: Array | None = None,
-        forces: Array | None = None,
+        carried: CarriedLoad | None = None,
+        grasp_force: float = np.nan,
     ) -> OptimalForces:
         """Publish and return f*; see `ForceOptimizer.step`."""
         with self.answering():
-            optimal = self._optimizer.step(stamp, contacts, friction, forces)
+            optimal = self._optimizer.step(stamp, contacts, carried, grasp_force)
             self._publisher.publish(stamp, optimal.forces)
             self._changes.take_effect(stamp)
             self._report.note(optimal)
         return optimal
 
-    on_tick = step
+    def on_tick(self, stamp: int, contacts: Contacts, *estimates: Any) -> None:
+        """Answer a tick for which everything has arrived."""
+        if estimates:
+            load, margins, grasp_force = estimates
+            self.step(stamp, contacts, CarriedLoad(load, *margins), grasp_force)
+        else:
+            self.step(stamp, contacts)
 
 
 def main(args: Sequence[str] | None = None) -> int:

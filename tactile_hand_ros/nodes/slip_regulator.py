@@ -28,6 +28,7 @@ from std_srvs.srv import Trigger
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, example_touch
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.margins import SlipMonitor
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
@@ -149,14 +150,16 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
-    0 to 1, `ContactState`). Every 20 ms of simulated time: `haptic_feedback`
-    (sensor_msgs/JoyFeedbackArray: id 0 grip as a fraction of the maximum, id 1 the strongest
-    evidence for slip since the last one, both 0 to 1). With the stamp of the first tick that they
-    change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N)
-    and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f, the one that the
-    object needs, friction and grip of each finger, and the worst margins of that second: A3 (load),
-    A4 (evidence left before an alarm, distance to the estimated cones), A6 (time left to stop a
-    slip).
+    0 to 1, `ContactState`), `load/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
+    what the contact carries, N; NaN without a grasp), `grip_margin` (sensor_msgs/JointState by
+    finger: usable friction, load that may come on top in N). Every 20 ms of simulated time:
+    `haptic_feedback` (sensor_msgs/JoyFeedbackArray: id 0 grip as a fraction of the maximum, id 1
+    the strongest evidence for slip since the last one, both 0 to 1). With the stamp of the first
+    tick that they change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f
+    in force.y, N) and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f,
+    the one that the object needs, friction and grip of each finger, and the worst margins of that
+    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time
+    left to stop a slip).
 
     A node that is late answers the newest ticks only, but uses all of them.
 
@@ -188,6 +191,13 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._rehearse(len(fingers))
         grips = JointCodec(fingers).encode
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
+        margins = JointCodec(fingers, ("position", "effort")).encode
+        self._margin_publisher = self.tick_publisher(JointState, names.GRIP_MARGIN, margins)
+        self._load_publishers = [
+            self.tick_publisher(WrenchStamped, names.load(finger), codec.encode)
+            for finger in fingers
+            for codec in [WrenchCodec(names.contact_frame(finger), nan_allowed=True)]
+        ]
         self._encode = WrenchCodec(names.PALM_FRAME).encode
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
@@ -210,9 +220,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
     @property
-    def learned_friction(self) -> Array:
-        """Friction of each contact as slips and sticks have shown it, shape (k,)."""
-        return self._regulator.learned_friction
+    def carried(self) -> CarriedLoad:
+        """What f* is made for; see `SlipRegulator`."""
+        return self._regulator.carried
 
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator
@@ -258,7 +268,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         return response
 
     def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
-        """Publish grip and k_f and return k_f; see `SlipRegulator.step`."""
+        """Publish grip, load and k_f and return k_f; see `SlipRegulator.step`."""
         with self.answering():
             regulator = self._regulator
             grasp_force = self._checked(regulator.step(stamp, contacts, forces))
@@ -266,6 +276,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
                 regulator.learned_friction, regulator.slip_likelihood, regulator.state
             )
             self._grip_publisher.publish(stamp, *state)
+            load, friction, reserve = regulator.carried
+            self._margin_publisher.publish(stamp, friction, reserve)
+            for publisher, force in zip(self._load_publishers, load.tolist(), strict=True):
+                publisher.publish(force, stamp)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)

@@ -70,9 +70,15 @@ def grasp_force() -> Stream:
     return Stream(WrenchStamped, {names.GRASP_FORCE: codec.decode_normal})
 
 
-def learned_friction(finger_names: Sequence[str]) -> Stream:
-    """Declare the friction that the regulator has learned; values of shape (k,)."""
-    return _column(names.GRIP_STATE, JointCodec(finger_names), 0)
+def loads(finger_names: Sequence[str]) -> Stream:
+    """Declare what the fingers carry; values in contact frames, (k, 3), N, NaN without a grasp."""
+    return _wrenches(names.load, finger_names, nan_allowed=True)
+
+
+def grip_margin(finger_names: Sequence[str]) -> Stream:
+    """Declare usable friction and reserve; values are two arrays of shape (k,), 1 and N."""
+    decode = JointCodec(finger_names, ("position", "effort")).decode
+    return Stream(JointState, {names.GRIP_MARGIN: decode})
 
 
 def true_contacts(fingers: int) -> Stream:

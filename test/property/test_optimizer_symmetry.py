@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
+from tactile_hand_ros.control.loads import CarriedLoad, split
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 
 
@@ -30,8 +31,10 @@ def shaped_forces(points, normals, forces, friction):
     frames = np.array([contact_frame(normal) for normal in normals])
     contacts = Contacts(points, frames)
     for tick in range(5):
-        felt = np.einsum("kji,kj->ki", frames, (1.0 + 0.1 * tick) * forces)
-        optimal = optimizer.step(2_000_000 * tick, contacts, friction, felt)
+        parts = split(points, normals, (1.0 + 0.1 * tick) * forces)
+        load = np.einsum("kji,kj->ki", frames, parts.load)
+        carried = CarriedLoad(load, 0.7 * friction, np.full(len(points), 0.1))
+        optimal = optimizer.step(2_000_000 * tick, contacts, carried, parts.grasp_force)
     return np.einsum("kij,kj->ki", frames, optimal.forces), optimal.shaped
 
 

@@ -70,7 +70,7 @@ def excess_force(record, name):
     assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
     pressed = record.true_forces[-200:, :, 1].sum(axis=1).mean()
     weight = finger_weight(load_hand_config(scenario.hand))
-    floor = weight * scenario.slip_regulator.reflex.need.reserve.floor
+    floor = weight * scenario.slip_regulator.reserve.floor
     pushes = floor * np.vstack([np.eye(3), -np.eye(3)])
     return pressed / max(ready_force(record, scenario, push) for push in pushes)
 

@@ -43,13 +43,14 @@ PATIENCE = 120.0
 """Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
 
 
-PER_FINGER = (names.wrench, names.optimal_force, names.true_wrench)
+PER_FINGER = (names.wrench, names.load, names.optimal_force, names.true_wrench)
 TICK_TOPICS = [
     names.JOINT_STATES,
     names.JOINT_COMMAND,
     names.CONTACTS,
     names.GRASP_FORCE,
     names.GRIP_STATE,
+    names.GRIP_MARGIN,
     names.AUXILIARY_POSE,
     names.OBJECT_POSE,
     names.TRUE_CONTACTS,

@@ -8,29 +8,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.contact import Contacts, face_frame, in_palm
+from tactile_hand_ros.control.contact import face_frame
 from tactile_hand_ros.control.grasp import centered
-from tactile_hand_ros.control.loads import (
-    LoadMargin,
-    LoadMarginConfig,
-    Split,
-    shift,
-    split,
-)
 from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
-
-_MIN_GRASP_FORCE = 0.1  # N; below, the load per unit of internal force means nothing
-_CLEAR_MARGIN = 1e-2  # collinearity margin from which on f* may be reshaped
 
 SIDES = 12
 """Sides of a pyramid."""
@@ -93,7 +82,8 @@ def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
 def reaches(forces: Array, usable_friction: Array) -> Array:
     """Return how far forces reach beyond each side of the friction pyramids, shape (k, SIDES).
 
-    That of a sum is the sum of those of its parts. Not positive means inside.
+    That of a sum is the sum of those of its parts. Not positive means inside. A ball of loads of
+    radius d reaches d sqrt(1 + mu^2) further beyond a cone than its center.
     """
     beyond = np.empty((len(forces), SIDES))
     for i in range(len(forces)):
@@ -131,129 +121,6 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
     return out
 
 
-class TrackerConfig(Protocol):
-    """What a `ConeTracker` takes of the parameters of (13)."""
-
-    reserve: LoadMarginConfig
-    load_time: float
-    load_memory: float
-    squeeze_share: float
-
-
-class ConeTracker:
-    """Follows what the contacts carry, slowly enough that noise does not shake f*.
-
-    It remembers the worst of the recent past for each side of the friction pyramids, and f* is made
-    for that: a shape that follows a swinging load is always too late for it. Touch that is doubted
-    is not followed, and afterwards all starts with the load that is measured then.
-    """
-
-    def __init__(self, config: TrackerConfig, contacts: int, finger_weight: float) -> None:
-        """Follow the load of k contacts of fingers with a weight in N."""
-        self._reserve = LoadMargin(config.reserve, contacts, finger_weight)
-        self._doubted = False
-        self.configure(config)
-        self.reset()
-
-    def reject_touch(self, doubted: bool) -> None:
-        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
-        if doubted:
-            self.reset()
-        self._doubted = doubted
-
-    def configure(self, config: TrackerConfig) -> None:
-        """Take other parameters; what is known of the load stays."""
-        self._config = config
-        self._reserve.configure(config.reserve)
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self._load: Array | None = None
-        self._worst: Array | None = None
-        self._reserve.reset()
-        self._stamp = 0
-
-    def step(
-        self, stamp: int, contacts: Contacts, forces: Array, usable_friction: Array
-    ) -> Cones | None:
-        """Return what the contacts can bear and carry, per newton of the present grasp force.
-
-        Args:
-            stamp: The tick, ns.
-            contacts: Contact points and frames.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            usable_friction: mu that each contact may use, shape (k,).
-
-        Returns:
-            None where there is no grasp or no grasp force yet, or touch is doubted.
-        """
-        parts = None if self._doubted else _grasp(contacts, forces)
-        if parts is None:
-            self._load = self._worst = None  # the past that the reserve follows stays
-            return None
-        elapsed, fraction, c = 0.0, 1.0, self._config
-        if self._load is not None:
-            elapsed = 1e-9 * (stamp - self._stamp)
-            fraction = 1.0 - math.exp(-elapsed / c.load_time)
-        before = parts.load if self._load is None else self._load
-        radii = self._reserve.step(parts.load, elapsed)
-        load = _per_grasp_force(before, parts.load, parts.grasp_force, fraction)
-        worst = reaches(parts.grasp_force * load, usable_friction)
-        if self._worst is not None:
-            keep = math.exp(-elapsed / c.load_memory)
-            worst = np.maximum(worst, worst + keep * (self._worst - worst))
-        self._load, self._worst, self._stamp = load, worst, stamp
-        wanted = _wanted(worst, radii, usable_friction, c.squeeze_share * parts.grasp_force)
-        return Cones(usable_friction, load, elapsed, wanted)
-
-
-def _grasp(contacts: Contacts, forces: Array) -> Split | None:
-    """Split the forces where all fingers hold something between them."""
-    if not contacts.all_touching:
-        return None
-    frames = contacts.rotations
-    parts = split(contacts.positions, contacts.normals, in_palm(frames, forces, 1.0))
-    if parts.margin < _CLEAR_MARGIN or parts.grasp_force < _MIN_GRASP_FORCE:
-        return None
-    return parts._replace(load=np.einsum("kji,kj->ki", frames, parts.load))
-
-
-@compiled
-def _per_grasp_force(before: Array, load: Array, grasp_force: float, fraction: float) -> Array:
-    """Return the load per unit of internal force, smoothed, shape (k, 3).
-
-    Args:
-        before: The same at the last tick, shape (k, 3).
-        load: What the contacts carry, shape (k, 3), N.
-        grasp_force: The grasp force, N.
-        fraction: Fraction of the way to the present load.
-    """
-    now = np.empty_like(load)
-    for i in range(len(load)):
-        for axis in range(3):
-            felt, last = load[i, axis] / grasp_force, before[i, axis]
-            now[i, axis] = felt if fraction == 1.0 else last + fraction * (felt - last)
-    return now
-
-
-@compiled
-def _wanted(worst: Array, radii: Array, friction: Array, grasp_force: float) -> Array:
-    """Return what f* is to be ready for per unit of internal force, (k, SIDES); see `reaches`.
-
-    Args:
-        worst: How far loads of the recent past reach beyond the pyramids, shape (k, SIDES), N.
-        radii: Radii of further loads that may come, shape (k,), N.
-        friction: Usable mu, shape (k,).
-        grasp_force: The grasp force with which f* should do, N.
-    """
-    wanted = np.empty_like(worst)
-    for i in range(len(worst)):
-        reserve = INSIDE * friction[i] * shift(radii[i], friction[i])
-        for j in range(worst.shape[1]):
-            wanted[i, j] = (worst[i, j] + reserve) / grasp_force
-    return wanted
-
-
 @compiled
 def followed(
     before: Array, optimum: Array, balance: Array, load: Array, friction: Array, fraction: float
@@ -266,7 +133,7 @@ def followed(
         balance: G~^T at this tick, shape (3k, 6).
         load: Forces that do not grow with the grasp force, per unit of internal force, shape (k,
             3).
-        friction: mu as learned, shape (k,).
+        friction: Usable mu, shape (k,).
         fraction: Minimum fraction of the way, 0 to 1.
     """
     start, found = balanced(before, balance)

@@ -11,24 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, in_palm
+from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
     centered,
     collinearity_margin,
     grasp_map,
 )
-from tactile_hand_ros.control.loads import LoadMarginConfig
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import (
+    INSIDE,
     Cones,
-    ConeTracker,
-    cone_margin,
     followed,
     grasp_frames,
     imbalance,
+    reaches,
 )
 from tactile_hand_ros.control.optimizer.quadratic_program import (
     Problem,
@@ -36,10 +35,10 @@ from tactile_hand_ros.control.optimizer.quadratic_program import (
     Solution,
 )
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.hand.urdf import finger_weight
 
 Array = NDArray[np.float64]
 
+_RELAXED = 0.75  # fraction of the grasp force with which f* should do, so that it can be lowered
 _MAX_RESIDUAL = 1e-6  # beyond, there is no answer
 _MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
 
@@ -70,9 +69,6 @@ class ForceOptimizerConfig(Config):
         False,
         "keep internal force and load inside the friction cones that the regulator has learned",
     )
-    load_time: float = param(
-        0.02, "time constant with which the cones follow the load", unit="s", gt=0.0, le=10.0
-    )
     shape_time: float = param(
         0.05,
         "time constant with which f* follows the optimum inside the cones, 0 for immediately",
@@ -88,17 +84,6 @@ class ForceOptimizerConfig(Config):
         live=True,
         gt=0.0,
         le=100.0,
-    )
-    reserve: LoadMarginConfig = LoadMarginConfig()
-    squeeze_share: float = param(
-        0.75,
-        "fraction of the present grasp force with which f* should do, so that it can be lowered",
-        live=True,
-        gt=0.0,
-        le=1.0,
-    )
-    cone_share: float = param(
-        0.82, "fraction of the learned friction that f* may use", live=True, gt=0.0, le=1.0
     )
 
     def weight_vector(self, fingers: int) -> Array:
@@ -152,7 +137,6 @@ class OptimalForces(NamedTuple):
         solve_time: Time that OSQP reports where it was asked, s.
         cone_margin: Minimum of mu f_n - |f_t| per unit of internal force, with the load and the
             usable mu; not negative certifies that nothing has to slip; NaN without cones.
-        learned_margin: The same with mu as learned, without the margin of `cone_share`.
         shaped: Whether the cones changed f*.
     """
 
@@ -163,7 +147,6 @@ class OptimalForces(NamedTuple):
     iterations: int = 0
     solve_time: float = 0.0
     cone_margin: float = np.nan
-    learned_margin: float = np.nan
     shaped: bool = False
 
     @property
@@ -189,7 +172,7 @@ class ForceOptimizer:
         """
         self._k = fingers
         self._shape: Array | None = None
-        self._tracker = ConeTracker(config, fingers, finger_weight(load_hand_config(config.hand)))
+        self._past: tuple[int, Array] | None = None  # worst of the recent past at a tick
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -201,35 +184,30 @@ class ForceOptimizer:
         weights = config.weight_vector(self._k)
         config.check_minimum(self._k)
         self.config, self._weights = config, weights
-        self._tracker.configure(config)
         self._set_up()
 
     def reset(self) -> None:
-        """Forget the last answer and the load."""
+        """Forget the last answer and the loads of the recent past."""
         self._set_up()
-        self._tracker.reset()
-
-    def reject_touch(self, rejected: bool) -> None:
-        """Take whether the controller rejects the touch, from the next tick on."""
-        self._tracker.reject_touch(rejected)
+        self._past = None
 
     def step(
         self,
         stamp: int,
         contacts: Contacts,
-        friction: Array | None = None,
-        forces: Array | None = None,
+        carried: CarriedLoad | None = None,
+        grasp_force: float = np.nan,
     ) -> OptimalForces:
         """Return f* of a tick, inside the friction cones if the configuration says so.
 
         Args:
             stamp: The tick, ns.
             contacts: Contact points and frames in the palm frame.
-            friction: mu of each contact as the regulator has learned it, shape (k,).
-            forces: Measured forces in contact frames, shape (k, 3), N; without friction or forces
-                the cones are left out.
+            carried: Load, usable friction and reserve as the regulator has estimated them; without
+                a load the cones are left out.
+            grasp_force: k_f of the tick, N.
         """
-        if not self.config.cones or friction is None or forces is None:
+        if not self.config.cones or carried is None:
             return self.solve(contacts)
         # Planes and memory of the cones in frames that turn with the grasp: what follows from them
         # must not depend on how the grasp lies in the palm.
@@ -237,15 +215,32 @@ class ForceOptimizer:
         if contacts.all_touching:
             frames = grasp_frames(contacts.positions, frames)
         turns = np.swapaxes(frames, 1, 2) @ contacts.rotations
+        turned = carried._replace(load=in_palm(turns, carried.load, 1.0))
         grasp = Contacts(contacts.positions, frames)
-        usable = self.config.cone_share * friction
-        cones = self._tracker.step(stamp, grasp, in_palm(turns, forces, 1.0), usable)
-        optimal = self.solve(grasp, cones)
+        optimal = self.solve(grasp, self._cones(stamp, turned, grasp_force))
         if not optimal.ok:
             return optimal
-        learned = np.nan if cones is None else cone_margin(optimal.forces, cones.load, friction)
-        back = in_palm(np.swapaxes(turns, 1, 2), optimal.forces, 1.0)
-        return optimal._replace(forces=back, learned_margin=learned)
+        return optimal._replace(forces=in_palm(np.swapaxes(turns, 1, 2), optimal.forces, 1.0))
+
+    def _cones(self, stamp: int, carried: CarriedLoad, grasp_force: float) -> Cones | None:
+        """Return the cones for a load, per newton of a grasp force, or None without a load.
+
+        f* is made for the worst of the recent past on each side of the pyramids: a shape that
+        follows a swinging load is always too late for it.
+        """
+        load, friction, reserve = carried
+        if not (grasp_force > 0.0 and all_finite(load)):
+            self._past = None
+            return None
+        worst, elapsed = reaches(load, friction), 0.0
+        if self._past is not None:
+            elapsed = 1e-9 * (stamp - self._past[0])
+            keep = math.exp(-elapsed / self.config.load_memory)
+            worst = np.maximum(worst, worst + keep * (self._past[1] - worst))
+        self._past = stamp, worst
+        more = INSIDE * reserve * np.sqrt(1.0 + friction * friction)
+        wanted = (worst + more[:, None]) / (_RELAXED * grasp_force)
+        return Cones(friction, load / grasp_force, elapsed, wanted)
 
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
         """Distribute a unit internal force over the contacts.
@@ -287,7 +282,7 @@ class ForceOptimizer:
             residual = max(residual, *imbalance(forces, balance))
             inside = cones.margin(forces)
         how = found.iterations, found.solve_time
-        return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, np.nan, shaped)
+        return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, shaped)
 
     def _inside(
         self, forces: Array, residual: float, balance: Array, cones: Cones
@@ -309,8 +304,8 @@ class ForceOptimizer:
         before, time, forces = self._shape, self.config.shape_time, optimum
         if before is not None and time > 0.0 and cones.elapsed > 0.0:
             fraction = 1.0 - math.exp(-cones.elapsed / time)
-            learned = cones.usable_friction / self.config.cone_share
-            steady, found = followed(before, optimum, balance, cones.load, learned, fraction)
+            touch = cones.load, cones.usable_friction
+            steady, found = followed(before, optimum, balance, *touch, fraction)
             forces = steady if found else optimum
         self._shape = forces
         return forces

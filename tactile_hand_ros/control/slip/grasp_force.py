@@ -8,52 +8,24 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
+from tactile_hand_ros.compiled import Rows, compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.loads import (
-    LoadMargin,
-    LoadMarginConfig,
-    Split,
-    required_grasp_force,
-    shift,
-)
+from tactile_hand_ros.control.loads import ReserveConfig, Split, required_grasp_force, shift
 from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
 
-
-class RequiredGraspForceConfig(Config):
-    """How load and shape of a grasp are followed."""
-
-    smoothing: float = param(
-        0.005, "time constant of the measured load", unit="s", live=True, gt=0.0
-    )
-    shape_smoothing: float = param(
-        0.03,
-        "time constant of f* as measured; only the hand itself changes it",
-        unit="s",
-        live=True,
-        gt=0.0,
-    )
-    lead: float = param(
-        0.01, "how far ahead a changing load is foreseen", unit="s", live=True, ge=0.0
-    )
-    reserve: LoadMarginConfig = LoadMarginConfig()
-    reserve_time: float = param(
-        0.05,
-        "time over which the reserve of a new grasp rises from nothing",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=10.0,
-    )
-
+_LOAD_TIME = 0.005  # s, time constant of the measured load: a few samples of a fast skin
+_LEAD = 0.01  # s that a changing load is foreseen: about what skin, tick and fingers need
+_SHAPE_TIME = 0.03  # s, time constant of f* as measured; only the hand itself changes it
+_RESERVE_TIME = 0.05  # s over which the reserve of a new grasp rises; f* takes its shape meanwhile
 
 _MEMORY = np.dtype(
     [
         ("load", np.float64, 3),  # smoothed, palm axes; NaN: none yet
         ("trend", np.float64, 3),  # its rate
         ("internal", np.float64, 3),  # smoothed internal force, palm axes
+        ("largest", np.float64),  # load of the recent past, N
     ]
 )
 
@@ -66,106 +38,116 @@ class RequiredGraspForce:
     and the need of a shape near the edge of its cone grows without bound. It is the smoothed
     internal force per unit of itself, so that a sample counts for as much as it shows.
 
-    What a new grasp needs apart from its reserve is known from the first sample on, and asked for
-    immediately. The reserve rises over `reserve_time`: until f* has taken the shape that is
-    made for it, `shape_time` of the optimizer, and that shape is measured, `shape_smoothing`, the
-    grasp force that it asks for is that of a shape which is about to change.
+    What may come on top is in proportion to the weight of a finger and to the loads of the recent
+    past. What a new grasp needs apart from that reserve is known from the first sample on, and
+    asked for immediately. The reserve rises while f* takes the shape that is made for it and the
+    shape is measured.
+
+    Attributes:
+        reserve: Load in any direction that may come on top at each contact, shape (k,), N.
     """
 
-    def __init__(
-        self, config: RequiredGraspForceConfig, contacts: int, finger_weight: float
-    ) -> None:
+    def __init__(self, config: ReserveConfig, contacts: int, finger_weight: float) -> None:
         """Start without a grasp of k contacts by fingers with a weight in N."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
-        self._reserve = LoadMargin(config.reserve, contacts, finger_weight)
+        self._weight = finger_weight
         self.configure(config)
         self.reset()
 
-    def configure(self, config: RequiredGraspForceConfig) -> None:
-        """Take other parameters; load and shape stay."""
-        self._config = row_of(config)
-        self._reserve_time = config.reserve_time
-        self._reserve.configure(config.reserve)
+    def configure(self, config: ReserveConfig) -> None:
+        """Take another reserve; load and shape stay."""
+        self._config = config
 
     def reset(self) -> None:
         """Forget everything."""
+        self._memory["largest"] = 0.0
+        self.reserve = self._reserve()
         self.lose()
-        self._reserve.reset()
 
     def lose(self) -> None:
         """Forget load and shape; what the recent past has shown stays."""
         self._memory["load"] = np.nan
         self._held_for = 0.0
 
+    @property
+    def load(self) -> Array:
+        """The load that the contacts carry, smoothed, palm axes, shape (k, 3), N; NaN: unknown."""
+        return self._memory["load"].copy()
+
     def step(
-        self, parts: Split, normals: Array, friction: Array, dt: float, margin: float = 0.0
+        self,
+        parts: Split,
+        normals: Array,
+        friction: Array,
+        usable: Array,
+        dt: float,
+        *,
+        whole: bool = True,
     ) -> tuple[float, float]:
         """Return the minimum k_f that keeps each contact inside its cone, and with a reserve, N.
 
         Args:
-            parts: Measured forces as load and internal force; the internal force must push.
+            parts: Measured forces as load and internal force.
             normals: Contact normals into the object, palm axes, shape (k, 3).
-            friction: mu of each contact as learned, shape (k,).
+            friction: mu of each contact as learned, shape (k,); for the reserve.
+            usable: The same less its margin, shape (k,); for the loads that are measured, since
+                a smaller mu and a sudden load rarely come together.
             dt: Time since the last tick, s.
-            margin: Fraction by which mu may be smaller than learned; for the loads that are
-                measured, not for those of the reserve: both rarely come together.
+            whole: Whether all contacts are there; else only the load is followed.
 
         Returns:
             The first is infinite when no grasp force of the present shape can hold. The second is
             the first for a contact that no grasp force of this shape gives the reserve.
         """
-        radii = self._reserve.step(parts.load, dt)
+        memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
+        faded = math.exp(-dt / self._config.memory) * memory["largest"]
+        memory["largest"] = np.maximum(faded, size)
+        self.reserve = self._reserve()
         self._held_for += dt
-        if self._held_for < self._reserve_time:
-            radii *= self._held_for / self._reserve_time
-        usable = friction / (1.0 + margin)
-        touch = parts.load, parts.internal, normals
-        return _needed(self._memory, self._config, *touch, friction, usable, radii, dt)
+        radii = min(1.0, self._held_for / _RESERVE_TIME) * self.reserve
+        _follow(memory, parts.load, parts.internal, dt, whole)
+        return _needed(memory, normals, friction, usable, radii, dt)
+
+    def _reserve(self) -> Array:
+        c, largest = self._config, self._memory["largest"]
+        return np.maximum(c.floor * self._weight / len(largest), c.share * largest)
 
 
 @compiled
-def _needed(
-    memory: Rows,
-    config: Rows,
-    loads: Array,
-    internal: Array,
-    normals: Array,
-    friction: Array,
-    usable: Array,
-    radii: Array,
-    dt: float,
-) -> tuple[float, float]:
-    """Return what the neediest contact of a memory needs, and with a reserve, N."""
-    c, needed, ready, total = config[0], 0.0, 0.0, 0.0
+def _follow(memory: Rows, loads: Array, internal: Array, dt: float, whole: bool) -> None:
+    """Smooth load, trend and, of a whole grasp, internal force of each contact."""
+    fraction = -math.expm1(-dt / _LOAD_TIME)
+    slow = -math.expm1(-dt / _SHAPE_TIME) if whole else 0.0
     for i in range(len(memory)):
         m = memory[i]
         if dt == 0.0 or math.isnan(m["load"][0]):
             m["load"][:], m["trend"][:], m["internal"][:] = loads[i], 0.0, internal[i]
-        else:
-            _follow(m, c, loads[i], internal[i], dt)
-        total += dot(m["internal"], normals[i])
+            continue
+        m["internal"][:] += slow * (internal[i] - m["internal"])
+        moved = fraction * (loads[i] - m["load"])
+        m["load"][:] += moved
+        m["trend"][:] += fraction * (moved / dt - m["trend"])
+
+
+@compiled
+def _needed(
+    memory: Rows, normals: Array, friction: Array, usable: Array, radii: Array, dt: float
+) -> tuple[float, float]:
+    """Return what the neediest contact of a memory needs, and with a reserve, N."""
+    needed, ready, total = 0.0, 0.0, 0.0
+    for i in range(len(memory)):
+        total += dot(memory[i]["internal"], normals[i])
+    # A load that grows at a constant rate is ahead of its low-pass by the lag.
+    ahead = _LEAD + (dt / math.expm1(dt / _LOAD_TIME) if dt > 0.0 else _LOAD_TIME)
     for i in range(len(memory)):
         m = memory[i]
-        shape = m["internal"] / total
-        # A load that grows at a constant rate is ahead of its low-pass by the lag.
-        lag = dt / math.expm1(dt / c["smoothing"]) if dt > 0.0 else c["smoothing"]
-        load = m["load"] + (lag + c["lead"]) * m["trend"]
+        shape, load = m["internal"] / total, m["load"] + ahead * m["trend"]
         alone = required_grasp_force(load, shape, normals[i], usable[i])
         lost = shift(radii[i], friction[i])
         more = required_grasp_force(load, shape, normals[i], friction[i], lost)
         needed = max(needed, alone)
         ready = max(ready, alone, more if math.isfinite(more) else 0.0)
     return needed, ready
-
-
-@compiled
-def _follow(m: Row, c: Row, load: Array, internal: Array, dt: float) -> None:
-    """Smooth load, trend and internal force of a contact."""
-    fraction, slow = -math.expm1(-dt / c["smoothing"]), -math.expm1(-dt / c["shape_smoothing"])
-    m["internal"][:] += slow * (internal - m["internal"])
-    moved = fraction * (load - m["load"])
-    m["load"][:] += moved
-    m["trend"][:] += fraction * (moved / dt - m["trend"])
 
 
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
@@ -200,7 +182,6 @@ class SlipResponseConfig(Config):
     release_time: float = param(
         0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
     )
-    need: RequiredGraspForceConfig = RequiredGraspForceConfig()
 
 
 class SlipResponse:
@@ -251,6 +232,8 @@ class SlipResponse:
         touches = touching.tolist()
         whole, some = all(touches), any(touches)
         goal = needed if math.isfinite(needed) else self.grasp_force
+        if not whole:
+            goal = max(goal, self.grasp_force)  # what is left shows the need only in part
         goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
         if not some:  # nothing is left that a grasp force could hold
             goal = self._settled

@@ -14,9 +14,7 @@ from tactile_hand_ros.compiled import Rows
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_palm
-from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN
-from tactile_hand_ros.control.loads import Split, split
-from tactile_hand_ros.control.margins import cone_distances
+from tactile_hand_ros.control.loads import CarriedLoad, ReserveConfig, Split, split
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 from tactile_hand_ros.control.slip.grasp_force import (
@@ -32,6 +30,7 @@ Array = NDArray[np.float64]
 
 _AGE = 20_000_000  # ns; what is gone back to is at least so old, and at most twice
 _RESERVED = 0.8  # fraction of the limit up to which a reserve is kept; the rest is for real loads
+_CLEAR_MARGIN = 1e-2  # collinearity margin from which on forces show a load
 
 
 class SlipRegulatorConfig(Config):
@@ -61,6 +60,7 @@ class SlipRegulatorConfig(Config):
     )
     detector: SlipDetectorConfig = SlipDetectorConfig()
     friction: FrictionConfig = FrictionConfig()
+    reserve: ReserveConfig = ReserveConfig()
     reflex: SlipResponseConfig = SlipResponseConfig()
 
     @model_validator(mode="after")
@@ -80,7 +80,8 @@ class SlipRegulator:
     that the object needs follows from the measured forces, split into load and internal force, and
     the friction that slips and sticks have shown: the minimum that keeps every contact inside its
     cone, with a margin. It rises immediately, falls slowly, and rises to the limit while something
-    slips.
+    slips. A contact that parts carries nothing where it was last, so that the load that has torn it
+    off counts.
 
     Touch that is rejected is ignored. What it has taught shortly before is forgotten, and
     afterwards the need follows from the load that is measured then.
@@ -89,8 +90,9 @@ class SlipRegulator:
         grasp_force: k_f, N.
         goal: Grasp force that the user asked for last, N; used inside the limits in force.
         needed: Grasp force that friction and load ask for, N; infinite when no grasp force of the
-            present shape can hold, NaN while unknown or not looked at (mode user).
+            present shape can hold, NaN while unknown.
         ready: The same with a reserve for loads that may come, N.
+        carried: Load, usable friction and reserve that both follow from, for f*.
         state: `ContactState` of each contact, shape (k,).
         learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
     """
@@ -100,9 +102,8 @@ class SlipRegulator:
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        self._required = RequiredGraspForce(
-            config.reflex.need, fingers, finger_weight(load_hand_config(config.hand))
-        )
+        weight = finger_weight(load_hand_config(config.hand))
+        self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._doubted = False
         self.reset()
@@ -118,7 +119,7 @@ class SlipRegulator:
         self.config, self._response.config = config, config.reflex
         self._detector.configure(config.detector)
         self._estimator.configure(config.friction)
-        self._required.configure(config.reflex.need)
+        self._required.configure(config.reserve)
 
     def reset(self) -> None:
         """Go back to the configured grasp force and forget what was learned."""
@@ -130,10 +131,12 @@ class SlipRegulator:
         self._last_stamp: int | None = None
         self._has_felt = False  # a grasp, since the reset
         self._required.reset()
+        self._grasp: Contacts | None = None  # the last with all contacts
         self._last = np.full((self._fingers, 3), np.nan)
         self._kept: list[tuple[int, Rows]] = []
         self._detector.reset()
         self._estimator.reset()
+        self.carried = self._carried(np.full((self._fingers, 3, 3), np.nan))
 
     def reject_touch(self, doubted: bool) -> None:
         """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
@@ -216,26 +219,53 @@ class SlipRegulator:
         forces[~touching | self._doubted] = np.nan
         if not self._doubted:
             self._keep(stamp)
-        parts = None
-        if self.config.mode != "user" and contacts.all_touching and not self._doubted:
-            parts = split(contacts.positions, normals, forces)
-            parts = parts if parts.margin >= MIN_COLLINEARITY_MARGIN else None
-        slips, slides = self._watch(forces, normals, parts, fresh, dt)
+        whole = contacts.all_touching
+        parts, at = self._split(contacts, forces)
+        axes = parts.internal if parts is not None and whole else normals
+        slips, slides = self._watch(forces, normals, axes, fresh, dt)
         self.needed = self.ready = math.nan
-        if self.config.mode == "user":  # which needs no estimate of what would hold
-            return
-        if parts is None or parts.grasp_force <= 0.0:
+        if parts is None:
             self._required.lose()
         else:
-            self._take_over(parts.grasp_force)
-            margin = self.config.reflex.margin
-            needs = self._required.step(parts, normals, self.learned_friction, dt, margin)
+            friction, usable = self.learned_friction, self._usable
+            needs = self._required.step(parts, at, friction, usable, dt, whole=whole)
             self.needed, self.ready = needs
-        if not contacts.all_touching:
-            slides = slides or self._is_strained(measured[touching], touching)
+        self.carried = self._carried(contacts.rotations)
+        if self.config.mode == "user":
+            return
+        if parts is not None:
+            self._take_over(parts.grasp_force)
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         self._response.step(goal, slips, slides, touching, limit, dt)
+
+    def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
+        """Split the forces of a grasp, and return the normals too, shape (k, 3).
+
+        A contact that has parted carries nothing, where it was last; the rest shows the load.
+        """
+        at = contacts.touching[:, None]
+        if self._doubted or not at.any():
+            self._grasp = None
+        elif at.all():
+            self._grasp = contacts
+        if self._grasp is None:
+            return None, contacts.normals
+        points = np.where(at, contacts.positions, self._grasp.positions)
+        normals = np.where(at, contacts.normals, self._grasp.normals)
+        parts = split(points, normals, np.where(at, forces, 0.0))
+        if parts.margin < _CLEAR_MARGIN or (at.all() and parts.grasp_force <= 0.0):
+            self._grasp = None
+        return (None if self._grasp is None else parts), normals
+
+    @property
+    def _usable(self) -> Array:
+        """Friction that may be used: the learned one less the margin, shape (k,)."""
+        return self.learned_friction / (1.0 + self.config.reflex.margin)
+
+    def _carried(self, rotations: Array) -> CarriedLoad:
+        load = np.einsum("kji,kj->ki", rotations, self._required.load)
+        return CarriedLoad(load, self._usable, self._required.reserve)
 
     def _take_over(self, measured: float) -> None:
         """Begin with the measured grasp force, N, where the hand holds with more than configured.
@@ -252,26 +282,15 @@ class SlipRegulator:
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
 
     def _watch(
-        self,
-        forces: Array,
-        normals: Array,
-        parts: Split | None,
-        fresh: NDArray[np.bool_],
-        dt: float,
+        self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float
     ) -> tuple[bool, bool]:
         """Update slip and friction; return whether a contact slips, and the newest sample shows it.
 
-        Where there is no grasp, the internal force is taken to act along the normals.
+        The internal force acts along the axes, shape (k, 3).
         """
         detector = self._detector
-        axes = normals if parts is None else parts.internal
         state = detector.step(forces, normals, axes, fresh, dt)
         agrees, suspected = detector.agrees, detector.likelihood > 0.0
         self._estimator.step(forces, normals, state, suspected, agrees, fresh, dt)
         slips = state == ContactState.SLIP
         return bool(slips.any()), bool((slips & agrees).any())
-
-    def _is_strained(self, forces: Array, touching: NDArray[np.bool_]) -> bool:
-        """Return whether a contact that is left carries all that its friction is trusted with."""
-        usable = self.learned_friction[touching] / (1.0 + self.config.reflex.margin)
-        return bool((cone_distances(forces, usable) < 0.0).any())

@@ -7,39 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.grasps import balance_in_frames, contacts_at, grasps, moved, three_faces
+from support.grasps import balance_in_frames, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import collinearity_margin
-from tactile_hand_ros.control.loads import LoadMargin, LoadMarginConfig, required_grasp_force, split
-from tactile_hand_ros.control.optimizer.cones import ConeTracker, cone_margin, reaches
+from tactile_hand_ros.control.loads import CarriedLoad, required_grasp_force, split
+from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, grasp_frames, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.rotations import rotation_from_vector
 
 MS = 1_000_000
 GRASP = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0.1, -0.2, 0.3]))
-FORCES = np.array([[0.3, 3.0, 0.9], [-0.2, 2.5, 0.6], [0.1, 0.8, -0.1]])
-HEAVY = FORCES + np.array([[0.9, 0.1, -0.4], [0.2, 0.0, 0.7], [-0.3, 0.2, 0.5]])
 MU = np.array([0.5, 0.3, 0.8])
-
-
-def cone_watch(**values):
-    config = ForceOptimizerConfig(load_time=0.02, squeeze_share=0.7, **values)
-    return ConeTracker(config, 3, 1.0)
-
-
-def thin(margin):
-    """Return contacts nearly on a line; of a height h over it h / sqrt(3) is the margin."""
-    height = margin * math.sqrt(3.0)
-    points = 0.1 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, height, 0.0]])
-    return contacts_at(points, [[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-
-
-def per_grasp_force(contacts, forces):
-    """Return the load per grasp force by the pseudoinverse of G~ in contact frames."""
-    balance = balance_in_frames(contacts)
-    load = (np.linalg.pinv(balance) @ balance @ forces.ravel()).reshape(-1, 3)
-    return load / (forces - load)[:, 1].sum()
+LIGHT = CarriedLoad(
+    np.array([[0.2, 0.1, 0.3], [-0.1, 0.0, 0.2], [0.1, 0.0, -0.1]]), MU, np.array([0.1, 0.2, 0.3])
+)
+HEAVY = LIGHT._replace(load=np.array([[0.5, 0.2, -0.1], [0.1, 0.0, 0.5], [-0.2, 0.2, 0.1]]))
 
 
 def parts_of(contacts, forces):
@@ -58,99 +41,6 @@ def test_the_load_is_the_smallest_with_the_net_wrench_and_the_grasp_force_balanc
     np.testing.assert_allclose(balance @ internal.ravel(), np.zeros(6), atol=1e-9)
     assert parts.grasp_force == pytest.approx(internal[:, 1].sum())
     assert parts.margin == pytest.approx(collinearity_margin(contacts.positions))
-
-
-def test_the_cones_are_told_the_load_per_newton_and_the_friction_of_each_finger():
-    cones = cone_watch().step(0, GRASP, FORCES, MU)
-    np.testing.assert_array_equal(cones.usable_friction, MU)
-    np.testing.assert_allclose(cones.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
-
-
-def test_f_is_made_for_less_grasp_force_than_there_is_and_for_a_reserve():
-    reserve = LoadMarginConfig(floor=0.6, share=0.0)
-    cones = cone_watch(reserve=reserve).step(0, GRASP, FORCES, MU)
-    expected = per_grasp_force(GRASP, FORCES)
-    expected[:, 1] -= 0.2 * np.sqrt(1.0 + 1.0 / MU**2) / parts_of(GRASP, FORCES).grasp_force
-    np.testing.assert_allclose(cones.goal, reaches(expected / 0.7, MU), atol=1e-12)
-
-
-def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
-    """Two loads by turns, then the first alone: for each side the larger one, which fades."""
-    none = LoadMarginConfig(floor=0.0, share=0.0)
-    watch = cone_watch(reserve=none, load_memory=1.0)
-    one, two = watch.step(0, GRASP, FORCES, MU), watch.step(1000 * MS, GRASP, HEAVY, MU)
-    three = watch.step(1001 * MS, GRASP, FORCES, MU)
-    force = [parts_of(GRASP, forces).grasp_force for forces in (FORCES, HEAVY, FORCES)]
-    felt = [k * reaches(c.load, MU) for k, c in zip(force, (one, two, three), strict=True)]
-    found = [0.7 * k * c.goal for k, c in zip(force, (one, two, three), strict=True)]
-    faded = felt[1] + math.exp(-1.0) * (felt[0] - felt[1])
-    np.testing.assert_allclose(found[1], np.maximum(felt[1], faded), atol=1e-12)
-    faded = felt[2] + math.exp(-0.001) * (found[1] - felt[2])
-    np.testing.assert_allclose(found[2], np.maximum(felt[2], faded), atol=1e-12)
-    assert (found[2] > felt[2] + 0.1).any()
-
-
-def test_the_load_is_followed_by_the_time_that_has_passed():
-    """20 ms of time constant, ticks of 5, 10 and 40 ms."""
-    watch = cone_watch()
-    expected = watch.step(7 * MS, GRASP, FORCES, MU).load
-    for stamp, passed, forces in ((12, 5, HEAVY), (22, 10, HEAVY), (62, 40, FORCES)):
-        goal = per_grasp_force(GRASP, forces)
-        expected = goal + math.exp(-passed / 20.0) * (expected - goal)
-        found = watch.step(stamp * MS, GRASP, forces, MU[::-1])
-        np.testing.assert_allclose(found.load, expected, atol=1e-12)
-        np.testing.assert_array_equal(found.usable_friction, MU[::-1])
-
-
-def lost(watch):
-    positions = GRASP.positions.copy()
-    positions[1] = np.nan
-    return watch.step(4 * MS, Contacts(positions, GRASP.rotations), FORCES, MU)
-
-
-INTERRUPTIONS = {
-    "a finger is lost": lost,
-    "nothing is pressed": lambda watch: watch.step(4 * MS, GRASP, 1e-3 * FORCES, MU),
-    "the fingers pull": lambda watch: watch.step(4 * MS, GRASP, -FORCES, MU),
-    "the contacts are in line": lambda watch: watch.step(4 * MS, thin(0.005), 9.0 * FORCES, MU),
-    "all starts anew": lambda watch: watch.reset(),
-}
-
-
-@pytest.mark.parametrize("happens", INTERRUPTIONS.values(), ids=INTERRUPTIONS)
-def test_without_a_grasp_there_are_no_cones_and_the_load_before_it_is_forgotten(happens):
-    watch = cone_watch()
-    watch.step(3 * MS, GRASP, HEAVY, MU)
-    assert happens(watch) is None
-    found = watch.step(5 * MS, GRASP, FORCES, MU)
-    np.testing.assert_allclose(found.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
-
-
-def test_after_a_doubt_all_begins_with_the_load_that_is_felt_then():
-    """Also the loads of the recent past, which may have been none."""
-    reserve = LoadMarginConfig(floor=0.0, share=0.5)
-    watch, other = cone_watch(reserve=reserve), cone_watch(reserve=reserve)
-    watch.step(3 * MS, GRASP, 3.0 * HEAVY, MU)
-    watch.reject_touch(True)
-    assert watch.step(5 * MS, GRASP, 3.0 * HEAVY, MU) is None
-    watch.reject_touch(False)
-    found, fresh = watch.step(7 * MS, GRASP, FORCES, MU), other.step(0, GRASP, FORCES, MU)
-    np.testing.assert_array_equal(found.load, fresh.load)
-    np.testing.assert_array_equal(found.wanted, fresh.wanted)
-
-
-def test_a_grasp_force_below_a_tenth_of_a_newton_bears_no_ratio():
-    total = parts_of(GRASP, FORCES).grasp_force
-    assert cone_watch().step(0, GRASP, 0.0999 / total * FORCES, MU) is None
-    found = cone_watch().step(0, GRASP, 0.1001 / total * FORCES, MU)
-    np.testing.assert_allclose(found.load, per_grasp_force(GRASP, FORCES), atol=1e-12)
-
-
-def test_a_grasp_a_hundredth_as_thin_as_long_is_the_limit_for_cones():
-    forces = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])
-    for margin in (0.0099, 0.0101):
-        told = cone_watch().step(0, thin(margin), forces, MU)
-        assert (told is not None) == (margin > 0.01)
 
 
 def needed(load, shape, friction, turn=(0.5, -0.3, 1.1)):
@@ -216,45 +106,73 @@ def test_the_grasp_force_that_holds_is_the_least(load, shape, friction):
         assert inside(np.linspace(0.0, 0.999 * k, 100)).max() < 1e-9
 
 
-def test_a_tick_of_the_optimizer_uses_its_fraction_of_the_learned_friction():
-    config = ForceOptimizerConfig(cones=True, cone_share=0.5, shape_time=0.0)
-    optimal = ForceOptimizer(config, 3).step(7, GRASP, MU, FORCES)
-    load = per_grasp_force(GRASP, FORCES)
-    for friction, found in ((0.5 * MU, optimal.cone_margin), (MU, optimal.learned_margin)):
-        assert found == pytest.approx(cone_margin(optimal.forces, load, friction), abs=1e-12)
+def made(steps, **values):
+    """Return f* after some ticks, each a stamp in ms, a load and a grasp force."""
+    optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True, shape_time=0.0, **values), 3)
+    for at, carried, grasp_force in steps:
+        found = optimizer.step(at * MS, GRASP, carried, grasp_force)
+    return found
 
 
-@pytest.mark.parametrize(("friction", "forces"), [(None, FORCES), (MU, None)])
-def test_without_friction_or_forces_the_optimizer_leaves_out_the_cones(friction, forces):
-    found = ForceOptimizer(ForceOptimizerConfig(cones=True), 3).step(0, GRASP, friction, forces)
+def by_hand(beyond, carried, grasp_force):
+    """Return f* for what reaches beyond the pyramids, and the reserve, at 3/4 of a grasp force."""
+    radii = carried.reserve * np.sqrt(1.0 + carried.friction**2)
+    wanted = (beyond + INSIDE * radii[:, None]) / (0.75 * grasp_force)
+    frames = grasp_frames(GRASP.positions, GRASP.rotations)
+    load = turned(frames, carried.load) / grasp_force
+    found = ForceOptimizer(ForceOptimizerConfig(shape_time=0.0), 3).solve(
+        Contacts(GRASP.positions, frames), Cones(carried.friction, load, 0.0, wanted)
+    )
+    return turned(GRASP.rotations, found.forces, frames), found.cone_margin
+
+
+def turned(frames, forces, given=GRASP.rotations):
+    """Return forces of some frames in others."""
+    return np.einsum("kji,kjl,kl->ki", frames, given, forces)
+
+
+def beyond(carried):
+    frames = grasp_frames(GRASP.positions, GRASP.rotations)
+    return reaches(turned(frames, carried.load), carried.friction)
+
+
+@pytest.mark.parametrize("grasp_force", [3.0, 6.0])
+def test_f_is_made_for_less_grasp_force_than_there_is_and_for_a_reserve(grasp_force):
+    found = made([(7, LIGHT, grasp_force)])
+    forces, margin = by_hand(beyond(LIGHT), LIGHT, grasp_force)
+    assert found.shaped
+    np.testing.assert_allclose(found.forces, forces, atol=1e-9)
+    assert found.cone_margin == pytest.approx(margin, abs=1e-9)
+
+
+def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
+    """For each side of the pyramids the larger one, which fades to the present one."""
+    one, two = beyond(HEAVY), beyond(LIGHT)
+    worst = np.maximum(two, two + math.exp(-0.5) * (one - two))
+    assert (worst > two + 0.05).any() and (worst == two).any()
+    found = made([(0, HEAVY, 6.0), (500, LIGHT, 6.0)], load_memory=1.0)
+    np.testing.assert_allclose(found.forces, by_hand(worst, LIGHT, 6.0)[0], atol=1e-9)
+
+
+NOTHING = LIGHT._replace(load=np.full((3, 3), np.nan))
+
+
+@pytest.mark.parametrize(
+    "missing", [None, NOTHING, LIGHT._replace(load=np.where(np.eye(3) > 0, np.nan, 0.1))]
+)
+def test_without_a_load_the_optimizer_leaves_out_the_cones(missing):
+    found = made([(0, missing, 5.0)])
     assert found.ok and not found.shaped and math.isnan(found.cone_margin)
 
 
-def test_a_tick_of_the_optimizer_follows_reset_rejection_and_configuration():
-    """Each leaves it where a new one would be."""
-    config = ForceOptimizerConfig(cones=True)
-    for happens in (
-        lambda optimizer: optimizer.reset(),
-        lambda optimizer: (
-            optimizer.reject_touch(True),
-            optimizer.step(4 * MS, GRASP, MU, HEAVY),
-            optimizer.reject_touch(False),
-        ),
-    ):
-        optimizer, fresh = ForceOptimizer(config, 3), ForceOptimizer(config, 3)
-        optimizer.step(3 * MS, GRASP, MU, HEAVY)
-        happens(optimizer)
-        found, expected = (each.step(5 * MS, GRASP, MU, FORCES) for each in (optimizer, fresh))
-        np.testing.assert_allclose(found.forces, expected.forces, atol=1e-9)
-    wider = config.model_copy(update={"cone_share": 1.0})
-    optimizer.configure(wider)
-    found = optimizer.step(6 * MS, GRASP, MU, FORCES)
-    assert found.cone_margin == pytest.approx(found.learned_margin)
-
-
-def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_recent_load():
-    margin = LoadMargin(LoadMarginConfig(floor=0.6, share=0.5, memory=2.0), 3, 1.0)
-    load = np.array([[0.3, 0.0, 0.4], [0.0, 0.1, 0.0], [0.0, 0.0, 4.0]])
-    np.testing.assert_allclose(margin.step(load, 0.0), [0.25, 0.2, 2.0])
-    faded = 2.0 * math.exp(-0.5)
-    np.testing.assert_allclose(margin.step(0.0 * load, 1.0), [0.2, 0.2, faded])
+@pytest.mark.parametrize(
+    "happens",
+    [lambda o: o.reset(), lambda o: o.step(4 * MS, GRASP, NOTHING, 5.0)],
+    ids=["reset", "no load"],
+)
+def test_after_an_interruption_the_loads_before_it_are_forgotten(happens):
+    optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True), 3)
+    optimizer.step(3 * MS, GRASP, HEAVY, 5.0)
+    happens(optimizer)
+    found = optimizer.step(5 * MS, GRASP, LIGHT, 5.0)
+    np.testing.assert_allclose(found.forces, made([(0, LIGHT, 5.0)]).forces, atol=1e-9)

@@ -224,12 +224,10 @@ def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) 
     assert len(sent["grasp_force"]) == 10
 
 
-@pytest.mark.parametrize("kind", ALL[:2])
 def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(
-    here: Process, kind: Any
+    here: Process,
 ) -> None:
-    changes = {"cones": True} if kind is ForceOptimizerNode else {}
-    node = here.make(kind, **changes)
+    node = here.make(SlipRegulatorNode)
     topic = names.accepted_requests(node.get_name())
     here.receive(DiagnosticArray, topic)
     for stamp, rejected in enumerate([False, True, True]):

@@ -49,7 +49,7 @@ EACH_TICK = {
         *RECEIVED[names.SENSOR],
     },
     names.SENSOR: {"tactile/contacts", *map(names.wrench, FINGERS)},
-    names.REGULATOR: {"grasp_force", "grip_state"},
+    names.REGULATOR: {"grasp_force", "grip_state", "grip_margin", *map(names.load, FINGERS)},
     names.OPTIMIZER: set(map(names.optimal_force, FINGERS)),
     names.CONTROLLER: {"joint_command", "auxiliary_pose"},
 }
@@ -69,7 +69,7 @@ def parameters(config: Config) -> dict[str, Any]:
             "pull",
             {},
             {
-                names.OPTIMIZER: {"touch_rejected", "grip_state", *map(names.wrench, FINGERS)},
+                names.OPTIMIZER: {"grasp_force", "grip_margin", *map(names.load, FINGERS)},
                 names.CONTROLLER: set(map(names.wrench, FINGERS)),
             },
         ),

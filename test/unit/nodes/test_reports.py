@@ -68,19 +68,17 @@ def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_on
     assert shown["solve_time_us"] == "999999"
 
 
-def test_f_outside_the_learned_cones_at_most_ticks_is_told_with_the_worst_margin() -> None:
-    """A reserve that is used up, or a blink, is no reason to warn."""
+def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin() -> None:
+    """A blink is no reason to warn."""
     diagnostics, optimal = Diagnostics("node"), optimum()
     report = OptimizerReport(diagnostics)
     depth = -0.07
-    narrow = optimal._replace(cone_margin=-0.1, learned_margin=depth)
-    wide = narrow._replace(learned_margin=0.2)
+    narrow, wide = (optimal._replace(cone_margin=margin) for margin in (depth, 0.2))
     for answers, warns in (
         ([narrow], True),
         ([narrow, wide, wide], False),
         ([narrow, narrow, wide], True),
         ([wide], False),
-        ([narrow._replace(cone_margin=0.1)], False),  # inside with its reserve: not looked at
         ([narrow._replace(cone_margin=-1e-5)], False),  # on the edge
         ([optimal], False),
     ):

@@ -189,7 +189,8 @@ def test_only_what_drivers_publish_may_have_another_qos() -> None:
         (streams.true_contacts(3), PoseArray),
         (streams.true_sliding(FINGERS), JointState),
         (streams.true_forces(FINGERS), WrenchStamped),
-        (streams.learned_friction(FINGERS), JointState),
+        (streams.grip_margin(FINGERS), JointState),
+        (streams.loads(FINGERS), WrenchStamped),
     ):
         assert (stream.message_type, stream.from_driver) == (kind, False)
 
@@ -198,6 +199,7 @@ def test_an_optimum_without_an_answer_is_nan_and_a_measured_force_never() -> Non
     no_answer = np.full(3, np.nan)
     for stream, topic, allowed in (
         (streams.optimal_forces(FINGERS), names.optimal_force(FINGERS[1]), True),
+        (streams.loads(FINGERS), names.load(FINGERS[1]), True),
         (streams.forces(FINGERS), names.wrench(FINGERS[1]), False),
         (streams.true_forces(FINGERS), names.true_wrench(FINGERS[1]), False),
     ):

@@ -152,13 +152,13 @@ def test_a_run_that_held_for_lack_of_touch_is_held_again(
 
 def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path: Path) -> None:
     """They are so narrow that they shape f*."""
-    changes = GRIP | {"force_optimizer.cone_share": 0.2, "user_forces": []}
+    changes = GRIP | {"slip_regulator.reflex.margin": 4.0, "user_forces": []}
     scenario = load_scenario("user_grip", changes)
     run = write(tmp_path, scenario, ClosedLoop(scenario).run(40))
     assert recompute(run).same
     for changes in (
         {"force_optimizer.cones": False},
-        {"force_optimizer.cone_share": 0.25},
+        {"slip_regulator.reflex.margin": 3.0},
         {"slip_regulator.friction.prior": 0.6},
     ):
         by_topic = {c.topic: c for c in recompute(run, changes).comparisons}
@@ -236,10 +236,13 @@ BLOCKS = {
     "manipulation_controller": ("controller",),
 }
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
-    "slip_regulator": {60: {"reflex.margin": 0.3}, 180: {"mode": "user", "maximum": 30.0}},
+    "slip_regulator": {
+        60: {"reflex.margin": 0.3, "reserve.floor": 1.0},
+        180: {"mode": "user", "maximum": 30.0},
+    },
     "force_optimizer": {
-        90: {"weights": [5.0, 1.0, 8.0], "cone_share": 0.7},
-        150: {"reserve.floor": 1.0, "squeeze_share": 0.9, "shape_time": 0.02},
+        90: {"weights": [5.0, 1.0, 8.0], "load_memory": 0.7},
+        150: {"minimum_normal": 0.1, "shape_time": 0.02},
     },
     "manipulation_controller": {
         70: {"law.k_p": 6.0, "law.damping": 0.1, "law.integral.k_p": 2.0},

@@ -5,10 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from support.grasps import three_faces
 
-from tactile_hand_ros.control.optimizer.cones import SIDES, Cones, ConeTracker
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros.control.optimizer.cones import SIDES, Cones
 
 MU = np.array([0.5, 0.3, 0.8])
 FORCES = np.array([[0.1, 0.4, -0.05], [0.0, 0.5, 0.02], [-0.04, 0.1, 0.03]])
@@ -85,29 +83,3 @@ def test_f_is_made_for_what_is_wanted_where_that_is_more_than_the_load():
     assert not more.holds(FORCES) and Cones(MU, 0.0 * LOAD).holds(FORCES)
     np.testing.assert_array_equal(more.goal, wanted)
     assert more.margin(FORCES) == Cones(MU, 0.0 * LOAD).margin(FORCES)
-
-
-@pytest.mark.parametrize("ticks", [5, 20])
-def test_a_load_is_followed_with_its_time_constant_at_any_rate_and_afresh_after_a_doubt(ticks):
-    grasp, mu = three_faces(), np.full(3, 0.5)
-    inward = np.tile([0.0, 4.0, 0.0], (3, 1))
-    heavy, light = inward + [0.0, 0.0, 0.8], inward + [0.2, 0.0, 0.1]
-    config = ForceOptimizerConfig(load_time=0.04, load_memory=0.04)
-
-    def at_once(forces):
-        return ConeTracker(config, 3, 1.0).step(7, grasp, forces, mu)
-
-    tracker = ConeTracker(config, 3, 1.0)
-    first = tracker.step(0, grasp, heavy, mu)
-    np.testing.assert_array_equal(first.load, at_once(heavy).load)
-    for tick in range(1, ticks + 1):
-        found = tracker.step(round(20e6 * tick / ticks), grasp, light, mu)
-    expected = at_once(light).load + math.exp(-0.5) * (first.load - at_once(light).load)
-    np.testing.assert_allclose(found.load, expected, atol=1e-12)
-    assert np.abs(expected - first.load).max() > 1e-3
-    tracker.reject_touch(True)
-    assert tracker.step(21_000_000, grasp, light, mu) is None
-    tracker.reject_touch(False)
-    np.testing.assert_array_equal(
-        tracker.step(22_000_000, grasp, light, mu).load, at_once(light).load
-    )

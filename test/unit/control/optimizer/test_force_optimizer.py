@@ -303,11 +303,10 @@ def test_other_weights_shape_f_otherwise_inside_the_cones_too():
     assert np.abs(found.forces - before.forces).max() > 1e-3
 
 
-def test_f_goes_at_once_into_the_cones_that_were_learned_of_which_it_may_use_a_share():
-    """Half of 0.08 may be used: at 0.08 slip begins, and the rest of the way has its time."""
-    made = optimizer(cone_share=0.5, shape_time=10.0)
+def test_f_goes_at_once_into_its_cones_and_the_rest_of_the_way_has_its_time():
+    made = optimizer(shape_time=10.0)
     start = made.solve(three_faces(), Cones(np.full(3, 0.2), np.zeros((3, 3)))).forces
-    usable, learned = np.full(3, 0.04), np.full(3, 0.08)
-    assert reaches(start, learned).max() > 1e-3
+    usable = np.full(3, 0.08)
+    assert reaches(start, usable).max() > 1e-3
     found = made.solve(three_faces(), Cones(usable, np.zeros((3, 3)), 1e-9)).forces
-    assert reaches(found, learned).max() == pytest.approx(0.0, abs=1e-9)
+    assert reaches(found, usable).max() == pytest.approx(0.0, abs=1e-9)

@@ -37,10 +37,11 @@ def test_after_the_same_time_it_is_as_far_at_any_rate(step):
     first = optimizer.solve(GRASP, Cones(friction, NO_LOAD)).forces
     load = np.array([[0.002, 0.0, 0.0], [-0.001, 0.0, 0.0], [0.0, 0.0, 0.0]])
     goal = ForceOptimizer(ForceOptimizerConfig(shape_time=0.0), 3)
-    wanted = goal.solve(GRASP, Cones(friction, load, step)).forces
+    cones = Cones(friction, NO_LOAD, step, reaches(load, friction))
+    wanted = goal.solve(GRASP, cones).forces
     assert np.abs(wanted - first).max() > 1e-4
     for _ in range(round(0.04 / step)):
-        found = optimizer.solve(GRASP, Cones(friction, load, step))
+        found = optimizer.solve(GRASP, cones)
     expected = wanted + np.exp(-0.8) * (first - wanted)
     np.testing.assert_allclose(found.forces, expected, atol=1e-9)
     assert found.residual < 1e-4
