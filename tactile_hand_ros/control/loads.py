@@ -112,9 +112,6 @@ class ReserveConfig(Config):
     share: float = param(
         0.2, "fraction of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
     )
-    memory: float = param(
-        5.0, "time constant with which recent loads are forgotten", unit="s", live=True, gt=0.0
-    )
 
 
 class CarriedLoad(NamedTuple):

@@ -165,23 +165,6 @@ def balanced(forces: Array, balance: Array) -> tuple[Array, bool]:
 
 
 @compiled
-def imbalance(forces: Array, balance: Array) -> tuple[float, float]:
-    """Return the largest component of G~ f and |sum f_n - 1| of forces f, shape (k, 3).
-
-    Args:
-        forces: f, shape (k, 3).
-        balance: G~^T, shape (3k, 6).
-    """
-    wrench, total = np.zeros(6), -1.0
-    for i in range(len(forces)):
-        total += forces[i, 1]
-        for axis in range(3):
-            for j in range(6):
-                wrench[j] += balance[3 * i + axis, j] * forces[i, axis]
-    return np.abs(wrench).max(), abs(total)
-
-
-@compiled
 def _way_into_cones(start: Array, end: Array, load: Array, friction: Array) -> float:
     """Return the minimum fraction of a way after which it is inside the cones, 1 if it never is."""
     fraction = 0.0

@@ -26,7 +26,6 @@ from tactile_hand_ros.control.optimizer.cones import (
     Cones,
     followed,
     grasp_frames,
-    imbalance,
     reaches,
 )
 from tactile_hand_ros.control.optimizer.quadratic_program import (
@@ -268,18 +267,15 @@ class ForceOptimizer:
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
             return self._unsolved(found)
-        forces, residual, shaped, inside = (
-            found.x.reshape(self._k, 3),
-            found.residual,
-            False,
-            np.nan,
-        )
+        forces, residual = found.x.reshape(self._k, 3), found.residual
+        shaped, inside = False, np.nan
         if cones is None:
             self._shape = None
         else:
             forces, residual, shaped = self._inside(forces, residual, balance, cones)
             forces = self._steadied(forces, balance, cones)
-            residual = max(residual, *imbalance(forces, balance))
+            unbalanced = np.abs(forces.ravel() @ balance).max()
+            residual = max(residual, unbalanced, abs(forces[:, 1].sum() - 1.0))
             inside = cones.margin(forces)
         how = found.iterations, found.solve_time
         return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, shaped)

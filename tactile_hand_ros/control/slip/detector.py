@@ -27,6 +27,10 @@ _COURSE = 0.01  # s, time constant of the rate at which a force changes
 _GAP = 2.5  # times the time between samples; after so long their differences start again
 _SILENCE = 5.0  # times the same; evidence that is so old has expired
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
+_RATIO = 9.0  # power of the vibration against noise that the test is made for
+_SETTLING = 0.05  # s after touching in which nothing is reported about slip
+_PATIENCE = 0.3  # s; what looks like slip for longer is learned as noise
+_LEARNING = 1.0  # s, time constant with which the noise is learned
 
 
 class SlipDetectorConfig(Config):
@@ -39,9 +43,6 @@ class SlipDetectorConfig(Config):
         0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
     )
     relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
-    ratio: float = param(
-        9.0, "power of the vibration against noise that the test is made for", live=True, gt=1.0
-    )
     false_alarm_time: float = param(
         3600.0,
         "minimum mean time between false alarms of a contact that sticks; a longer one finds slip "
@@ -49,23 +50,6 @@ class SlipDetectorConfig(Config):
         unit="s",
         live=True,
         ge=1.0,
-    )
-    patience: float = param(
-        0.3,
-        "what looks like slip for longer than this is learned as noise",
-        unit="s",
-        live=True,
-        gt=0.0,
-    )
-    learning_time: float = param(
-        1.0, "time constant with which the noise is learned", unit="s", live=True, gt=0.0
-    )
-    settling_time: float = param(
-        0.05,
-        "after touching, nothing is reported about slip for so long",
-        unit="s",
-        live=True,
-        ge=0.0,
     )
 
 
@@ -207,7 +191,7 @@ def _watch(
         elif m["since"] > _SILENCE * m["period"]:
             m["evidence"] = 0.0
             m["agrees"] = False
-        _decide(m, config[0], normal, min(dt, _LONGEST))
+        _decide(m, normal, min(dt, _LONGEST))
 
 
 @compiled
@@ -226,13 +210,13 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     power = max(0.0, dot(bend, bend) - along * along) + known * along * along
     samples = c["false_alarm_time"] / max(m["period"], 1e-6)
     m["threshold"] = max(1.0, _OVERLAP * math.log(samples))
-    if m["touched_for"] > c["settling_time"]:
-        found = 0.5 * (1.0 - 1.0 / c["ratio"]) * power / noise - math.log(c["ratio"])
+    if m["touched_for"] > _SETTLING:
+        found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - math.log(_RATIO)
         m["agrees"] = found > 0.0
         most = _COUNTS * m["threshold"]
         m["evidence"] = min(max(0.0, m["evidence"] + min(found, most)), m["threshold"] + most)
-    if m["state"] != ContactState.SLIP or m["slipped_for"] > c["patience"]:
-        _learn(m, c, power / (gain * (1.0 + known)))
+    if m["state"] != ContactState.SLIP or m["slipped_for"] > _PATIENCE:
+        _learn(m, power / (gain * (1.0 + known)))
 
 
 @compiled
@@ -261,21 +245,21 @@ def _innovation(m: Row, force: Array) -> tuple[Array, float]:
 
 
 @compiled
-def _decide(m: Row, c: Row, normal: float, dt: float) -> None:
+def _decide(m: Row, normal: float, dt: float) -> None:
     slips = m["evidence"] > m["threshold"] * (_STAYS if m["state"] == ContactState.SLIP else 1.0)
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
     is_known = normal > _SURE * math.sqrt(m["variance"]) and math.isfinite(m["change"][0])
-    if m["touched_for"] <= c["settling_time"] or not is_known:
+    if m["touched_for"] <= _SETTLING or not is_known:
         m["state"] = ContactState.UNKNOWN
     else:
         m["state"] = ContactState.SLIP if slips else ContactState.STICK
 
 
 @compiled
-def _learn(m: Row, c: Row, square: float) -> None:
+def _learn(m: Row, square: float) -> None:
     """Follow the noise, quickly after touching; a push counts for no more than its noise."""
     dt = m["spacing"]
-    time = max(min(c["learning_time"], m["touched_for"]), 10.0 * dt, 1e-9)
+    time = max(min(_LEARNING, m["touched_for"]), 10.0 * dt, 1e-9)
     bounded = min(square, _BOUND * m["variance"])
     m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])
 

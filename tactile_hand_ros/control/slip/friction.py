@@ -22,6 +22,8 @@ _SMALLEST = 1e-3  # force ratio, whose logarithm is finite
 _ALIKE = 0.2  # relative difference of the friction of fingers on one object
 _SURE = 2.0  # standard deviations by which a force ratio must be proven
 _SURPRISE = 3.0  # standard deviations by which a slip differs at most, or the surface has changed
+_SMALLEST_MU, _LARGEST_MU = 0.1, 1.5  # friction is never taken for lower or higher
+_SMOOTHING = 0.02  # s, time constant of the forces of a contact that sticks
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
 
 
@@ -34,23 +36,18 @@ class FrictionConfig(Config):
     )
     explore: float = param(
         0.05,
-        "growth of the friction of an object that has not slipped yet, by one standard deviation "
-        "at most, so that a firm grasp relaxes",
+        "growth of a friction as uncertain as the prior, of a surer one in proportion to its "
+        "variance, up to one deviation above the prior, so that a firm grasp relaxes",
         unit="1/s",
         live=True,
         ge=0.0,
     )
-    least: float = param(0.1, "friction is never taken for lower", live=True, gt=0.0)
-    most: float = param(1.5, "friction is never taken for higher", live=True, gt=0.0)
     forget: float = param(
         300.0,
         "time in which what a slip has shown becomes as uncertain as the prior",
         unit="s",
         live=True,
         gt=0.0,
-    )
-    smoothing: float = param(
-        0.02, "time constant of the forces of a contact that sticks", unit="s", live=True, gt=0.0
     )
 
 
@@ -61,7 +58,6 @@ _MEMORY = np.dtype(
         ("prior", np.float64, 2),  # mean and variance when the present slip began
         ("quiet_for", np.float64),  # since any contact slipped; the same for all
         ("slid", np.bool_),  # whether this contact slipped then
-        ("is_known", np.bool_),  # whether any contact has ever slipped on this object
         ("samples", np.int64),  # of its slip
         ("sum", np.float64, 5),  # of n, t, n n, t t and n t, their normal and tangential forces
         ("force", np.float64, 3),  # mean while it sticks, palm axes; NaN: none yet
@@ -76,10 +72,11 @@ _MEMORY = np.dtype(
 class FrictionEstimator:
     """Keeps a Gaussian of ln mu for each contact.
 
-    - Before anything is known it is the prior, whose mean explores: it grows by one standard
-      deviation at most, and not at all once something has slipped.
-    - What slips have shown is forgotten as the variance grows back to that of the prior. The mean
-      stays: friction is forgotten, not invented.
+    - Before anything is known it is the prior. What slips have shown is forgotten as the variance
+      grows back to that of the prior.
+    - The mean explores: it grows in proportion to the variance, up to one standard deviation above
+      the prior. A firm grasp relaxes, also after a false alarm, in the minutes in which what that
+      has shown becomes uncertain.
     - A contact that slips measures ln(|f_t| / f_n) from its own samples since the detector's sum
       left zero, which is Page's estimate of when it began. The error follows from their scatter.
     - The others on the same object take the same measurement with the variance of how alike
@@ -117,8 +114,7 @@ class FrictionEstimator:
     @property
     def estimate(self) -> Array:
         """The friction mu of each contact, shape (k,)."""
-        least, most = self._config.least, self._config.most
-        return np.asarray(np.clip(np.exp(self._memory["mean"]), least, most))
+        return np.asarray(np.clip(np.exp(self._memory["mean"]), _SMALLEST_MU, _LARGEST_MU))
 
     @property
     def deviation(self) -> Array:
@@ -179,7 +175,7 @@ def _learn(
             if agrees[i] and m["samples"] < _SAMPLES:
                 _read(m, forces[i], normal)
             if state[i] == ContactState.STICK:
-                _bound(m, forces[i], normals[i], c)
+                _bound(m, forces[i], normals[i])
             else:
                 m["force"][:] = np.nan
             m["since"] = 0.0
@@ -189,12 +185,11 @@ def _learn(
             m["prior"][0], m["prior"][1] = m["mean"], m["variance"]
         m["slid"] = state[i] == ContactState.SLIP or (m["slid"] and not was_quiet)
         m["quiet_for"] = 0.0 if slips else m["quiet_for"] + dt
-        m["is_known"] = m["is_known"] or slips
-        if not m["is_known"] and state[i] != ContactState.UNKNOWN:
-            step = c["explore"] * min(dt, _LONGEST)
+        most = c["spread"] ** 2
+        if state[i] == ContactState.STICK:
+            step = c["explore"] * m["variance"] / most * min(dt, _LONGEST)
             explored = min(m["mean"] + step, math.log(c["prior"]) + c["spread"])
             m["mean"] = max(m["mean"], explored)
-        most = c["spread"] ** 2
         m["variance"] = min(m["variance"] + most * dt / c["forget"], most)
     if slips:
         _share(memory)
@@ -246,21 +241,21 @@ def _share(memory: Rows) -> None:
 
 
 @compiled
-def _bound(m: Row, force: Array, n: Array, c: Row) -> None:
+def _bound(m: Row, force: Array, n: Array) -> None:
     """Raise the mean to a force ratio that this contact has surely been sticking at."""
     mean = m["force"]
     if math.isnan(mean[0]):
         mean[:] = force
         m["scatter"] = m["touched_for"] = 0.0
         return
-    fraction = -math.expm1(-m["since"] / c["smoothing"])
+    fraction = -math.expm1(-m["since"] / _SMOOTHING)
     off = force - mean
     mean[:] += fraction * off
     m["scatter"] += fraction * (dot(off, off) / 3.0 - m["scatter"])
     m["touched_for"] += m["since"]
-    if m["touched_for"] < 3.0 * c["smoothing"]:  # too early for the scatter to be known
+    if m["touched_for"] < 3.0 * _SMOOTHING:  # too early for the scatter to be known
         return
     normal, doubt = dot(mean, n), _SURE * math.sqrt(m["scatter"] * fraction)
     tangential = math.sqrt(max(0.0, dot(mean, mean) - normal * normal)) - doubt
     if normal > 0.0 and tangential > 0.0:
-        m["mean"] = max(m["mean"], math.log(min(tangential / (normal + doubt), c["most"])))
+        m["mean"] = max(m["mean"], math.log(min(tangential / (normal + doubt), _LARGEST_MU)))

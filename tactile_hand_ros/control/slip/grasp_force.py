@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 _LOAD_TIME = 0.005  # s, time constant of the measured load: a few samples of a fast skin
 _LEAD = 0.01  # s that a changing load is foreseen: about what skin, tick and fingers need
 _SHAPE_TIME = 0.03  # s, time constant of f* as measured; only the hand itself changes it
+_MEMORY_TIME = 5.0  # s, time constant with which recent loads are forgotten
 _RESERVE_TIME = 0.05  # s over which the reserve of a new grasp rises; f* takes its shape meanwhile
 
 _MEMORY = np.dtype(
@@ -100,7 +101,7 @@ class RequiredGraspForce:
             the first for a contact that no grasp force of this shape gives the reserve.
         """
         memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
-        faded = math.exp(-dt / self._config.memory) * memory["largest"]
+        faded = math.exp(-dt / _MEMORY_TIME) * memory["largest"]
         memory["largest"] = np.maximum(faded, size)
         self.reserve = self._reserve()
         self._held_for += dt
@@ -151,6 +152,7 @@ def _needed(
 
 
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
+_DOUBLING = 0.01  # s in which the grasp force doubles while something slips
 _CALM = 0.05  # s without slip after which the next is a new one, met from the present grasp force
 
 
@@ -169,13 +171,6 @@ class SlipResponseConfig(Config):
         live=True,
         ge=1.0,
     )
-    doubling_time: float = param(
-        0.01,
-        "time in which the grasp force doubles while something slips",
-        unit="s",
-        live=True,
-        gt=0.0,
-    )
     release_rate: float = param(
         1.0, "minimum fall of the grasp force towards what is needed", unit="N/s", live=True, gt=0.0
     )
@@ -189,7 +184,7 @@ class SlipResponse:
 
     A contact that slides shows only what friction transmits, and a grasp that has lost a contact
     has no need that could be computed: both show that the grasp force is too small, not by how
-    much. The grasp force then doubles immediately, and again in every `doubling_time` in which the
+    much. The grasp force then doubles immediately, and again in every 10 ms in which the
     skin continues showing slip, or a contact that is left after another was lost is at the edge of
     its cone.
 
@@ -258,6 +253,6 @@ class SlipResponse:
         self._calm_for = 0.0
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
-            growth = math.exp(min(dt, _LONGEST) / c.doubling_time * math.log(2.0))
+            growth = math.exp(min(dt, _LONGEST) / _DOUBLING * math.log(2.0))
             self._grown = min(growth * max(self._grown, self.grasp_force), limit)
         return self._grown

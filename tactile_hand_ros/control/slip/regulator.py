@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 
 _AGE = 20_000_000  # ns; what is gone back to is at least so old, and at most twice
+_LANDING = 0.05  # s, time constant with which the grasp force lands on the user's goal
 _RESERVED = 0.8  # fraction of the limit up to which a reserve is kept; the rest is for real loads
 _CLEAR_MARGIN = 1e-2  # collinearity margin from which on forces show a load
 
@@ -51,13 +52,6 @@ class SlipRegulatorConfig(Config):
     )
     rise_rate: float = param(50.0, "fastest rise the user may cause", unit="N/s", live=True, gt=0.0)
     fall_rate: float = param(20.0, "fastest fall the user may cause", unit="N/s", live=True, gt=0.0)
-    smoothing: float = param(
-        0.05,
-        "time constant with which the grasp force lands on its goal",
-        unit="s",
-        live=True,
-        gt=0.0,
-    )
     detector: SlipDetectorConfig = SlipDetectorConfig()
     friction: FrictionConfig = FrictionConfig()
     reserve: ReserveConfig = ReserveConfig()
@@ -204,7 +198,7 @@ class SlipRegulator:
     def _follow_user(self, dt: float) -> None:
         c = self.config
         goal = min(max(self.goal, c.minimum), c.maximum)
-        rate = min(max((goal - self._asked) / c.smoothing, -c.fall_rate), c.rise_rate)
+        rate = min(max((goal - self._asked) / _LANDING, -c.fall_rate), c.rise_rate)
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 

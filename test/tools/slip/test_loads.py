@@ -36,10 +36,10 @@ def test_equal_seeds_give_equal_loads_of_every_kind():
     assert len({case.kind for case in cases}) == 4 and len({case.layout for case in cases}) == 2
 
 
-def test_a_pulse_that_nothing_has_announced_slides_without_a_reserve_and_not_with_it():
+def test_a_pulse_that_nothing_has_announced_slides_farther_without_a_reserve():
     bare, ready = run_load(PULSE, 0.0), run_load(PULSE, 0.6)
     assert bare["survivable"] and ready["survivable"]
-    assert bare["outcome"] != "reached" and ready["outcome"] == "reached"
+    assert bare["slip"] > 3.0 * ready["slip"] and ready["outcome"] == "reached"
     assert bare["grasp_force"] < ready["grasp_force"] < 20.0
 
 

@@ -158,7 +158,7 @@ def test_vibration_below_the_least_of_a_skin_is_never_slip(values):
 
 @pytest.mark.parametrize("axis", range(3))
 def test_a_contact_that_was_lost_is_unknown_until_it_has_settled_again(axis):
-    detector = SlipDetector(SlipDetectorConfig(settling_time=0.05), 1)
+    detector = SlipDetector(SlipDetectorConfig(), 1)
     assert run(sticking(200), detector)[-1] == STICK
     lost = sticking(1)
     lost[0, axis] = np.nan

@@ -30,7 +30,7 @@ def grasp_forces(slip, ticks, start=0):
 
 
 def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
-    slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0, smoothing=0.05)
+    slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0)
     slip.step(0)
     slip.request(20.0)
     up = grasp_forces(slip, 1000, start=1)

@@ -78,17 +78,18 @@ def test_only_a_grasp_that_is_whole_settles():
 
 @pytest.mark.parametrize(("dt", "growth"), [(0.0125, 2.0**1.25), (0.02, 4.0), (0.5, 4.0)])
 def test_over_a_pause_it_doubles_twice_at_most(dt, growth):
-    reflex = fresh(first_rise=1.5, doubling_time=0.01)
+    reflex = fresh(first_rise=1.5)
     assert step(reflex, slips=True, slides=True, dt=dt) == pytest.approx(growth * 1.5 * START)
 
 
 def test_a_slide_grows_from_the_present_grasp_force_and_another_begins_again():
-    reflex = fresh(first_rise=1.5, doubling_time=0.0125, release_time=0.5, release_rate=1.0)
+    reflex = fresh(first_rise=1.5, release_time=0.5, release_rate=1.0)
     assert step(reflex, 10.0) == 10.0
-    assert step(reflex, 6.0, slips=True, slides=True) == pytest.approx(20.0)
-    assert step(reflex, 6.0, slips=True) == pytest.approx(20.0)  # it asks for that until it ends
+    grown = 10.0 * 2.0**1.25  # it doubles every 10 ms
+    assert step(reflex, 6.0, slips=True, slides=True) == pytest.approx(grown)
+    assert step(reflex, 6.0, slips=True) == pytest.approx(grown)  # it asks for that until it ends
     after = step(reflex, 6.0)
-    assert after == pytest.approx(20.0 - 0.0125 * 14.0 / 0.5)
+    assert after == pytest.approx(grown - 0.0125 * (grown - 6.0) / 0.5)
     again = step(reflex, 6.0, slips=True)
     assert again == pytest.approx(after - 0.0125 * (after - 1.5 * START) / 0.5)
 
