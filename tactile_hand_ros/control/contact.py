@@ -19,6 +19,9 @@ if TYPE_CHECKING:  # of it, Pinocchio need not be loaded
 Array = NDArray[np.float64]
 
 
+MIN_CONTACTS = 3
+"""Contacts with which an object can be held and turned at will (A7)."""
+
 # Below this length the projection of a direction on a face is no direction any more.
 _MIN_PROJECTION = 1e-3
 
@@ -49,6 +52,15 @@ class Contacts:
     def all_touching(self) -> bool:
         """Whether all fingers touch."""
         return all(self.touching.tolist())
+
+    @cached_property
+    def enough_touching(self) -> bool:
+        """Whether so many fingers touch that they can hold an object without the others (A7)."""
+        return bool(self.touching.sum() >= MIN_CONTACTS)
+
+    def part(self, chosen: NDArray[np.bool_]) -> Contacts:
+        """Return the contacts of some fingers, chosen by a mask of shape (k,)."""
+        return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
 
     @property
     def normals(self) -> Array:

@@ -65,6 +65,16 @@ def split(points: Array, normals: Array, forces: Array) -> Split:
     return Split(load, internal, total, margin)
 
 
+def split_part(points: Array, normals: Array, forces: Array, held: NDArray[np.bool_]) -> Split:
+    """Split the forces of some contacts as `split` does; the others, not in the mask, have none."""
+    if held.all():
+        return split(points, normals, forces)
+    parts = split(points[held], normals[held], forces[held])
+    load, internal = np.zeros_like(forces), np.zeros_like(forces)
+    load[held], internal[held] = parts.load, parts.internal
+    return parts._replace(load=load, internal=internal)
+
+
 @compiled
 def required_grasp_force(
     load: Array, shape: Array, normal: Array, usable_friction: float, support: float = 0.0

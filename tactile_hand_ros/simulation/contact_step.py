@@ -92,9 +92,7 @@ def at_rest(theta: Array, position: Array, rotation: Array, fingers: int) -> Mot
     k, still = fingers, np.zeros(len(theta) + 6)
     past = np.zeros((k, 3, len(still))), np.zeros((k, 3)), np.zeros((k, 2))
     settled = np.zeros(k, dtype=np.bool_)
-    return Motion(
-        theta, still, position, rotation, still, *past, settled, np.zeros(k), 0.0, EXACT
-    )
+    return Motion(theta, still, position, rotation, still, *past, settled, np.zeros(k), 0.0, EXACT)
 
 
 @compiled

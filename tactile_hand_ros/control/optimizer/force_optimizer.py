@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
+from tactile_hand_ros.control.contact import MIN_CONTACTS, Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
     centered,
@@ -130,7 +130,8 @@ class OptimalForces(NamedTuple):
     Attributes:
         status: SOLVED, or why there is no answer.
         reason: One sentence for people; empty when solved.
-        forces: f* on the object in the contact frames C_i, shape (k, 3); NaN unless solved.
+        forces: f* on the object in the contact frames C_i, shape (k, 3); zero without a contact,
+            NaN unless solved.
         residual: Largest violation of the optimality conditions, with G~ f* = 0 and sum f_n = 1.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
@@ -172,6 +173,7 @@ class ForceOptimizer:
         self._k = fingers
         self._shape: Array | None = None
         self._past: tuple[int, Array] | None = None  # worst of the recent past at a tick
+        self._parts: dict[bytes, ForceOptimizer] = {}  # of the fingers that touch, by their mask
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -183,12 +185,14 @@ class ForceOptimizer:
         weights = config.weight_vector(self._k)
         config.check_minimum(self._k)
         self.config, self._weights = config, weights
+        self._parts.clear()
         self._set_up()
 
     def reset(self) -> None:
         """Forget the last answer and the loads of the recent past."""
         self._set_up()
         self._past = None
+        self._parts.clear()
 
     def step(
         self,
@@ -206,6 +210,8 @@ class ForceOptimizer:
                 a load the cones are left out.
             grasp_force: k_f of the tick, N.
         """
+        if contacts.enough_touching and not contacts.all_touching:
+            return self._without_the_others(stamp, contacts, carried, grasp_force)
         if not self.config.cones or carried is None:
             return self.solve(contacts)
         # Planes and memory of the cones in frames that turn with the grasp: what follows from them
@@ -241,6 +247,23 @@ class ForceOptimizer:
         wanted = (worst + more[:, None]) / (_RELAXED * grasp_force)
         return Cones(friction, load / grasp_force, elapsed, wanted)
 
+    def _without_the_others(
+        self, stamp: int, contacts: Contacts, carried: CarriedLoad | None, grasp_force: float
+    ) -> OptimalForces:
+        """Return f* of the fingers that touch, as if the hand had no others; see `step`."""
+        touching = contacts.touching
+        part = self._parts.get(touching.tobytes())
+        if part is None:
+            weights = self._weights.reshape(-1, 3)[touching].ravel().tolist()
+            config = self.config.model_copy(update={"weights": weights})
+            part = ForceOptimizer(config, int(touching.sum()))
+            self._parts[touching.tobytes()] = part
+        seen = None if carried is None else CarriedLoad(*(each[touching] for each in carried))
+        optimal = part.step(stamp, contacts.part(touching), seen, grasp_force)
+        whole = np.zeros((self._k, 3)) if optimal.ok else np.full((self._k, 3), np.nan)
+        whole[touching] = optimal.forces
+        return optimal._replace(forces=whole)
+
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
         """Distribute a unit internal force over the contacts.
 
@@ -253,8 +276,9 @@ class ForceOptimizer:
         """
         if not contacts.all_touching:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
+            needed = "all" if self._k == MIN_CONTACTS else "at least three"
             return self._without_answer(
-                Status.CONTACT_MISSING, f"no contact at finger {missing}; all must touch (A7)"
+                Status.CONTACT_MISSING, f"no contact at finger {missing}; {needed} must touch (A7)"
             )
         points, rotations = contacts.positions, contacts.rotations
         problem, balance, margin = _balance_problem(self._fixed, points, rotations)

@@ -83,30 +83,32 @@ class RequiredGraspForce:
         usable: Array,
         dt: float,
         *,
-        whole: bool = True,
+        grasped: bool = True,
     ) -> tuple[float, float]:
         """Return the minimum k_f that keeps each contact inside its cone, and with a reserve, N.
 
         Args:
             parts: Measured forces as load and internal force.
-            normals: Contact normals into the object, palm axes, shape (k, 3).
+            normals: Contact normals into the object, palm axes, shape (k, 3); NaN: not grasped.
             friction: mu of each contact as learned, shape (k,); for the reserve.
             usable: The same less its margin, shape (k,); for the loads that are measured, since
                 a smaller mu and a sudden load rarely come together.
             dt: Time since the last tick, s.
-            whole: Whether all contacts are there; else only the load is followed.
+            grasped: Whether the contacts are there; else only the load is followed.
 
         Returns:
             The first is infinite when no grasp force of the present shape can hold. The second is
             the first for a contact that no grasp force of this shape gives the reserve.
         """
+        if (np.isnan(self._memory["load"][:, 0]) != np.isnan(normals[:, 0])).any():
+            self.lose()  # other fingers touch
         memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
         faded = math.exp(-dt / _MEMORY_TIME) * memory["largest"]
         memory["largest"] = np.maximum(faded, size)
         self.reserve = self._reserve()
         self._held_for += dt
         radii = min(1.0, self._held_for / _RESERVE_TIME) * self.reserve
-        _follow(memory, parts.load, parts.internal, dt, whole)
+        _follow(memory, normals, parts.load, parts.internal, dt, grasped)
         return _needed(memory, normals, friction, usable, radii, dt)
 
     def _reserve(self) -> Array:
@@ -115,12 +117,17 @@ class RequiredGraspForce:
 
 
 @compiled
-def _follow(memory: Rows, loads: Array, internal: Array, dt: float, whole: bool) -> None:
-    """Smooth load, trend and, of a whole grasp, internal force of each contact."""
+def _follow(
+    memory: Rows, normals: Array, loads: Array, internal: Array, dt: float, grasped: bool
+) -> None:
+    """Smooth load, trend and, where all are there, internal force of each contact."""
     fraction = -math.expm1(-dt / _LOAD_TIME)
-    slow = -math.expm1(-dt / _SHAPE_TIME) if whole else 0.0
+    slow = -math.expm1(-dt / _SHAPE_TIME) if grasped else 0.0
     for i in range(len(memory)):
         m = memory[i]
+        if math.isnan(normals[i, 0]):  # does not touch
+            m["load"][:], m["internal"][:] = np.nan, 0.0
+            continue
         if dt == 0.0 or math.isnan(m["load"][0]):
             m["load"][:], m["trend"][:], m["internal"][:] = loads[i], 0.0, internal[i]
             continue
@@ -137,11 +144,14 @@ def _needed(
     """Return what the neediest contact of a memory needs, and with a reserve, N."""
     needed, ready, total = 0.0, 0.0, 0.0
     for i in range(len(memory)):
-        total += dot(memory[i]["internal"], normals[i])
+        if not math.isnan(memory[i]["load"][0]):
+            total += dot(memory[i]["internal"], normals[i])
     # A load that grows at a constant rate is ahead of its low-pass by the lag.
     ahead = _LEAD + (dt / math.expm1(dt / _LOAD_TIME) if dt > 0.0 else _LOAD_TIME)
     for i in range(len(memory)):
         m = memory[i]
+        if math.isnan(m["load"][0]):
+            continue
         shape, load = m["internal"] / total, m["load"] + ahead * m["trend"]
         alone = required_grasp_force(load, shape, normals[i], usable[i])
         lost = shift(radii[i], friction[i])
@@ -219,7 +229,7 @@ class SlipResponse:
             slips: Whether a slip continues.
             slides: Whether the newest samples show it too; with a contact lost also whether one
                 that is left carries all that its friction is trusted with.
-            touching: Which contacts touch, shape (k,).
+            touching: Which contacts touch, or are not needed, shape (k,).
             limit: Largest grasp force, N.
             dt: Time since the last tick, s.
         """

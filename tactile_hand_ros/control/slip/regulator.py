@@ -14,7 +14,7 @@ from tactile_hand_ros.compiled import Rows
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_palm
-from tactile_hand_ros.control.loads import CarriedLoad, ReserveConfig, Split, split
+from tactile_hand_ros.control.loads import CarriedLoad, ReserveConfig, Split, split_part
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
 from tactile_hand_ros.control.slip.grasp_force import (
@@ -213,16 +213,16 @@ class SlipRegulator:
         forces[~touching | self._doubted] = np.nan
         if not self._doubted:
             self._keep(stamp)
-        whole = contacts.all_touching
         parts, at = self._split(contacts, forces)
-        axes = parts.internal if parts is not None and whole else normals
+        grasped = contacts.enough_touching
+        axes = parts.internal if parts is not None and grasped else normals
         slips, slides = self._watch(forces, normals, axes, fresh, dt)
         self.needed = self.ready = math.nan
         if parts is None:
             self._required.lose()
         else:
             friction, usable = self.learned_friction, self._usable
-            needs = self._required.step(parts, at, friction, usable, dt, whole=whole)
+            needs = self._required.step(parts, at, friction, usable, dt, grasped=grasped)
             self.needed, self.ready = needs
         self.carried = self._carried(contacts.rotations)
         if self.config.mode == "user":
@@ -231,24 +231,28 @@ class SlipRegulator:
             self._take_over(parts.grasp_force)
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
-        self._response.step(goal, slips, slides, touching, limit, dt)
+        known = touching | (grasped and parts is not None)  # the need of the others, without it
+        self._response.step(goal, slips, slides, known, limit, dt)
 
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
-        """Split the forces of a grasp, and return the normals too, shape (k, 3).
+        """Split the forces of a grasp, and return its normals too, shape (k, 3), NaN: not grasped.
 
-        A contact that has parted carries nothing, where it was last; the rest shows the load.
+        Three contacts are a grasp, whatever others the hand has (A7). Of fewer, one that has parted
+        carries nothing, where it was last; the rest shows the load.
         """
-        at = contacts.touching[:, None]
-        if self._doubted or not at.any():
+        touching, grasped = contacts.touching, contacts.enough_touching
+        if self._doubted or not touching.any():
             self._grasp = None
-        elif at.all():
+        elif grasped:
             self._grasp = contacts
         if self._grasp is None:
             return None, contacts.normals
+        held = self._grasp.touching
+        at = (touching & held)[:, None]
         points = np.where(at, contacts.positions, self._grasp.positions)
         normals = np.where(at, contacts.normals, self._grasp.normals)
-        parts = split(points, normals, np.where(at, forces, 0.0))
-        if parts.margin < _CLEAR_MARGIN or (at.all() and parts.grasp_force <= 0.0):
+        parts = split_part(points, normals, np.where(at, forces, 0.0), held)
+        if parts.margin < _CLEAR_MARGIN or (grasped and parts.grasp_force <= 0.0):
             self._grasp = None
         return (None if self._grasp is None else parts), normals
 
