@@ -196,7 +196,6 @@ class Controller:
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
         self._law = ManipulationLaw(config.law, self.hand.radii, law)
-        self._inputs = InputCheck(self.hand)
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
@@ -218,7 +217,7 @@ class Controller:
     def forget(self) -> None:
         """Forget grasp, targets and integral; open or closing fingers continue with that."""
         self._law.reset()
-        self._inputs.reset()
+        self._hold_with(np.ones(self.hand.fingers, dtype=bool))
         self._reference.reset()
         self._rates.reset()
         self._targets.reset()
@@ -229,8 +228,13 @@ class Controller:
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
-        self._new_grasp()
         self._trust()
+
+    def _hold_with(self, touching: NDArray[np.bool_]) -> None:
+        """Let fingers hold from now on, by a mask of shape (k,)."""
+        self._touching, self._fingers = touching, self.hand.part(touching)
+        self._inputs = InputCheck(self._fingers)
+        self._new_grasp()
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to = "", 0.0
@@ -262,6 +266,14 @@ class Controller:
     def turn_palm(self, orientation: Array) -> None:
         """Let gravity act as the palm lies, a quaternion (x, y, z, w) in the world, shape (4,)."""
         self.hand.gravity = rotation_from_quaternion(orientation).T @ np.array(self.config.gravity)
+
+    @property
+    def missing(self) -> str:
+        """Which fingers close while the others hold; empty where all touch, or the hand is open."""
+        if self._mode is not Mode.DRIVE or self._touching.all():
+            return ""
+        names = ", ".join(self.hand.part(~self._touching).finger_names)
+        return f"no contact at {names}; closing, while the other fingers hold"
 
     @property
     def target(self) -> Target | None:
@@ -366,6 +378,12 @@ class Controller:
         if problem:
             self._inputs.begin_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
+        if (contacts.touching != self._touching).any():
+            self._hold_with(contacts.touching)
+            self._law.change_fingers()
+        whole, contacts = contacts, contacts.part(self._touching)
+        optimal_forces = optimal_forces[self._touching]
+        forces = None if forces is None else forces[self._touching]
         tips, problem = self._checked(stamp, theta, rates, contacts, forces, applied)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
@@ -373,7 +391,7 @@ class Controller:
         self._doubted = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
-            self._grasp = Grasp(theta, contacts, pose)
+            self._grasp = Grasp(theta, whole, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
             refused = self._stopped(pose, grasp_force) or refused
@@ -393,7 +411,32 @@ class Controller:
         if dt > 0.0:  # the rate of the ticks is known
             self._judge_hold(theta, contacts, optimal_forces, grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
+        if not self._touching.all():
+            torque = self._closing(torque, theta, rates, contacts.centroid)
         return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
+        """Return torques with which the fingers that do not touch close, shape (m,), N m.
+
+        Their tips move towards the middle of the contacts at a given speed, against nothing but
+        their damping, which is all that presses where touch does not show what stops them.
+
+        Args:
+            torque: That of the others, shape (m,), N m.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            middle: Centroid of the contacts, shape (3,), m.
+        """
+        hand = self.hand.part(~self._touching)
+        tips, inertia, bias = hand.dynamics(theta, rates)
+        away = middle - tips.positions
+        distances = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), hand.radii[:, None])
+        jacobian = tips.linear.reshape(-1, hand.joints)
+        wanted = np.linalg.pinv(jacobian) @ (self.config.regrasp.speed * away / distances).ravel()
+        w, still = self._stiffest(inertia), np.zeros(hand.joints)
+        closing = bias + spring(inertia, w, still, wanted - rates)
+        limits = hand.effort_limits
+        return np.where(jacobian.any(axis=0), np.clip(closing, -limits, limits), torque)
 
     def _checked(
         self,
@@ -519,7 +562,7 @@ class Controller:
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
         how = forces, self._period, *ages, c.hold.resolution
-        self._law.fit(fitted_gains(self.hand, theta, contacts, *how))
+        self._law.fit(fitted_gains(self._fingers, theta, contacts, *how))
 
     def _judge_hold(
         self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
@@ -530,7 +573,7 @@ class Controller:
         if self._required is None:
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
             inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
-            needed = required_bandwidth(self.hand, theta, contacts, forces)
+            needed = required_bandwidth(self._fingers, theta, contacts, forces)
             self._required = needed, self._stiffest(inertia)
         required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
         if required > has:
@@ -578,15 +621,24 @@ class Controller:
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:
-        """Return whether closing fingers have all touched; then a new grasp begins."""
-        if not (self._regrasp.closing and contacts.all_touching):
+        """Return whether closing fingers have touched; then a new grasp begins.
+
+        Where enough touch, the others search as far as they may before it begins without them.
+        """
+        closing = self._regrasp.closing
+        if not closing or not self._enough(contacts) or self._regrasp.searches(contacts):
             return False
         self._regrasp.finish()
         self._law.reset()
-        self._inputs.begin_grasp()
         self._targets.begin_grasp()
-        self._new_grasp()
+        self._hold_with(contacts.touching)
         return True
+
+    def _enough(self, contacts: Contacts) -> bool:
+        """Return whether so many fingers touch that the law can act."""
+        if self.config.law.name == "optimal":
+            return contacts.enough_touching
+        return contacts.all_touching
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
         self._enter(Mode.OPEN, theta)
@@ -609,14 +661,10 @@ class Controller:
         return min(passed, _LONGEST_GAP) if continues else 0.0
 
     def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
-        if not contacts.all_touching:
-            names = [
-                name
-                for name, touching in zip(self.hand.finger_names, contacts.touching, strict=True)
-                if not touching
-            ]
-            return f"no contact at {', '.join(names)}; holding until all fingers touch again"
-        if self.config.law.name == "optimal" and not all_finite(forces):
+        if not self._enough(contacts):
+            missing = ", ".join(self.hand.part(~contacts.touching).finger_names)
+            return f"no contact at {missing}; holding until they touch again"
+        if self.config.law.name == "optimal" and not all_finite(forces[contacts.touching]):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"

@@ -203,6 +203,10 @@ class ManipulationLaw:
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
         self._observer = LoadObserver()
+        self._pose: AuxiliaryPose | None = None  # of the last tick
+        self._centroid = np.zeros(3)
+        self._offset: tuple[Array, Array] | None = None  # of the pose in the contacts' frame
+        self._changed = False
         self.acts = True
         self._fitted: FittedGains | None = None
         self.configure(config)
@@ -232,6 +236,11 @@ class ManipulationLaw:
         self._frame.reset()
         self._integral[:] = 0.0
         self._observer.reset()
+        self._pose, self._offset, self._changed = None, None, False
+
+    def change_fingers(self) -> None:
+        """Let other fingers touch from the next tick on: pose and load continue as they are."""
+        self._changed = True
 
     @property
     def integral_wrench(self) -> Array:
@@ -247,7 +256,24 @@ class ManipulationLaw:
             GraspError: If the points do not define a frame (A7).
         """
         points = tips.positions if self.config.name == "kawamura" else contacts.positions
-        return AuxiliaryPose(centroid(points), self._frame.orientation(points))
+        if self._changed:
+            self._frame.reset()
+        position, frame = centroid(points), self._frame.orientation(points)
+        if self._changed and self._pose is not None:
+            before = self._pose
+            self._offset = frame.T @ (before.position - position), frame.T @ before.orientation
+            self._move_wrenches(self._centroid - position)
+        self._changed = False
+        pose = AuxiliaryPose(position, frame)
+        if self._offset is not None:
+            pose = AuxiliaryPose(position + frame @ self._offset[0], frame @ self._offset[1])
+        self._pose, self._centroid = pose, position
+        return pose
+
+    def _move_wrenches(self, arm: Array) -> None:
+        """Take what is carried about another point; `arm` leads from there to the last, (3,), m."""
+        for wrench in (self._integral, self._observer.wrench):
+            wrench[3:] += np.cross(arm, wrench[:3])
 
     def step(
         self,

@@ -31,7 +31,7 @@ def check_reach(
     Args:
         hand: The hand.
         theta: Joint angles now, shape (m,), rad.
-        contacts: Contacts now.
+        contacts: Contacts now; fingers that do not touch need not follow.
         pose: Contact centroid and virtual frame now.
         target: Desired pose.
 
@@ -43,6 +43,7 @@ def check_reach(
             f"desired pose {_text(target.position)} m is not a pose: position and orientation must "
             "be finite numbers"
         )
+    hand, contacts = hand.part(contacts.touching), contacts.part(contacts.touching)
     turn = target.orientation @ pose.orientation.T
     tips = contacts.positions - hand.radii[:, None] * contacts.normals
     wanted = target.position + (tips - pose.position) @ turn.T

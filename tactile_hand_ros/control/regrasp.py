@@ -69,6 +69,10 @@ class Regrasp:
         """Forget the grasp that was left."""
         self.active = False
 
+    def searches(self, contacts: Contacts) -> bool:
+        """Return whether fingers that do not touch can still close further."""
+        return bool((self._depth < self._config.overtravel)[~contacts.touching].any())
+
     def follow(self, theta: Array) -> None:
         """Continue from a posture that something else has moved the joints to, shape (m,), rad."""
         if self.active:
@@ -85,9 +89,9 @@ class Regrasp:
         """
         c = self._config
         if self._closing:
+            self._give_up(~contacts.touching & (self._depth >= c.overtravel))
             moves = np.where(contacts.touching, 0.0, c.speed * dt)
             self._depth = np.minimum(self._depth + moves, c.overtravel)
-            self._give_up(~contacts.touching & (self._depth >= c.overtravel))
         else:
             self._depth = np.maximum(self._depth - c.speed * dt, -c.opening)
         tips = self._tips + self._depth[:, None] * self._normals

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -165,6 +166,22 @@ class Hand:
     ) -> Hand:
         """Load a hand by name (``paper``) or by the path of its YAML file."""
         return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
+
+    def part(self, chosen: NDArray[np.bool_]) -> Hand:
+        """Return the hand with some of its fingers, by a mask of shape (k,), and all its joints.
+
+        Both share one model, so that they have the same gravity.
+        """
+        if chosen.all():
+            return self
+        part, fingers = copy(self), np.flatnonzero(chosen)
+        part.fingers = len(fingers)
+        part.finger_names = [self.finger_names[i] for i in fingers]
+        part._tips = [self._tips[i] for i in fingers]
+        part._centres = [self._centres[i] for i in fingers]
+        part._support, part.radii = self._support[chosen], self.radii[chosen]
+        part.bases, part.spans = self.bases[chosen], self.spans[chosen]
+        return part
 
     @property
     def gravity(self) -> Array:

@@ -256,6 +256,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report.report(self._controller.target)
         warning = self._controller.warning
         self.diagnostics.judge("stiffness", bool(warning), warning, WARN)
+        missing = self._controller.missing
+        self.diagnostics.judge("contacts", bool(missing), missing, WARN)
 
     def _on_joint_hold(self, message: Bool) -> None:
         self.joints_held = message.data

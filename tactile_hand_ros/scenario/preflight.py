@@ -24,21 +24,25 @@ def check_scenario(scenario: Scenario) -> None:
     Raises:
         HandModelError: If the hand cannot be built.
         ObjectModelError: If the object cannot be built or does not fit into the hand.
-        GraspError: If a finger does not touch, the hand is singular or the normals cannot balance.
+        GraspError: If too few fingers touch, the hand is singular or the normals cannot balance.
         PoseError: If a target is out of reach.
         ConfigurationError: If a value does not fit the hand, a gain is unstable at this rate, or a
             law of the user's own fails.
     """
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
-    contacts = state.contacts
+    contacts, law = state.contacts, scenario.manipulation_controller.law
     _check_posture(hand, state.theta)
-    if not contacts.all_touching:
+    is_enough = contacts.enough_touching and law.name == "optimal"
+    if not (contacts.all_touching or is_enough):
         i = int(np.flatnonzero(~contacts.touching)[0])
+        needed = "at least three" if law.name == "optimal" else "all"
         raise GraspError(
-            f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; all "
-            "fingers must touch: change initial_joints, the layout, or the object's size or place"
+            f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; "
+            f"{needed} fingers must touch: change initial_joints, the layout, or the object's size "
+            "or place"
         )
+    hand, contacts = hand.part(contacts.touching), contacts.part(contacts.touching)
     check_spread(contacts.positions)
     tips = hand.fingertips(state.theta)
     check_joints(hand_jacobian(tips, contacts.positions, contacts.rotations))
@@ -53,7 +57,7 @@ def check_scenario(scenario: Scenario) -> None:
         wanted = target.target().kept(there)
         check_reach(hand, state.theta, contacts, pose, wanted)
         there = AuxiliaryPose(wanted.position, wanted.orientation)
-    law, tick = scenario.manipulation_controller.law, 1.0 / scenario.plant.rate
+    tick = 1.0 / scenario.plant.rate
     grasp = hand, state.theta, contacts
     most = {"damping": largest_damping(*grasp, plant.body_inertia, tick)}
     if law.damping > 0.0:

@@ -113,7 +113,7 @@ def test_closing_on_nothing_ends_with_a_message_and_an_open_hand(fingers):
     regrasp.leave(THETA, fingers.grip)
     fingers.depths(12)
     regrasp.close()
-    np.testing.assert_allclose(fingers.depths(20, 1), [8.0, -12.0, 8.0], atol=0.01)
+    np.testing.assert_allclose(fingers.depths(21, 1), [8.0, -12.0, 8.0], atol=0.01)
     first, _, third = fingers.hand.finger_names
     assert f"{first}, {third} closed 8 mm beyond the last contacts" in regrasp.missed
     assert regrasp.active and not regrasp.closing

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A hand with more than three fingers holds with those that touch, and the others come back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from support.grasps import contacts_at
+from support.hands import prism_grasp, write_hand
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Mode
+from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw
+from tactile_hand_ros.control.optimizer.force_optimizer import (
+    ForceOptimizer,
+    ForceOptimizerConfig,
+    Status,
+)
+from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+GAINS = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
+BLOW = {"kind": "pulse", "start": 0.3, "duration": 0.03, "force": [-22.0, 0.0, 0.0]}
+
+
+def scenario_of(folder, fingers, duration, changes, away=0.0):
+    """Return a scenario of a hand around a prism of 0.2 kg; finger 1 starts away, rad."""
+    values = prism_grasp(folder, [3] * fingers)
+    values["plant.initial_joints"][0] -= away
+    values |= GAINS | {"duration": duration, "plant.object.mass": 0.2, "targets": []}
+    return load_scenario("gravity", values | changes)
+
+
+def ring(fingers, without=()):
+    """Return contacts of fingers around an upright cylinder; NaN for those without one."""
+    angles = 2.0 * np.pi * np.arange(fingers) / fingers + 0.1
+    outward = np.stack([np.cos(angles), np.sin(angles), 0.2 * np.cos(3.0 * angles)], axis=1)
+    contacts = contacts_at(0.1 * outward, -outward)
+    contacts.positions[list(without)] = contacts.rotations[list(without)] = np.nan
+    return contacts
+
+
+@pytest.mark.parametrize("fingers", [4, 5])
+def test_a_finger_that_a_blow_parts_from_the_object_comes_back(tmp_path, fingers):
+    """The others do not wait for it: there is no hold, and the pose does not jump."""
+    changes = {"plant.disturbances": [BLOW]}
+    loop = ClosedLoop(scenario_of(tmp_path, fingers, 0.6, changes))
+    record = loop.run()
+    touching = np.isfinite(record.true_positions[:, :, 0])
+    assert touching.sum(axis=1).min() >= 3
+    assert not touching.all() and touching[-200:].all()
+    seen = record.auxiliary_position[np.isfinite(record.auxiliary_position[:, 0])]
+    assert len(seen) == len(record.stamps)
+    assert np.abs(np.diff(seen, axis=0)).max() < 1e-3
+    assert np.linalg.norm(record.object_position[-1] - record.object_position[0]) < 5e-3
+
+
+def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
+    loop = ClosedLoop(scenario_of(tmp_path, 5, 1.3, {}, away=0.05))
+    record = Record.empty(1300, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    for row in range(1300):
+        loop.tick(record, row)
+        if row == 200:
+            assert loop.controller.missing.startswith("no contact at f1")
+    touching = np.isfinite(record.true_positions[:, 0, 0])
+    came = int(touching.argmax())
+    assert 0 < came < 1200 and touching[came:].all()
+    assert loop.controller.missing == ""
+    held = record.true_forces[came - 100 : came, 1:, 1].sum(axis=1).mean()
+    assert held == pytest.approx(record.grasp_force[came - 50], rel=0.1)
+    assert record.grasp_force[-1] < 1.5 * record.grasp_force[came - 1]
+    assert record.true_forces[-1, 0, 1] > 1.0  # it presses
+    assert record.true_slid.max() < 1e-4
+
+
+def test_what_stops_a_finger_where_it_feels_nothing_is_pressed_softly(tmp_path):
+    """The skin of finger 1 fails while it holds: it lets go, and leans on the object."""
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
+    record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    step = loop.sensor.step
+
+    def without_skin(*args):
+        touch = step(*args)
+        positions, forces = touch.positions.copy(), touch.forces.copy()
+        positions[0], forces[0] = np.nan, 0.0
+        return dataclasses.replace(touch, positions=positions, forces=forces)
+
+    for row in range(600):
+        loop.tick(record, row)
+        if row == 300:
+            loop.sensor.step = without_skin
+    assert record.true_forces[290, 0, 1] > 2.0
+    weight = loop.controller.hand.finger_weight
+    assert 0.0 < record.true_forces[-50:, 0, 1].mean() < 0.3 * weight
+    assert np.linalg.norm(record.object_position[-1] - record.object_position[0]) < 2e-3
+
+
+def test_fewer_than_three_hold_the_posture(tmp_path):
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
+    assert np.isfinite(loop.run(50).auxiliary_position).all()
+    state = loop.state
+    contacts = Contacts(state.contacts.positions.copy(), state.contacts.rotations.copy())
+    contacts.positions[:2] = np.nan
+    shape = loop.optimizer.step(loop.stamp, contacts).forces
+    command = loop.controller.step(
+        loop.stamp, state.joints.theta, np.zeros(12), contacts, shape, 10.0
+    )
+    assert command.mode is Mode.HOLD and "f1, f2" in command.reason
+    assert loop.controller.missing == ""
+
+
+@pytest.mark.parametrize(("fingers", "without"), [(4, [1]), (5, [0]), (5, [1, 4])])
+@pytest.mark.parametrize("cones", [False, True])
+def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, without, cones):
+    weights = list(np.linspace(1.0, 5.0, 3 * fingers))
+    touching = np.setdiff1d(np.arange(fingers), without)
+    part = np.reshape(weights, (-1, 3))[touching].ravel().tolist()
+    whole = ForceOptimizer(ForceOptimizerConfig(weights=weights, cones=cones), fingers)
+    fewer = ForceOptimizer(ForceOptimizerConfig(weights=part, cones=cones), len(touching))
+    contacts, friction = ring(fingers, without), np.full(fingers, 0.5)
+    forces = np.tile([0.1, 2.0, 0.2], (fingers, 1))
+    forces[without] = 0.0
+    for stamp in (1_000_000, 2_000_000):
+        found = whole.step(stamp, contacts, friction, forces)
+        some = Contacts(contacts.positions[touching], contacts.rotations[touching])
+        expected = fewer.step(stamp, some, friction[touching], forces[touching])
+        assert found.status is Status.SOLVED
+        assert found.forces[touching] == pytest.approx(expected.forces, abs=1e-12)
+        assert (found.forces[without] == 0.0).all()
+
+
+def test_touch_that_is_rejected_is_rejected_by_the_fingers_that_are_left_too():
+    """Also where they were left only afterwards."""
+    optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True), 4)
+    optimizer.reject_touch(True)
+    forces, friction = np.tile([0.5, 2.0, 0.0], (4, 1)), np.full(4, 0.5)
+    found = optimizer.step(1_000_000, ring(4, [2]), friction, forces)
+    assert found.status is Status.SOLVED and np.isnan(found.cone_margin)
+    optimizer.reject_touch(False)
+    assert np.isfinite(optimizer.step(2_000_000, ring(4, [2]), friction, forces).cone_margin)
+
+
+def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_touch():
+    """The wrench is about the centroid: as that moves, the torque changes, the load does not."""
+    config = LawConfig(k_p=1.0, k_o=1.0, integral={"k_p": 50.0, "k_o": 1.0, "force_limit": 9.0})
+    law, contacts = ManipulationLaw(config, np.full(4, 0.01)), ring(4)
+    tips = Fingertips(contacts.positions, np.zeros((4, 3, 12)), np.zeros((4, 3, 12)))
+    before = law.auxiliary_pose(tips, contacts)
+    target = before._replace(position=before.position + [0.01, 0.02, 0.03])
+    law.step(tips, np.zeros(12), contacts, np.zeros((4, 3)), 1.0, target, before, 0.1)
+    wrench, middle = law.integral_wrench, contacts.centroid
+    fewer = contacts.part(np.array([True, True, False, True]))
+    law.change_fingers()
+    after = law.auxiliary_pose(tips, fewer)
+    assert after.position == pytest.approx(before.position)
+    assert after.orientation == pytest.approx(before.orientation)
+    moved = law.integral_wrench
+    assert moved[:3] == pytest.approx(wrench[:3]) and np.linalg.norm(wrench[:3]) > 0.1
+    torques = [w[3:] + np.cross(c, w[:3]) for w, c in ((wrench, middle), (moved, fewer.centroid))]
+    assert torques[1] == pytest.approx(torques[0])
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = law.auxiliary_pose(tips, Contacts(fewer.positions @ turn.T, turn @ fewer.rotations))
+    assert turned.position == pytest.approx(turn @ before.position)
+    assert turned.orientation == pytest.approx(turn @ before.orientation)
+
+
+def test_a_part_of_a_hand_has_its_joints_and_gravity(tmp_path):
+    hand = Hand.load(str(write_hand(tmp_path, [3, 4, 3, 3])))
+    chosen = np.array([True, False, True, True])
+    part, theta = hand.part(chosen), np.linspace(0.1, 0.9, hand.joints)
+    hand.gravity = np.array([1.0, 2.0, 3.0])
+    assert part.finger_names == ["f1", "f3", "f4"] and part.joints == hand.joints == 13
+    whole, some = hand.dynamics(theta, theta), part.dynamics(theta, theta)
+    for a, b in zip(whole[0], some[0], strict=True):
+        assert (a[chosen] == b).all()
+    assert (whole[1] == some[1]).all() and (whole[2] == some[2]).all()
+    assert hand.part(np.ones(4, dtype=bool)) is hand
