@@ -29,6 +29,7 @@ from tactile_hand_ros.control.laws import (
     Target,
 )
 from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implausible_shape
+from tactile_hand_ros.control.reach import room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
@@ -41,6 +42,7 @@ _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausi
 
 _LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
 _MOVES_UNTIL = 0.8  # of the limit of k_f; the rest is for what still comes when the move has ended
+_ROOM = 0.1  # fraction of the way to a rim or the end of a joint at which a move ends
 _LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
 
 
@@ -225,6 +227,7 @@ class Controller:
         self._held: Held | None = None  # nothing is known to be held
         self._posture = np.zeros(self.hand.joints)  # that a hold keeps
         self._grasp: Grasp | None = None
+        self._room = 1.0  # where the move began
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
@@ -394,7 +397,7 @@ class Controller:
             self._grasp = Grasp(theta, whole, pose)
             refused = self._targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
-            refused = self._stopped(pose, grasp_force) or refused
+            refused = self._stopped(theta, contacts, pose, grasp_force) or refused
             self._fit(theta, contacts, optimal_forces)
             parts = self._law.step(
                 tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
@@ -465,21 +468,35 @@ class Controller:
         passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
 
-    def _stopped(self, pose: AuxiliaryPose, grasp_force: float) -> str:
-        """Return why the grasp stays where it is from now on; empty if it moves on.
-
-        Friction, rims and joints along the way cannot be known before; what holds the object where
-        a move begins may not hold it where it ends. A grasp force that grows is the sign of it.
-        """
-        limit = self.config.grasp_force_limit
-        if not (0.0 < _MOVES_UNTIL * limit < grasp_force and self._reference.is_moving):
+    def _stopped(
+        self, theta: Array, contacts: Contacts, pose: AuxiliaryPose, grasp_force: float
+    ) -> str:
+        """Return why the grasp stays where it is from now on; empty if it moves on."""
+        if not self._reference.is_moving:
+            return ""
+        problem = self._way_ends(theta, contacts, grasp_force)
+        if not problem:
             return ""
         self._reference.reset()
         self._targets.stay(pose)
-        return (
-            f"the move ends here: k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and "
-            "the way ahead may need more; go back, or ask for a smaller turn"
-        )
+        return f"the move ends here: {problem}; go back, or ask for a smaller turn"
+
+    def _way_ends(self, theta: Array, contacts: Contacts, grasp_force: float) -> str:
+        """Return why a move should not go on; empty if it may.
+
+        What holds the object where a move begins may not hold it where it ends: a grasp force that
+        grows is the sign of it. From near a rim or an end it may go back, so half as far on too.
+        """
+        left, place = room(self._fingers, theta, contacts)
+        if self.accepted is not None:
+            self._room = left
+        limit = self.config.grasp_force_limit
+        if 0.0 < _MOVES_UNTIL * limit < grasp_force:
+            return (
+                f"k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and the way ahead may"
+                " need more"
+            )
+        return f"it brings {place}" if left < min(_ROOM, 0.5 * self._room) else ""
 
     def hold(
         self,

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the hand can carry its grasp to a desired pose."""
+"""Whether the hand can carry its grasp to a desired pose, and how far it still can go.
+
+As an object turns, the contacts roll over fingertips and object, and the frame through them turns
+less than the object. Without slip a tip that turns by w against the object has rolled its center by
+r n x w, with the normal n and its radius r. Which turn of the object gives the contacts a desired
+pose is the fixed point of that. Where a contact leaves the half sphere around the tip of its finger
+(A2), no skin shows it and no tip supports it.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.grasp import best_rotation, centered
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.margins import TIP, angles_between, local_normals
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import vector_from_rotation
 
 Array = NDArray[np.float64]
 
-_TOLERANCE = 0.01  # m; rolling shifts the contacts by less than this matters
+_SHORT = 1.0 / 6.0  # of its radius, by which a tip may miss its place: its contact tilts by 10 deg
 _ITERATIONS = 100
 _LOOKS = 32  # postures that a check may look at: it runs inside a tick
+_ROUNDS, _LOOKS_MORE = 6, 4  # of the rolling, and postures that each of them may look at
+_ROLLED = 0.02  # of the radius, by which rolling is known well enough: a degree
 _PACE, _PATIENCE = 300, 3  # so many steps like each of the last few are too far to go
 _LEAST_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
 
@@ -26,7 +38,7 @@ _LEAST_DAMPING = 1e-12  # far above rounding, so that a redundant finger's syste
 def check_reach(
     hand: Hand, theta: Array, contacts: Contacts, pose: AuxiliaryPose, target: Target
 ) -> None:
-    """Check that every fingertip can follow a rigid motion of the grasp to the target.
+    """Check that the fingertips can follow the grasp to the target, and roll no contact off a tip.
 
     Args:
         hand: The hand.
@@ -36,7 +48,8 @@ def check_reach(
         target: Desired pose.
 
     Raises:
-        PoseError: If a fingertip would stay more than 10 mm short, or the pose is not finite.
+        PoseError: If a fingertip would stay more than a sixth of its radius short of its contact,
+            a contact would roll over the rim of its fingertip, or the pose is not finite.
     """
     if not (np.isfinite(target.position).all() and np.isfinite(target.orientation).all()):
         raise PoseError(
@@ -48,32 +61,98 @@ def check_reach(
     tips = contacts.positions - hand.radii[:, None] * contacts.normals
     wanted = target.position + (tips - pose.position) @ turn.T
     missing = np.linalg.norm(wanted - hand.bases, axis=1) - hand.spans
-    how = " even outstretched"
-    if missing.max() <= _TOLERANCE:
-        missing, how = _shortfall(hand, wanted, theta), ""
-    worst = int(missing.argmax())
-    if missing[worst] > _TOLERANCE:
+    there, how = theta, " even outstretched"
+    if (missing <= _SHORT * hand.radii).all():
+        (there, missing), how = _search(hand, wanted, theta), ""
+    worst = int((missing - _SHORT * hand.radii).argmax())
+    if missing[worst] > _SHORT * hand.radii[worst]:
         raise PoseError(
             f"desired pose {_text(target.position)} m is out of reach: {hand.finger_names[worst]} "
             f"would stay {1e3 * missing[worst]:.0f} mm short of its contact{how}; ask for a pose "
             f"closer to the present one, {_text(pose.position)} m"
         )
+    left = _rolled(hand, theta, there, contacts, turn, target.position)
+    worst = int(left.argmin())
+    if left[worst] < 0.0 <= _rims(hand, theta, contacts.normals).min():
+        raise PoseError(
+            f"desired pose {_text(target.position)} m turns the object so far that the contact of "
+            f"{hand.finger_names[worst]} would roll {np.degrees(-left[worst]):.0f} degrees over the"
+            " rim of its fingertip; ask for a smaller turn"
+        )
 
 
-def _shortfall(hand: Hand, tips: Array, start: Array) -> Array:
-    """Return how far fingertips stay away from given points, shape (k,), m.
+def room(hand: Hand, theta: Array, contacts: Contacts) -> tuple[float, str]:
+    """Return the smallest fraction left of the way to a rim or the end of a joint, and to which.
+
+    The ways are from the tip of a finger to the rim, and from the middle of a joint's range to its
+    end.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Contacts; all must touch.
+    """
+    lower, upper = hand.position_limits
+    with np.errstate(invalid="ignore"):
+        joints = 2.0 * np.minimum(theta - lower, upper - theta) / (upper - lower)
+    rims = _rims(hand, theta, contacts.normals) / (0.5 * np.pi)
+    left = np.append(rims, np.where(np.isfinite(joints), joints, 1.0))
+    i = int(left.argmin())
+    if i < hand.fingers:
+        return float(left[i]), f"the contact of {hand.finger_names[i]} to the rim of its fingertip"
+    return float(left[i]), f"{hand.joint_names[i - hand.fingers]} to its end"
+
+
+def _rims(hand: Hand, theta: Array, normals: Array) -> Array:
+    """Return the angles left to the rims of the fingertips (A2), shape (k,), rad."""
+    seen = local_normals(normals, hand.tip_rotations(theta))
+    return np.asarray(0.5 * np.pi - angles_between(seen, TIP))
+
+
+def _rolled(
+    hand: Hand, theta: Array, there: Array, contacts: Contacts, turn: Array, position: Array
+) -> Array:
+    """Return the angles left to the rims where the grasp has rolled to a pose, shape (k,), rad.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles now, shape (m,), rad.
+        there: Those that bring the fingertips there without rolling, shape (m,), rad.
+        contacts: Contacts now.
+        turn: By which the frame through the contacts is to turn, shape (3, 3).
+        position: Where their centroid is to go, shape (3,), m.
+    """
+    points, normals, radii = contacts.positions, contacts.normals, hand.radii[:, None]
+    before, body = hand.tip_rotations(theta), turn
+    rolled = np.zeros_like(points)
+    for _ in range(_ROUNDS):
+        turns = body.T @ hand.tip_rotations(there) @ np.swapaxes(before, 1, 2)
+        last, spins = rolled, np.array([vector_from_rotation(t) for t in turns])
+        rolled = np.cross(radii * normals, spins)
+        if np.abs(rolled - last).max() <= _ROLLED * hand.radii.min():
+            break
+        arms = centered(points + rolled)
+        body = turn @ best_rotation(arms, centered(points))
+        tips = position + (arms - radii * normals) @ body.T
+        *_, (there, _) = islice(_approach(hand, tips, there), _LOOKS_MORE)
+    return _rims(hand, there, normals @ body.T)
+
+
+def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
+    """Return joint angles, shape (m,), and how far the tips stay away from points, (k,), m.
 
     The search ends as soon as all are near enough, or when its pace is hopeless.
     """
-    missing, length, slow = np.full(hand.fingers, np.inf), np.inf, 0
-    for _, error in islice(_approach(hand, tips, start), _LOOKS):
+    theta, missing, length, slow = start, np.full(hand.fingers, np.inf), np.inf, 0
+    enough = _SHORT * hand.radii
+    for theta, error in islice(_approach(hand, tips, start), _LOOKS):
         missing, before = np.linalg.norm(error, axis=1), length
         length = float(np.linalg.norm(error))
-        if missing.max() <= _TOLERANCE or slow >= _PATIENCE:
+        if (missing <= enough).all() or slow >= _PATIENCE:
             break
         if length < before:
-            slow = slow + 1 if _PACE * (before - length) < length - _TOLERANCE else 0
-    return missing
+            slow = slow + 1 if _PACE * (before - length) < length - enough.min() else 0
+    return theta, missing
 
 
 def _text(position: Array) -> str:
