@@ -86,11 +86,12 @@ class ControllerConfig(Config):
     hold: PostureHoldConfig = PostureHoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
     touch_tolerance: float = param(
-        0.01,
-        "largest distance between a contact and the fingertip that the joints put it on",
+        0.0,
+        "largest distance between a contact and the fingertip that the joints put it on, 0 for a "
+        "sixth of its radius",
         unit="m",
         live=True,
-        gt=0.0,
+        ge=0.0,
     )
     force_tolerance: float = param(
         0.3,
@@ -100,7 +101,8 @@ class ControllerConfig(Config):
     )
     touch_latency: float = param(
         0.015,
-        "largest age of measured forces; they are compared with the joint torques since then",
+        "largest age of measured forces, with the time between samples; they are compared with "
+        "the joint torques since then",
         unit="s",
         live=True,
         ge=0.0,
@@ -203,6 +205,7 @@ class Controller:
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
+        self._palm: Array | None = None  # its rotation in the world, where an imu shows it
         self._targets = TargetQueue(self.hand)
         self.reset()
 
@@ -268,7 +271,8 @@ class Controller:
 
     def turn_palm(self, orientation: Array) -> None:
         """Let gravity act as the palm lies, a quaternion (x, y, z, w) in the world, shape (4,)."""
-        self.hand.gravity = rotation_from_quaternion(orientation).T @ np.array(self.config.gravity)
+        self._palm = rotation_from_quaternion(orientation)
+        self.hand.gravity = self._palm.T @ np.array(self.config.gravity)
 
     @property
     def missing(self) -> str:
@@ -457,7 +461,8 @@ class Controller:
         limits = Tolerances(
             c.touch_tolerance, c.force_tolerance, c.touch_latency, self._rates.error
         )
-        tips, problem = self._inputs.step(stamp, theta, rates, contacts, limits, pressing)
+        seen = contacts, limits, pressing, self._palm
+        tips, problem = self._inputs.step(stamp, theta, rates, *seen)
         self.touch_rejected = bool(problem) or self.joints_held
         return tips, problem
 

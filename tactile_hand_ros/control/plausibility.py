@@ -21,30 +21,33 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.rotations import vector_from_rotation
 
 Array = NDArray[np.float64]
 
 
-_STANDING = 0.2  # fraction of the tolerance of touch that contacts may move under still joints
+_OFF = 1.0 / 6.0  # of its radius, that a contact may be off its fingertip: 10 degrees around it
+_STANDING = 0.5  # fraction of the tolerance of touch that contacts may move under still joints
 _SUM = 1e-3  # largest error of sum f*_n = 1
 
 
-def implausible_touch(tips: Fingertips, radii: Array, contacts: Contacts, tolerance: float) -> str:
+def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array) -> str:
     """Return why contacts and joints do not fit each other; empty if they do.
 
     Args:
         tips: Fingertips of the measured posture.
-        radii: Radii of the fingertips, shape (k,), m.
         contacts: Contact points and frames; all must touch.
-        tolerance: Largest distance between a contact and its fingertip, m.
+        radii: Radii of the fingertips, shape (k,), m.
+        allowed: Largest distances of the contacts from their fingertips, shape (k,), m.
     """
-    gap = _largest_gap(tips.positions, radii, contacts.positions, contacts.rotations)
-    if gap <= tolerance:
+    off = contacts.positions - tips.positions - radii[:, None] * contacts.normals
+    gaps = np.sqrt((off * off).sum(axis=1))
+    if (gaps <= allowed).all():
         return ""
-    return f"a contact is {1e3 * gap:.0f} mm off its fingertip; holding until joints and touch fit"
+    gap = 1e3 * gaps[gaps > allowed].max()
+    return f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
 
 
 def implausible_shape(optimal_forces: Array) -> str:
@@ -55,64 +58,45 @@ def implausible_shape(optimal_forces: Array) -> str:
     return f"the normal parts of f* add up to {total:.3g} instead of 1; holding until they do"
 
 
-class FrozenJointCheck:
-    """Finds joint angles that repeat to the bit although the contacts move."""
-
-    def __init__(self) -> None:
-        """Start without a past."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._theta: Array | None = None
-        self._points = np.zeros((0, 3))
-
-    def step(self, theta: Array, contacts: Contacts, tolerance: float) -> str:
-        """Return why the joints are implausible; empty if they are not.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            contacts: Contact points and frames; all must touch.
-            tolerance: Distance that contacts may move under joints that do not move, m.
-        """
-        if self._theta is None or not np.array_equal(theta, self._theta):
-            self._theta, self._points = theta.copy(), contacts.positions
-            return ""
-        if np.abs(contacts.positions - self._points).max() <= tolerance:
-            return ""
-        return "the joint angles do not change although the contacts move; holding until they do"
-
-
-@compiled
-def _largest_gap(centers: Array, radii: Array, points: Array, rotations: Array) -> float:
-    """Return the largest |p_c - p_f - r n|, m."""
-    largest = 0.0
-    for i in range(len(points)):
-        square = 0.0
-        for axis in range(3):
-            gap = points[i, axis] - centers[i, axis] - radii[i] * rotations[i, axis, 1]
-            square += gap * gap
-        largest = max(largest, square)
-    return math.sqrt(largest)
-
-
 FELT_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
-_FROZEN_TIME = 0.04  # s for which a slow skin may repeat a force to the bit
-_FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
-_SMALL = 0.05  # N m; a change of torque that any skin shows
+_TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
 _SPREAD = 0.02  # of the torques of all fingers that may show at one: they share object and model
-_FINE_FRACTION, _FINE_SMALL = 0.01, 0.002  # the same of a skin without steps; N m
+_FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
 _STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
 
 
-class _Frozen(NamedTuple):
-    """Since when a finger repeats its force to the bit, ns; the force, N; torques then, N m."""
+class Tolerances(NamedTuple):
+    """How far joints and touch may differ.
+
+    Attributes:
+        touch: Distance of a contact from its fingertip, m; 0 for a sixth of its radius.
+        force: Difference between measured forces and joint torques, a fraction.
+        latency: Age of measured forces, s.
+        rates: How far joint rates may be off, shape (m,), rad/s; 0 where they are exact.
+    """
+
+    touch: float
+    force: float
+    latency: float
+    rates: Array | float = 0.0
+
+
+class _Repeat(NamedTuple):
+    """Since when a finger repeats its force to the bit.
+
+    Attributes:
+        stamp: When it has come, ns.
+        force: The force, N.
+        pressed: Torques of all joints then, shape (m,), N m.
+        finest: Smallest change of a component of its force so far, N; infinite before the first.
+    """
 
     stamp: int
     force: list[float]
     pressed: Array
+    finest: float
 
 
 class ForceTorqueCheck:
@@ -124,6 +108,8 @@ class ForceTorqueCheck:
     def __init__(self, hand: Hand) -> None:
         """Start without a past."""
         self._least = hand.least_force * hand.spans
+        reach = float(np.max(np.linalg.norm(hand.bases, axis=1) + hand.spans))
+        self._swung = hand.finger_weight / 9.81 * reach * hand.spans  # per 1/s^2, kg m^2
         self.reset()
 
     def reset(self) -> None:
@@ -133,8 +119,9 @@ class ForceTorqueCheck:
         self._noise = np.zeros(len(self._least))
         self._began = 0
         self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and what was pressed then
-        self._frozen: list[_Frozen] = []
-        self._finest: list[float] = []  # smallest change of a component of each force, N
+        self._repeats: list[_Repeat] = []
+        self._palm: Array | None = None
+        self._spin, self._gain = np.zeros(3), np.zeros(3)  # of the palm, rad/s and rad/s^2
 
     def step(
         self,
@@ -144,9 +131,8 @@ class ForceTorqueCheck:
         contacts: Contacts,
         forces: Array,
         applied: Array,
-        tolerance: float,
-        latency: float = 0.0,
-        rate_error: Array | float = 0.0,
+        limits: Tolerances,
+        palm: Array | None = None,
     ) -> str:
         """Return why forces and torques do not fit each other; empty if they do.
 
@@ -159,9 +145,9 @@ class ForceTorqueCheck:
             contacts: Contact points and frames; all must touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
-            tolerance: Largest error of J_h^T f_c of a finger as a fraction of it.
-            latency: Largest age of the forces, s. For so long after a reset nothing is compared.
-            rate_error: How far the rates may be off, shape (m,), rad/s.
+            limits: Largest error of J_h^T f_c of a finger as a fraction of it, age of the forces,
+                for which nothing is compared after a reset, and errors of the rates.
+            palm: Rotation of the palm in the world, shape (3, 3); None where it is not known.
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
@@ -176,16 +162,16 @@ class ForceTorqueCheck:
         own = np.abs(tips.linear).max(axis=1) > 0.0
         fraction = 1.0 - math.exp(-dt / FELT_TIME)
         self._pressed = self._pressed + fraction * (pressed - self._pressed)
-        if 1e-9 * (stamp - self._began) < latency:  # forces may be those of torques before
+        if 1e-9 * (stamp - self._began) < limits.latency:  # forces may be those of torques before
             felt = self._pressed
         self._felt = self._felt + fraction * (felt - self._felt)
-        self._remember(stamp, latency)
-        noise = own @ np.abs(inertia) @ np.broadcast_to(rate_error, rates.shape) / FELT_TIME
+        self._remember(stamp, limits.latency)
+        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / FELT_TIME
+        noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
-        limits = self._least + self._noise
-        if not any(self._fits(past, own, tolerance, limits) for _, past in reversed(self._past)):
+        if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
-        if self._is_frozen(stamp, tips, forces, self._noise):
+        if self._is_frozen(stamp, tips, forces, limits.latency):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
 
@@ -195,68 +181,52 @@ class ForceTorqueCheck:
         while 1e-9 * (stamp - self._past[0][0]) > latency:
             self._past.popleft()
 
-    def _fits(
-        self, pressed: Array, own: NDArray[np.bool_], tolerance: float, limits: Array
-    ) -> bool:
+    def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
         """Return whether what is measured may be what was pressed at some time.
 
         Args:
             pressed: Torques at that time, shape (m,), N m.
             own: Which joints move which finger, shape (k, m).
             tolerance: Largest error of a finger as a fraction.
-            limits: Errors of each finger that show nothing, shape (k,), N m.
         """
         error, torque = (np.sqrt(own @ np.square(x)) for x in (self._felt - pressed, pressed))
-        limit = limits + tolerance * (torque + _SPREAD * math.sqrt(pressed @ pressed))
+        shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
+        limit = self._least + self._noise + tolerance * shown
         return bool((error <= limit).all())
 
-    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array, noise: Array) -> bool:
-        """Return whether a finger repeats its force to the bit for long, under another torque."""
-        felt = forces.tolist()
-        if not self._frozen:
-            self._frozen = [_Frozen(stamp, force, self._pressed) for force in felt]
-            self._finest = [math.inf] * len(felt)
-        for i, (force, frozen) in enumerate(zip(felt, self._frozen, strict=True)):
-            if force != frozen.force:
-                changes = [abs(a - b) for a, b in zip(force, frozen.force, strict=True) if a != b]
-                self._finest[i] = min(self._finest[i], *changes)
-                self._frozen[i] = _Frozen(stamp, force, self._pressed)
-            elif 1e-9 * (stamp - frozen.stamp) > _FROZEN_TIME:
+    def _turning(self, palm: Array | None, dt: float) -> float:
+        """Return how large apparent accelerations per lever arm may be as the palm turns, 1/s^2."""
+        before, self._palm = self._palm, palm
+        if before is None or palm is None:
+            return 0.0
+        fraction, last = -math.expm1(-dt / _TURN_TIME), self._spin
+        self._spin = last + fraction * (vector_from_rotation(before.T @ palm) / dt - last)
+        self._gain = self._gain + fraction * ((self._spin - last) / dt - self._gain)
+        return float(np.linalg.norm(self._gain) + self._spin @ self._spin)
+
+    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array, latency: float) -> bool:
+        """Return whether a finger repeats its force to the bit for long, under another torque.
+
+        It may do so for twice the age of forces, since a sample may be lost, and while the torque
+        changes by less than a skin with its steps shows.
+        """
+        if not self._repeats:
+            first = [_Repeat(stamp, force, self._pressed, math.inf) for force in forces.tolist()]
+            self._repeats = first
+        for i, (force, last) in enumerate(zip(forces.tolist(), self._repeats, strict=True)):
+            if force != last.force:
+                changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
+                finest = min(last.finest, *changes)
+                self._repeats[i] = _Repeat(stamp, force, self._pressed, finest)
+            elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + FELT_TIME:
                 own = tips.linear[i].any(axis=0)
-                change = np.abs((self._pressed - frozen.pressed)[own]).max()
-                torque = np.abs(frozen.pressed[own]).max()
-                if change > noise[i] + _noticeable(torque, tips.linear[i], self._finest[i]):
+                change = np.abs((self._pressed - last.pressed)[own]).max()
+                lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
+                steps = _STEPS * lever * last.finest if math.isfinite(last.finest) else 0.0
+                shown = _FROZEN_FRACTION * np.abs(last.pressed[own]).max() + steps
+                if change > self._least[i] + self._noise[i] + shown:
                     return True
         return False
-
-
-def _noticeable(torque: float, linear: Array, finest: float) -> float:
-    """Return the change of a finger's torque that its skin must notice, N m.
-
-    Args:
-        torque: Its largest torque before, N m.
-        linear: Jacobian of its tip, shape (3, m), m.
-        finest: Smallest change of its force so far, N; infinite before the first.
-    """
-    lever = math.sqrt(np.square(linear).sum(axis=0).max())
-    fine = _FINE_SMALL + _FINE_FRACTION * torque + _STEPS * lever * finest
-    return min(fine, _SMALL + _FROZEN_FRACTION * torque)
-
-
-class Tolerances(NamedTuple):
-    """How far joints and touch may differ.
-
-    Attributes:
-        touch: Distance of a contact from its fingertip, m.
-        force: Difference between measured forces and joint torques, a fraction.
-        latency: Age of measured forces, s.
-        rates: How far joint rates may be off, shape (m,), rad/s; 0 where they are exact.
-    """
-
-    touch: float
-    force: float
-    latency: float
-    rates: Array | float = 0.0
 
 
 class InputCheck:
@@ -265,12 +235,8 @@ class InputCheck:
     def __init__(self, hand: Hand) -> None:
         """Start without a past."""
         self._hand = hand
-        self._forces, self._joints = ForceTorqueCheck(hand), FrozenJointCheck()
-
-    def reset(self) -> None:
-        """Forget the past: time or hand are new."""
-        self.begin_grasp()
-        self._joints.reset()
+        self._forces = ForceTorqueCheck(hand)
+        self._theta, self._points = np.full(hand.joints, np.nan), np.zeros((hand.fingers, 3))
 
     def begin_grasp(self) -> None:
         """Compare no forces with torques from before: a contact or the grasp is new."""
@@ -284,6 +250,7 @@ class InputCheck:
         contacts: Contacts,
         limits: Tolerances,
         pressing: tuple[Array, Array] | None,
+        palm: Array | None = None,
     ) -> tuple[Fingertips, str]:
         """Return the fingertips, and why joints and touch do not fit; empty if they do.
 
@@ -295,23 +262,26 @@ class InputCheck:
             limits: How far they may differ.
             pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
                 since the last tick, shape (m,), N m; None where they are not compared.
+            palm: Rotation of the palm in the world, shape (3, 3); None where it is not known.
         """
         problem = ""
         if pressing is None:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips = terms[0]
-            problem = self._forces.step(
-                stamp,
-                rates,
-                terms,
-                contacts,
-                *pressing,
-                limits.force,
-                limits.latency,
-                limits.rates,
-            )
-        gap = implausible_touch(tips, self._hand.radii, contacts, limits.touch)
-        frozen = self._joints.step(theta, contacts, _STANDING * limits.touch)
-        return tips, problem or gap or frozen
+            tips, _, _ = terms
+            problem = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
+        radii = self._hand.radii
+        allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else _OFF * radii
+        gap = implausible_touch(tips, contacts, radii, allowed)
+        return tips, problem or gap or self._frozen(theta, contacts, allowed)
+
+    def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> str:
+        """Return why the joint angles are implausible: they repeat to the bit as contacts move."""
+        if not np.array_equal(theta, self._theta):
+            self._theta, self._points = theta.copy(), contacts.positions
+            return ""
+        moved = np.abs(contacts.positions - self._points).max(axis=1)
+        if (moved <= _STANDING * allowed).all():
+            return ""
+        return "the joint angles do not change although the contacts move; holding until they do"

@@ -9,7 +9,8 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.plausibility import (
-    FrozenJointCheck,
+    InputCheck,
+    Tolerances,
     implausible_shape,
     implausible_touch,
 )
@@ -68,9 +69,15 @@ def test_a_contact_lies_its_own_radius_from_its_fingertip_along_its_normal(finge
     off[finger] *= sign * 2.5
     for factor, reason in ((0.999, ""), (1.001, "10 mm off its fingertip")):
         contacts = Contacts(on + factor * off, STATE.contacts.rotations)
-        found = implausible_touch(tips, RADII, contacts, 0.01)
+        found = implausible_touch(tips, contacts, RADII, np.array([0.01] * 3))
         assert bool(found) == bool(reason) and reason in found
-    assert implausible_touch(tips, RADII, Contacts(on, STATE.contacts.rotations), 1e-12) == ""
+    exact = Contacts(on, STATE.contacts.rotations)
+    assert implausible_touch(tips, exact, RADII, np.full(3, 1e-12)) == ""
+    small = np.where(np.arange(3) == finger, 1e-3, 1.0)  # each has its own
+    assert (
+        implausible_touch(tips, contacts, RADII, small)
+        and implausible_touch(tips, contacts, RADII, small[[1, 2, 0]] + 1e-2) == ""
+    )
 
 
 def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
@@ -80,10 +87,15 @@ def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
     assert implausible_shape(np.full((3, 3), np.nan))
 
 
-def test_contacts_may_creep_no_farther_than_the_tolerance_from_where_the_joints_stopped():
+def test_contacts_may_creep_half_the_tolerance_from_where_the_joints_stopped():
+    """By default a twelfth of the radius of their fingertips, 5 mm here."""
     for sign in (1.0, -1.0):
-        watch = FrozenJointCheck()
-        creep = [watch.step(STATE.theta, shifted(0, 0, sign * 1e-3 * i), 2.5e-3) for i in range(4)]
-        assert [bool(doubt) for doubt in creep] == [False, False, False, True]
-        watch.reset()
-        assert watch.step(STATE.theta, shifted(0.1, 0.0, 0.0), 2.5e-3) == ""
+        for limits, step in (
+            (Tolerances(0.004, 0.3, 0.0), 0.9e-3),
+            (Tolerances(0.0, 0.3, 0.0), 2.2e-3),
+        ):
+            watch, found = InputCheck(HAND), []
+            for i in range(4):
+                seen = STATE.theta, STILL, shifted(0, 0, sign * step * i), limits, None
+                found.append("do not change" in watch.step(i, *seen)[1])
+            assert found == [False, False, False, True]
