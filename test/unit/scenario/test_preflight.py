@@ -116,8 +116,9 @@ def test_a_hand_with_too_few_joints_is_refused(tmp_path):
         "plant.object.position": centre.tolist(),
         "targets": [],
     }
+    message = r"f1 has 2 joints.*\(A5\); every finger that touches needs three or more"
     for check in (check_scenario, ClosedLoop):
-        with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 8"):
+        with pytest.raises(GraspError, match=message):
             check(load_scenario("paper", changes))
 
 
