@@ -38,7 +38,8 @@ STUCK = "the command does not change although the joints move"
 PULLS = "the command pulls the fingers off what they press"
 UNSTEADY = "commands have failed again and again; waiting until they are steady"
 
-_STUCK_MOTION = 0.002  # rad, above the steps of encoders, that torques may ignore to the bit
+_STUCK_MOTION = 0.002  # rad that torques may ignore to the bit, a fiftieth of a radius at a tip
+_STUCK_STEPS = 4.0  # errors of an angle that they may ignore too
 _PULL = 0.2  # fraction of the internal force with which a command may pull the fingers apart
 _CALM_TIME = 0.5  # s without a hold after which the next one ends immediately
 _CALM = 0.8  # fraction of the speed limit below which a joint counts as slow again
@@ -226,7 +227,8 @@ class CommandGuard:
             return False
         if before.stamp == command.stamp and self.reason != STUCK:
             return False
-        return bool(np.abs(theta - self._posture).max() > _STUCK_MOTION)
+        still = max(_STUCK_MOTION, _STUCK_STEPS * self._config.hold.resolution)
+        return bool(np.abs(theta - self._posture).max() > still)
 
     def _judge(self, stamp: int, theta: Array, rates: Array, command: TorqueCommand | None) -> str:
         """Return why a command may not act; empty if it may."""
