@@ -22,7 +22,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, O
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.rotations import quaternions_of_rows
+from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant, PlantState, sliding_speeds, true_reading
@@ -115,12 +115,10 @@ class SensingChain(Chain):
             true: True contacts of that state.
             sliding: Their sliding speeds, shape (k,), m/s.
         """
-        joints = state.joints
         if state.palm is not None:
             self.controller.turn_palm(state.palm)
-        touch = self.sensor.step(stamp, true, sliding, joints.theta)
-        answer = self.answer(stamp, *joints, touch.contacts, touch.forces)
-        return touch, answer
+        touch = self.sensor.step(stamp, true, sliding, state.joints.theta)
+        return touch, self.answer(stamp, *state.joints, touch.contacts, touch.forces)
 
 
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
@@ -137,9 +135,8 @@ def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
 class ClosedLoop:
     """Plant, sensor, regulator, optimizer and controller of one scenario.
 
-    A tick runs them in the order in which messages travel: touch is sampled, k_f and f* follow from
-    it, the controller answers, and the plant moves on with that torque. Contacts pass through the
-    quaternions of the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
+    A tick runs them in the order in which messages travel. Contacts pass through the quaternions of
+    the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
 
     Attributes:
         scenario: What is run.
@@ -163,14 +160,9 @@ class ClosedLoop:
         self.state = self.plant.state
         self.stamp = 0
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)
-        self._desired: tuple[Array, Array] | None = None
+        self._desired = np.full(3, np.nan), np.full(4, np.nan)
         for target in scenario.targets:
             self.controller.command(target.target(), target.stamp)
-
-    @property
-    def sensor(self) -> TactileSensor:
-        """The skin."""
-        return self.chain.sensor
 
     @property
     def regulator(self) -> SlipRegulator:
@@ -226,59 +218,38 @@ class ClosedLoop:
 
     def answer(self, record: Record, row: int) -> Command:
         """Return the controller's answer to the present tick, and write both into a row."""
-        self._ask()
-        true, sliding = true_reading(self.state), sliding_speeds(self.state)
-        touch, answer = self.chain.sense(self.stamp, self.state, true, sliding)
-        self._write(record, row, true, touch, answer)
-        record.true_sliding[row] = sliding
-        return answer.command
-
-    def _ask(self) -> None:
-        """Pass on what the user asks for at this tick."""
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
-
-    def _write(
-        self,
-        record: Record,
-        row: int,
-        true: TactileReading,
-        touch: TactileReading,
-        answer: Answer,
-    ) -> None:
         state = self.state
-        grasp_force, optimal, command = answer
+        true, sliding = true_reading(state), sliding_speeds(state)
+        touch, answer = self.chain.sense(self.stamp, state, true, sliding)
         record.stamps[row] = self.stamp
         if state.palm is not None:
             record.palm[row] = state.palm
         record.theta[row], record.rates[row], record.torque[row] = state.joints
-        record.command[row] = command.torque
         record.contact_positions[row] = touch.positions
         record.contact_quaternions[row] = touch.quaternions
         record.forces[row] = touch.forces
-        record.optimal_forces[row] = optimal.forces
-        record.grasp_force[row] = grasp_force
-        if command.pose is not None:
-            record.auxiliary_position[row] = command.pose.position
-            record.auxiliary_quaternion[row] = _quaternion(command.pose.orientation)
-        self._write_desired(record, row)
         record.object_position[row] = state.position
-        record.object_quaternion[row] = _quaternion(state.rotation)
+        record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
         record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
         record.true_forces[row] = true.forces
-        record.true_slid[row] = state.slid
+        record.true_sliding[row], record.true_slid[row] = sliding, state.slid
+        self._write(record, row, answer)
+        return answer.command
+
+    def _write(self, record: Record, row: int, answer: Answer) -> None:
+        """Write what the hand answers to a tick, and what it has learned."""
+        command, target = answer.command, self.controller.accepted
+        record.grasp_force[row] = answer.grasp_force
+        record.optimal_forces[row] = answer.optimal.forces
+        record.command[row] = command.torque
+        if command.pose is not None:
+            record.auxiliary_position[row] = command.pose.position
+            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        if target is not None:
+            self._desired = target.position, target.quaternion
+        record.desired_position[row], record.desired_quaternion[row] = self._desired
         record.friction[row] = self.regulator.learned_friction
         record.slip_evidence[row] = self.regulator.slip_likelihood
         record.grip[row] = self.regulator.state
-
-    def _write_desired(self, record: Record, row: int) -> None:
-        target = self.controller.accepted
-        if target is not None:
-            self._desired = target.position, target.quaternion
-        if self._desired is not None:
-            record.desired_position[row], record.desired_quaternion[row] = self._desired
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Return the quaternion of a rotation, shape (1, 4)."""
-    return quaternions_of_rows(rotation.reshape(1, 9))

@@ -12,7 +12,7 @@ from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
-from tactile_hand_ros.hand.hand import Fingertips, tip_jacobians
+from tactile_hand_ros.hand.hand import Fingertips, RawDynamics, tip_jacobians
 from tactile_hand_ros.rotations import rodrigues
 from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
@@ -25,31 +25,17 @@ _RECOVERY = 0.2  # share of a penetration that is removed in a step
 _FASTEST_RECOVERY = 5e-3  # and its highest speed, m/s: what leaves is not to fly off
 
 
-class HandTerms(NamedTuple):
-    """The hand half a step ahead: `RawDynamics`, and what else a step needs of it.
+class World(NamedTuple):
+    """What stays the same.
 
     Attributes:
-        tips: Fingertip centres, palm frame, shape (k, 3), m.
-        spatial: Velocities of the bodies at the palm's origin per joint rate, shape (6, m).
-        support: Which joints move which tip, shape (k, m).
-        inertia: M_h, of which only the upper triangle counts, shape (m, m).
-        bias: C_h theta' + N_h, shape (m,), N m.
-        torque: tau, shape (m,), N m.
         radii: Fingertip radii, shape (k,), m.
+        shape: Shape of the object.
+        mass: Its mass, kg.
+        inertia: Its inertia in its own frame, shape (3, 3), kg m^2.
     """
 
-    tips: Array
-    spatial: Array
-    support: NDArray[np.bool_]
-    inertia: Array
-    bias: Array
-    torque: Array
     radii: Array
-
-
-class Body(NamedTuple):
-    """The object: shape, mass in kg, and inertia in its own frame, shape (3, 3), kg m^2."""
-
     shape: Shape
     mass: float
     inertia: Array
@@ -107,16 +93,15 @@ def half_step(h: float, now: Motion) -> tuple[Array, Array]:
 
 @compiled
 def contact_geometry(
-    shape: Shape, position: Array, rotation: Array, tips: Array, radii: Array
+    world: World, position: Array, rotation: Array, tips: Array
 ) -> tuple[Array, Array, Array]:
-    """Return where fingertips touch or come closest to an object.
+    """Return where fingertips touch or come closest to the object.
 
     Args:
-        shape: The object.
-        position: Its centre of mass, palm frame, shape (3,), m.
+        world: Object and fingertips.
+        position: Centre of mass of the object, palm frame, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         tips: Fingertip centres, palm frame, shape (k, 3), m.
-        radii: Fingertip radii, shape (k,), m.
 
     Returns:
         Points on the fingertips p_c = p_f + r n, shape (k, 3), contact frames, shape (k, 3, 3), and
@@ -125,24 +110,22 @@ def contact_geometry(
     k = len(tips)
     points, frames, gaps = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(k)
     for i in range(k):
-        distance, outward = closest_point(shape, (tips[i] - position) @ rotation)
+        distance, outward = closest_point(world.shape, (tips[i] - position) @ rotation)
         normal = -(rotation @ outward)
-        points[i] = tips[i] + radii[i] * normal
+        points[i] = tips[i] + world.radii[i] * normal
         frames[i] = contact_frame(normal)
-        gaps[i] = distance - radii[i]
+        gaps[i] = distance - world.radii[i]
     return points, frames, gaps
 
 
 @compiled
-def observed(
-    shape: Shape, now: Motion, tips: Array, radii: Array
-) -> tuple[Array, Array, Array, Array]:
+def observed(world: World, now: Motion, tips: Array) -> tuple[Array, Array, Array, Array]:
     """Return contact points, frames and gaps as `contact_geometry`, NaN where nothing touches.
 
     What is pushed touches, whatever rounding makes of its gap. The last are the impulses of the
     last step in these frames, shape (k, 3), N s.
     """
-    points, frames, gaps = contact_geometry(shape, now.position, now.rotation, tips, radii)
+    points, frames, gaps = contact_geometry(world, now.position, now.rotation, tips)
     impulses, m = now.impulses.copy(), len(now.theta)
     for i in range(len(gaps)):
         if impulses[i, 1] > 0.0:
@@ -154,13 +137,13 @@ def observed(
 
 
 @compiled
-def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array) -> Array:
+def velocity_map(hand: RawDynamics, position: Array, points: Array, frames: Array) -> Array:
     """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames, (k, 3, m + 6).
 
     Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
     """
     k, m = hand.support.shape
-    tips = Fingertips(hand.tips, *tip_jacobians(hand.spatial, hand.support, hand.tips))
+    tips = Fingertips(hand.centres, *tip_jacobians(hand.spatial, hand.support, hand.centres))
     out = np.empty((k, 3, m + 6))
     out[:, :, :m] = -hand_jacobian(tips, points, frames)
     out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
@@ -169,7 +152,13 @@ def velocity_map(hand: HandTerms, position: Array, points: Array, frames: Array)
 
 @compiled
 def step(
-    h: float, now: Motion, hand: HandTerms, body: Body, wrench: Array, friction: Array
+    h: float,
+    now: Motion,
+    world: World,
+    friction: Array,
+    hand: RawDynamics,
+    torque: Array,
+    wrench: Array,
 ) -> Motion:
     """Advance velocities by a step h, in s, so that the contact laws hold at its end.
 
@@ -179,15 +168,16 @@ def step(
     Args:
         h: Length of the step, s.
         now: Hand and object at its start.
-        hand: The hand half a step ahead.
-        body: The object.
-        wrench: External wrench and weight about its centre of mass, shape (6,), N and N m.
+        world: Object and fingertips.
         friction: Coulomb friction of each finger, shape (k,).
+        hand: The hand half a step ahead.
+        torque: tau, shape (m,), N m.
+        wrench: External wrench and weight about the object's centre of mass, shape (6,), N and N m.
     """
     k, m = hand.support.shape
     v = now.velocities
     position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
-    points, frames, gaps = contact_geometry(body.shape, position, rotation, hand.tips, hand.radii)
+    points, frames, gaps = contact_geometry(world, position, rotation, hand.centres)
     every = velocity_map(hand, position, points, frames)
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)
@@ -197,7 +187,8 @@ def step(
         j = near[i]
         closing[i] = _closing(gaps[j], h)
         start[i] = carried(every[j, :, m:], now.rows[j, :, m:], now.impulses[j])
-    inverse_times, free = _response(h, now, hand, body, wrench, rotation, rows)
+    forces = np.concatenate((torque - hand.bias, wrench))
+    inverse_times, free = _response(h, now, world, hand.inertia, forces, rotation, rows)
     impulses, sliding, residual, outcome = np.zeros((k, 3)), np.zeros((k, 2)), 0.0, EXACT
     settled, struck = np.zeros(k, dtype=np.bool_), False
     if c > 0:
@@ -283,25 +274,25 @@ def _moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array,
 def _response(
     h: float,
     now: Motion,
-    hand: HandTerms,
-    body: Body,
-    wrench: Array,
+    world: World,
+    inertia: Array,
+    forces: Array,
     rotation: Array,
     rows: Array,
 ) -> tuple[Array, Array]:
     """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
     m, c = len(now.theta), len(rows)
-    turning = rotation @ body.inertia @ rotation.T
+    turning = rotation @ world.inertia @ rotation.T
     spin = half_step(h, now)[1][m + 3 :]
     momentum = turning @ spin
     right = np.empty((m + 6, c + 1))
     right[:, :c] = rows.T
-    right[:m, c] = h * (hand.torque - hand.bias)
-    right[m : m + 3, c] = h * wrench[:3]
-    right[m + 3, c] = h * (wrench[3] - spin[1] * momentum[2] + spin[2] * momentum[1])
-    right[m + 4, c] = h * (wrench[4] - spin[2] * momentum[0] + spin[0] * momentum[2])
-    right[m + 5, c] = h * (wrench[5] - spin[0] * momentum[1] + spin[1] * momentum[0])
-    substitute(factorize(hand.inertia)[0], right[:m])
-    right[m : m + 3] /= body.mass
+    for i in range(3):  # the gyroscopic torque
+        j, k = (i + 1) % 3, (i + 2) % 3
+        forces[m + 3 + i] -= spin[j] * momentum[k]
+        forces[m + 3 + i] += spin[k] * momentum[j]
+    right[:, c] = h * forces
+    substitute(factorize(inertia)[0], right[:m])
+    right[m : m + 3] /= world.mass
     substitute(factorize(turning)[0], right[m + 3 :])
     return right[:, :c].copy(), now.velocities + right[:, c]

@@ -32,9 +32,14 @@ class EncoderConfig(Config):
         return self.bits == 0 and self.noise == 0.0
 
     @property
+    def step(self) -> float:
+        """Step of an angle, rad; 0 where it is continuous."""
+        return 2.0 * math.pi / 2**self.bits if self.bits else 0.0
+
+    @property
     def resolution(self) -> float:
         """Error of an angle, rad: a step, and three standard deviations."""
-        return (2.0 * math.pi / 2**self.bits if self.bits else 0.0) + 3.0 * self.noise
+        return self.step + 3.0 * self.noise
 
 
 class JointReading(NamedTuple):
@@ -69,7 +74,6 @@ class JointSensor:
             seed: Of the noise.
         """
         self._encoder, self._effort_noise, self._tick = encoder, effort_noise, tick
-        self._step = 2.0 * math.pi / 2**encoder.bits if encoder.bits else 0.0
         self._follow = -math.expm1(-2.0 * math.pi * encoder.rate_cutoff * tick)
         self._seed = seed
         self.reset()
@@ -90,8 +94,8 @@ class JointSensor:
         seen = theta
         if self._encoder.noise > 0.0:
             seen = seen + self._random.normal(0.0, self._encoder.noise, len(theta))
-        if self._step > 0.0:
-            seen = (np.floor(seen / self._step) + 0.5) * self._step
+        if self._encoder.bits:
+            seen = (np.floor(seen / self._encoder.step) + 0.5) * self._encoder.step
         if self._last is None:
             self._last, self._rates = seen, np.zeros(len(theta))
         differences = (seen - self._last) / self._tick

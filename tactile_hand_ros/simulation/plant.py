@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
-from tactile_hand_ros.hand.hand import Hand, mirrored
+from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     quaternions_of_rows,
     rotation_from_vector,
 )
 from tactile_hand_ros.simulation.contact_step import (
-    Body,
-    HandTerms,
     Motion,
+    World,
     at_rest,
     contact_geometry,
     half_step,
@@ -117,7 +116,7 @@ class Plant:
             self._reach = _REACH_BY_TOUCH
         self.solid = config.object.solid()
         inertia = config.object.inertia_about(self.solid)
-        self._body = Body(self.solid.shape, config.object.mass, inertia)
+        self._world = World(self.hand.radii, self.solid.shape, config.object.mass, inertia)
         self._weight = np.concatenate([config.object.mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(
@@ -162,7 +161,7 @@ class Plant:
         """Move the fingers so that tips near the object touch it exactly."""
         for _ in range(20):
             place = now.position, now.rotation, self.hand.tip_positions(now.theta)
-            _, frames, gaps = contact_geometry(self.solid.shape, *place, self.hand.radii)
+            _, frames, gaps = contact_geometry(self._world, *place)
             if gaps.min() < -self._reach:
                 finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
@@ -222,18 +221,17 @@ class Plant:
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
             terms = terms._replace(bias=terms.bias + turns)
             body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
-            inertia = now.rotation @ self._body.inertia @ now.rotation.T
-            wrench = wrench + apparent_wrench(turning, (self._body.mass, inertia), body_motion)
+            inertia = now.rotation @ self._world.inertia @ now.rotation.T
+            wrench = wrench + apparent_wrench(turning, (self._world.mass, inertia), body_motion)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, middle) + wrench
-        hand = HandTerms(*terms, self._acting, self.hand.radii)
-        self._now = self._within_limits(h, hand, wrench)
+        self._now = self._within_limits(h, terms, wrench)
         self.relaxed_steps += self._now.outcome == RELAXED
         self.unsolved_steps += self._now.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
 
-    def _within_limits(self, h: float, hand: HandTerms, wrench: Array) -> Motion:
+    def _within_limits(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
         """Return a step at whose end no joint is beyond a limit that it was not beyond before.
 
         A joint that would pass its limit has met a stop, whose impulse acts on it alone and takes
@@ -244,7 +242,7 @@ class Plant:
         lower, upper = self.hand.position_limits
         stopped = np.zeros(m, dtype=np.bool_)
         while True:
-            after = step(h, now, hand, self._body, wrench, self.friction)
+            after = step(h, now, self._world, self.friction, hand, self._acting, wrench)
             passed = ((after.theta > upper) & (after.theta > now.theta)) | (
                 (after.theta < lower) & (after.theta < now.theta)
             )
@@ -267,7 +265,7 @@ class Plant:
         gravity = turning.rotation.T @ self._gravity
         self.known.gravity = turning.rotation.T @ np.array(self.config.gravity)
         self.hand.gravity = gravity
-        self._weight = np.concatenate([self._body.mass * gravity, np.zeros(3)])
+        self._weight = np.concatenate([self._world.mass * gravity, np.zeros(3)])
         return turning
 
     @property
@@ -280,8 +278,7 @@ class Plant:
         """Hand and object now; a step replaces its arrays and never writes into them."""
         now, m = self._now, self.hand.joints
         tips = self.hand.tip_positions(now.theta)
-        seen = observed(self.solid.shape, now, tips, self.hand.radii)
-        points, frames, gaps, impulses = seen
+        points, frames, gaps, impulses = observed(self._world, now, tips)
         return PlantState(
             now.theta,
             now.velocities[:m],
@@ -307,8 +304,8 @@ class Plant:
     @property
     def body_inertia(self) -> Array:
         """Inertia of the object, linear above angular, palm axes, shape (6, 6), kg and kg m^2."""
-        out = self._body.mass * np.eye(6)
-        out[3:, 3:] = self._now.rotation @ self._body.inertia @ self._now.rotation.T
+        out = self._world.mass * np.eye(6)
+        out[3:, 3:] = self._now.rotation @ self._world.inertia @ self._now.rotation.T
         return out
 
 

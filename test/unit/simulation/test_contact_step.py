@@ -10,8 +10,7 @@ from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.simulation.contact_step import (
     TOUCH,
-    Body,
-    HandTerms,
+    World,
     at_rest,
     carried,
     half_step,
@@ -33,7 +32,7 @@ class Scene:
         world = plant(H, **values)
         state, c = world.state, world.config.object
         self.hand, self.contacts, self.jacobian = world.hand, state.contacts, jacobian(world, state)
-        self.body = Body(world.solid.shape, c.mass, c.inertia_about(c.solid()))
+        self.world = World(self.hand.radii, c.solid().shape, c.mass, c.inertia_about(c.solid()))
         self.now = at_rest(state.theta, state.position, state.rotation, 3)
         self.torque, self.friction = np.zeros(9), friction
 
@@ -52,8 +51,8 @@ class Scene:
         """Take the next step."""
         theta, ahead = half_step(H, self.now)
         terms = self.hand.raw_dynamics(theta, ahead[:9])
-        hand = HandTerms(*terms, self.torque, self.hand.radii)
-        self.now = step(H, self.now, hand, self.body, np.zeros(6), self.friction)
+        acting = self.friction, terms, self.torque, np.zeros(6)
+        self.now = step(H, self.now, self.world, *acting)
         return self.now
 
     def turned(self, rotation):
@@ -155,8 +154,8 @@ def without_contacts(scene, v):
     turned = rotation_from_vector(0.5 * H * v[12:]) @ scene.now.rotation
     matrix = np.zeros((15, 15))
     matrix[:9, :9] = np.triu(terms.inertia) + np.triu(terms.inertia, 1).T
-    matrix[9:12, 9:12] = scene.body.mass * np.eye(3)
-    matrix[12:, 12:] = turned @ scene.body.inertia @ turned.T
+    matrix[9:12, 9:12] = scene.world.mass * np.eye(3)
+    matrix[12:, 12:] = turned @ scene.world.inertia @ turned.T
     gyroscopic = np.cross(v[12:], matrix[12:, 12:] @ v[12:])
     forces = np.concatenate([-terms.bias, np.zeros(3), -gyroscopic])
     return matrix, v + H * np.linalg.solve(matrix, forces)
@@ -172,7 +171,7 @@ def test_impacts_take_energy_and_do_not_rebound(friction, mass):
         inertia = tuple(0.01 * mass * random.uniform(1.0, 1.8, 3))
         scene = Scene(np.full(3, friction), object__mass=mass, object__inertia=inertia)
         smaller = ConvexPolyhedron.box(0.2604 - random.uniform(2e-3, 3e-3, 3)).shape
-        scene.body = scene.body._replace(shape=smaller)
+        scene.world = scene.world._replace(shape=smaller)
         end = 0.7 * speed * random.standard_normal(15)
         for _ in range(15):
             matrix, free = without_contacts(scene, end)
@@ -203,7 +202,7 @@ def test_only_what_touches_or_is_pushed_is_seen():
     rows = np.zeros((6, 3, 6))
     rows[:, 0, 2], rows[:, 1, 1], rows[:, 2, 0] = 1.0, 1.0, -1.0
     now = at_rest(np.zeros(0), position, rotation, 6)._replace(impulses=impulses, rows=rows)
-    points, frames, found, felt = observed(shape, now, tips, radii)
+    points, frames, found, felt = observed(World(radii, shape, 1.0, np.eye(3)), now, tips)
     np.testing.assert_allclose(felt[:, 1], pushes)
     np.testing.assert_allclose(np.linalg.norm(felt, axis=1), np.linalg.norm(impulses, axis=1))
     np.testing.assert_allclose(found, gaps, atol=1e-12)

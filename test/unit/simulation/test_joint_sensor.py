@@ -12,16 +12,10 @@ THETA, RATES, EFFORT = np.array([0.1, -2.0, 7.0]), np.array([1.0, -2.0, 0.5]), n
 TICK = 0.002
 
 
-def test_without_bits_and_noise_all_is_exact():
-    sensor = JointSensor(EncoderConfig(), 0.0, TICK, 1)
-    for given, reported in zip((THETA, RATES, EFFORT), sensor.step(THETA, RATES, EFFORT)):
-        np.testing.assert_array_equal(reported, given)
-
-
-@pytest.mark.parametrize("bits", [8, 14, 20])
+@pytest.mark.parametrize("bits", [8, 20])
 def test_an_angle_is_reported_to_half_a_step_and_small_motions_are_not_seen(bits):
     sensor, step = JointSensor(EncoderConfig(bits=bits), 0.0, TICK, 1), 2 * np.pi / 2**bits
-    angles = np.linspace(-4.0, 4.0, 10_000)
+    angles = np.linspace(-4.0, 4.0, 5_000)
     seen = np.array([sensor.step(np.array([a]), np.zeros(1), np.zeros(1)).theta[0] for a in angles])
     assert np.abs(seen - angles).max() <= 0.5 * step * (1 + 1e-9)
     assert abs((seen - angles).mean()) < 0.05 * step

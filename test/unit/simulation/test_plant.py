@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant without contact: free bodies, energy, limits, and what it refuses."""
+"""The plant without contact: free bodies, pushes, energy, limits, and what it refuses."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,12 @@ from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectMod
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.contact_step import TOUCH
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.simulation.plant_config import Disturbance, FrictionChange
+from tactile_hand_ros.simulation.plant_config import (
+    Disturbance,
+    FrictionChange,
+    PlantConfig,
+    external_wrench,
+)
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
 UNEQUAL = (0.001, 0.002, 0.0028)
@@ -35,17 +40,33 @@ def test_a_free_object_falls_as_galilei_found():
     assert world.time == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("shape", "factors"),
+    [
+        ({"kind": "step"}, [0.0, 1.0, 1.0, 1.0]),
+        ({"kind": "ramp", "duration": 0.25}, [0.0, 0.0, 0.8, 1.0]),
+        ({"kind": "pulse", "duration": 0.25}, [0.0, 1.0, 1.0, 0.0]),
+        ({"kind": "sine", "duration": 0.24, "frequency": 1.25}, [0.0, 0.0, 1.0, 0.0]),
+    ],
+)
+def test_a_push_starts_and_ends_and_adds_to_others(shape, factors):
+    pushes = [
+        Disturbance(force=(1.0, 0.0, 0.0)),
+        Disturbance(start=1.0, force=(1.0, 2.0, 0.0), torque=(0.0, 0.0, 3.0), **shape),
+    ]
+    for time, factor in zip([0.999, 1.0, 1.2, 1.25], factors, strict=True):
+        expected = [1.0 + factor, 2.0 * factor, 0.0, 0.0, 0.0, 3.0 * factor]
+        np.testing.assert_allclose(external_wrench(pushes, time), expected, atol=1e-12)
+
+
 def test_a_push_gives_its_impulse_and_nothing_before_or_after():
     pushes = [push(start=0.1, force=(0.3, 0.0, -0.6), torque=(0.0, 1e-3, 0.0))]
     world = plant(disturbances=pushes, **FAR)
     assert not run(world, 0.1).velocity.any()
-    after = run(world, 0.1)
-    linear, angular = momentum(world, after)
-    np.testing.assert_allclose(linear, [0.03, 0.0, -0.06], atol=1e-12)
-    np.testing.assert_allclose(angular, [0.0, 1e-4, 0.0], atol=1e-12)
-    later = run(world, 0.3)
-    np.testing.assert_allclose(later.velocity, after.velocity, atol=1e-12)
-    np.testing.assert_allclose(later.position - after.position, 0.3 * after.velocity, atol=1e-12)
+    for _ in range(2):
+        linear, angular = momentum(world, run(world, 0.1))
+        np.testing.assert_allclose(linear, [0.03, 0.0, -0.06], atol=1e-12)
+        np.testing.assert_allclose(angular, [0.0, 1e-4, 0.0], atol=1e-12)
 
 
 def test_a_push_counts_in_the_middle_of_each_step():
@@ -103,51 +124,43 @@ def test_torque_is_limited_as_by_a_motor():
     np.testing.assert_array_equal(state.rates, limited.rates)
 
 
-def test_a_tick_is_made_of_steps():
+def test_a_tick_is_made_of_whole_steps():
     """Two steps of 1 ms in a tick of 500 Hz are two ticks of 1 kHz."""
     torque = np.linspace(-1.0, 1.0, 9)
     tick = plant(rate=500.0, **FAR).advance(torque)
     single = plant(**FAR)
     single.advance(torque)
     np.testing.assert_allclose(tick.theta, single.advance(torque).theta, atol=1e-14)
+    assert PlantConfig(rate=500.0).tick == 2_000_000
+    for rate, step in ((300.0, 0.001), (3000.0, 0.001), (700.0, 0.002)):
+        with pytest.raises(ConfigurationError, match="expected a whole number"):
+            PlantConfig().changed({"rate": rate, "time_step": step})
 
 
-def test_reset_starts_the_same_motion_again():
+def test_a_reset_starts_the_same_motion_again_and_changes_no_state_of_before():
+    """Friction changes at its times again, too."""
+    changes = [FrictionChange(start=0.04, friction=0.5), FrictionChange(start=0.02, friction=0.1)]
     world = plant(
         gravity=(0.0, 0.0, -1.0),
         disturbances=[push(start=0.01, force=(1.0, 2.0, 3.0), torque=(0.01, 0, 0))],
+        friction_changes=changes,
         object__friction=0.3,
     )
-    torques = np.random.default_rng(0).standard_normal((60, 9))
-    first = [world.advance(torque) for torque in torques]
+
+    def motion():
+        frictions.append([])
+        for torque in np.random.default_rng(0).standard_normal((60, 9)):
+            yield world.advance(torque)
+            frictions[-1].append(set(world.friction))
+
+    frictions = []
+    first = list(motion())
     back = world.reset()
     assert world.time == 0.0 and not back.rates.any() and not back.forces.any()
-    for torque, before in zip(torques, first, strict=True):
-        after = world.advance(torque)
+    for after, before in zip(motion(), first, strict=True):
         for name in ("theta", "rates", "position", "rotation", "spin", "forces", "sliding", "slid"):
             np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-
-
-def test_a_friction_that_changes_does_so_again_after_a_reset():
-    changes = [FrictionChange(start=0.01, friction=0.3), FrictionChange(start=0.02, friction=0.5)]
-    world = plant(friction_changes=changes, object__friction=0.9)
-    for _ in range(2):
-        found = []
-        for _ in range(3):
-            run(world, 0.01)
-            found.append(set(world.friction))
-        assert found == [{0.9}, {0.3}, {0.5}]
-        world.reset()
-
-
-def test_a_state_is_not_changed_by_later_steps():
-    world = plant()
-    state = world.state
-    theta, position = state.theta.copy(), state.position.copy()
-    for _ in range(5):
-        world.advance(np.ones(9))
-    np.testing.assert_array_equal(state.theta, theta)
-    np.testing.assert_array_equal(state.position, position)
+    assert frictions[0] == frictions[1] == [{0.3}] * 20 + [{0.1}] * 20 + [{0.5}] * 20
 
 
 @pytest.mark.parametrize("layout", ["three_faces", "pinch"])
