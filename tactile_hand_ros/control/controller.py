@@ -29,7 +29,7 @@ from tactile_hand_ros.control.laws import (
     Target,
 )
 from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implausible_shape
-from tactile_hand_ros.control.reach import room
+from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
@@ -223,6 +223,7 @@ class Controller:
         """Forget grasp, targets and integral; open or closing fingers continue with that."""
         self._law.reset()
         self._hold_with(np.ones(self.hand.fingers, dtype=bool))
+        self._new_grasp()
         self._reference.reset()
         self._rates.reset()
         self._targets.reset()
@@ -230,7 +231,6 @@ class Controller:
         self._held: Held | None = None  # nothing is known to be held
         self._posture = np.zeros(self.hand.joints)  # that a hold keeps
         self._grasp: Grasp | None = None
-        self._room = 1.0  # where the move began
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
@@ -240,10 +240,10 @@ class Controller:
         """Let fingers hold from now on, by a mask of shape (k,)."""
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
-        self._new_grasp()
+        self._room: Array | None = None  # where the move began, see `room`
 
     def _new_grasp(self) -> None:
-        self.warning, self._fitted_to = "", 0.0
+        self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
         # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
         self._required: tuple[float, float] | None = None
 
@@ -425,8 +425,8 @@ class Controller:
     def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
         """Return torques with which the fingers that do not touch close, shape (m,), N m.
 
-        Their tips move towards the middle of the contacts at a given speed, against nothing but
-        their damping, which is all that presses where touch does not show what stops them.
+        Their tips move towards the middle of the contacts at a given speed. Only the damping to
+        that speed presses on what stops them where they feel no touch.
 
         Args:
             torque: That of the others, shape (m,), N m.
@@ -490,10 +490,10 @@ class Controller:
         """Return why a move should not go on; empty if it may.
 
         What holds the object where a move begins may not hold it where it ends: a grasp force that
-        grows is the sign of it. From near a rim or an end it may go back, so half as far on too.
+        grows is the sign of it. From near a rim or an end it may go back.
         """
-        left, place = room(self._fingers, theta, contacts)
-        if self.accepted is not None:
+        left = room(self._fingers, theta, contacts)
+        if self.accepted is not None or self._room is None:
             self._room = left
         limit = self.config.grasp_force_limit
         if 0.0 < _MOVES_UNTIL * limit < grasp_force:
@@ -501,7 +501,9 @@ class Controller:
                 f"k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and the way ahead may"
                 " need more"
             )
-        return f"it brings {place}" if left < min(_ROOM, 0.5 * self._room) else ""
+        nearer = (left < self._room - 0.5 * _ROOM) & (self._room > 0.0)
+        ends = np.flatnonzero((left < _ROOM) & nearer)
+        return f"it brings {end_of(self._fingers, int(ends[0]))}" if len(ends) else ""
 
     def hold(
         self,
@@ -575,10 +577,15 @@ class Controller:
         return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
     def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
-        """Fit the gains that are not given to the hand, once in a grasp and for its ticks."""
-        if self._law.fits or self._fitted_to == self._period:
+        """Fit the gains that are not given to the hand, for its ticks and most of its fingers.
+
+        That takes milliseconds, so a finger that comes and goes changes nothing.
+        """
+        fingers, c = self._fingers.fingers, self.config
+        known = self._fitted_to == self._period and fingers <= self._fitted_fingers
+        if self._law.fits or known:
             return
-        self._fitted_to, c = self._period, self.config
+        self._fitted_to, self._fitted_fingers = self._period, fingers
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for one's own
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
@@ -654,6 +661,7 @@ class Controller:
         self._law.reset()
         self._targets.begin_grasp()
         self._hold_with(contacts.touching)
+        self._new_grasp()
         return True
 
     def _enough(self, contacts: Contacts) -> bool:

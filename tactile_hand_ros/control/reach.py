@@ -81,11 +81,11 @@ def check_reach(
         )
 
 
-def room(hand: Hand, theta: Array, contacts: Contacts) -> tuple[float, str]:
-    """Return the smallest fraction left of the way to a rim or the end of a joint, and to which.
+def room(hand: Hand, theta: Array, contacts: Contacts) -> Array:
+    """Return fractions left of the ways to the rims and to the ends of the joints, shape (k + m,).
 
-    The ways are from the tip of a finger to the rim, and from the middle of a joint's range to its
-    end.
+    The ways are from the tip of a finger to its rim, and from the middle of a joint's range to its
+    end; 1 where a joint has none.
 
     Args:
         hand: The hand.
@@ -96,11 +96,14 @@ def room(hand: Hand, theta: Array, contacts: Contacts) -> tuple[float, str]:
     with np.errstate(invalid="ignore"):
         joints = 2.0 * np.minimum(theta - lower, upper - theta) / (upper - lower)
     rims = _rims(hand, theta, contacts.normals) / (0.5 * np.pi)
-    left = np.append(rims, np.where(np.isfinite(joints), joints, 1.0))
-    i = int(left.argmin())
+    return np.append(rims, np.where(np.isfinite(joints), joints, 1.0))
+
+
+def end_of(hand: Hand, i: int) -> str:
+    """Return what ends the way i of `room`, in words."""
     if i < hand.fingers:
-        return float(left[i]), f"the contact of {hand.finger_names[i]} to the rim of its fingertip"
-    return float(left[i]), f"{hand.joint_names[i - hand.fingers]} to its end"
+        return f"the contact of {hand.finger_names[i]} to the rim of its fingertip"
+    return f"{hand.joint_names[i - hand.fingers]} to its end"
 
 
 def _rims(hand: Hand, theta: Array, normals: Array) -> Array:
